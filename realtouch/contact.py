@@ -60,10 +60,10 @@ def contact_window(time_s: Float64, start_s: float, end_s: float) -> slice:
     """
     start = int(time_s.searchsorted(start_s - CLOCK_TOLERANCE_S, side="left"))
     stop = int(time_s.searchsorted(end_s + CLOCK_TOLERANCE_S, side="right"))
-    if start < stop:
+    if start < stop or not len(time_s):
         return slice(start, stop)
-    nearest = int(np.argmin(np.abs(time_s - end_s))) if len(time_s) else 0
-    return slice(nearest, min(nearest + 1, len(time_s)))
+    nearest = int(np.argmin(np.abs(time_s - end_s)))
+    return slice(nearest, nearest + 1)
 
 
 def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: float = math.nan) -> Float64:
@@ -77,7 +77,9 @@ def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: floa
     heights = np.asarray(z_m, np.float64)
     if not recalibrate_z or not len(heights):
         return heights
-    return heights - (np.fmin.reduce(heights) if math.isnan(plate_z_m) else plate_z_m)
+    if math.isnan(plate_z_m):
+        plate_z_m = np.fmin.reduce(heights)
+    return heights - plate_z_m
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,7 +103,9 @@ class ContactHeight:
         """Return the rule for rounds with these columns, by dotted name."""
         if _MADE_BY_US in columns:
             return cls(RENDERED_CONTACT_M, "known")
-        return cls(MIN_CONTACT_HEIGHT_M, "stored" if PLATE_COLUMN in columns else "estimated")
+        if PLATE_COLUMN in columns:
+            return cls(MIN_CONTACT_HEIGHT_M, "stored")
+        return cls(MIN_CONTACT_HEIGHT_M, "estimated")
 
     def __str__(self) -> str:
         return f"{height_text(self.min_height_m)}; {_PLATES[self.plate]}"

@@ -16,6 +16,7 @@ from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
 
+_SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
 # Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand.
 _PIXELS_AT_ONCE = 1 << 13
 
@@ -32,12 +33,12 @@ def median_in_memory(pictures: UInt8) -> UInt8:
     values = pictures.reshape(len(pictures), -1)
     starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
     parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
-    found: list[Any] = [_values_in_the_middle([[part]] * 8, 1) for part in parts]
-    return np.concatenate(found).reshape(pictures.shape[1:])
+    found = np.concatenate([_values_in_the_middle([[part]] * 8, 1) for part in parts])
+    return found.reshape(pictures.shape[1:])
 
 
-def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8 | None:
-    """Return the median picture of batches, shape (n, H, W, 3), that can be read twice; None without any.
+def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8:
+    """Return the median picture of batches, shape (n, H, W, 3), at least one, that can be read twice.
 
     Exact; of an even number of pictures the mean of the two in the middle, rounded down.
     """
@@ -45,7 +46,7 @@ def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8 | None:
     return _values_in_the_middle((batches() for _ in range(2)), 4)
 
 
-def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8 | None:
+def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
     """Return the median of each pixel: some of its bits by each pass over all pictures, the highest first.
 
     The value of a rank is the greatest that no more pictures than that lie below.
@@ -71,8 +72,6 @@ def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8
             for counts, value in zip(below, found, strict=True):
                 for count, step in zip(counts, steps, strict=True):
                     count += (batch < value + step).sum(axis=0, dtype=counted)
-        if not found:
-            return None
         ranks = sorted({(total - 1) // 2, total // 2})
         # After the first pass one value became two, where there are two ranks in the middle.
         found = [
@@ -86,7 +85,7 @@ def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
     """Return an array of so many dimensions, three channels and uint8; InputError for any other."""
     found = np.asarray(pictures)
     if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
-        expected = " or ".join("(N, H, W, 3)" if each == 4 else "(H, W, 3)" for each in dimensions)
+        expected = " or ".join(_SHAPES[each] for each in dimensions)
         raise InputError(
             f"pictures are an array of shape {found.shape}, {found.dtype}; expected {expected}, uint8, or a "
             "clip, a round or touches"
@@ -132,7 +131,8 @@ def difference(pictures: UInt8, background: UInt8, representation: Representatio
     signed = found.astype(np.int16) - base
     if representation == "signed":
         return signed
-    return (np.abs(signed) if representation == "absolute" else (signed + 256) // 2).astype(np.uint8)
+    unsigned: AnyArray = np.abs(signed) if representation == "absolute" else (signed + 256) // 2
+    return unsigned.astype(np.uint8)
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,10 @@ class ContactScore:
         """Sum of the grey levels of all changed pixels; largest where the contact shows best."""
         return np.rint(self.area_px * self.intensity)
 
+    def of_picture(self, number: int) -> ContactScore:
+        """Return the score of one of several pictures."""
+        return ContactScore(int(self.area_px[number]), float(self.intensity[number]))
+
 
 def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None = None) -> ContactScore:
     """Score how clearly pictures show contact.
@@ -221,7 +225,9 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
     found, base = _with_background(pictures, background)
     rows, columns = rule.window(*base.shape[:2])
     score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
-    return score if found.ndim == 4 else ContactScore(int(score.area_px[0]), float(score.intensity[0]))
+    if found.ndim == 3:
+        return score.of_picture(0)
+    return score
 
 
 def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
@@ -254,4 +260,4 @@ def best_of(
     else:
         scores = contact_score(frames, base, rule)
     best = int(np.argmax(scores.total_change))
-    return best, ContactScore(int(scores.area_px[best]), float(scores.intensity[best]))
+    return best, scores.of_picture(best)

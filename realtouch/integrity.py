@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
-from dataclasses import dataclass
 from functools import partial
 
 from realtouch.damage import Damage, DamagedRoundError, unreadable_file, unreadable_rows
@@ -15,7 +14,7 @@ from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
 from realtouch.touch_clips import TouchClip
 from tactile_toolkit import catalog, read, run
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, Kind, decode_image, image_size
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
 
 _NAMES_SHOWN = 12
 
@@ -158,7 +157,13 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    check = _CHECKS[row.kind](row, decode, noted)
+    read_pose: Callable[[int], object] = row.poses
+    picture_size: _PictureSize = _image_size
+    size_of: _SizeOf = image_size
+    if row.kind == "seq":
+        read_pose, picture_size = row.pose_sequences, _clip_size
+    if decode:
+        size_of = _decoded_size
     start, stop = row.column_of(MEDIA_COLUMN[row.kind]).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
@@ -167,10 +172,10 @@ def check_round(
                 row.intended_positions(touch)
         if row.has_poses and row.has(f"{POSE_COLUMN[row.kind]}.quaternion"):
             with noted():
-                check.pose(touch)
+                read_pose(touch)
         if touch < stop - start:  # where there are too few images or clips, those that are there are checked
             with noted():
-                sizes[touch] = check.picture_size(touch)
+                sizes[touch] = picture_size(row, touch, size_of, noted)
     # Several fields may run into one fault, and say the same of it.
     return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
 
@@ -188,54 +193,38 @@ def _noted(found: list[Damage], row: StoredRound) -> Iterator[None]:
         found.append(Damage(row.path, row.number, None, "", str(error)))
 
 
-@dataclass(frozen=True)
-class _CheckTouch:
-    """Checks touches of a round; with ``decode`` every picture is decoded, else its header is read."""
-
-    row: StoredRound
-    decode: bool
-    noted: Callable[[], AbstractContextManager[None]]
-
-    def size_of(self, data: memoryview) -> tuple[int, ...]:
-        """Return height and width of a picture; ValueError where it is damaged."""
-        if self.decode:
-            return decode_image(data).shape[:2]
-        return image_size(data)
+def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
+    height, width, _ = decode_image(data).shape
+    return height, width
 
 
-class _CheckImage(_CheckTouch):
-    def pose(self, touch: int) -> None:
-        self.row.poses(touch)
-
-    def picture_size(self, touch: int) -> tuple[int, ...]:
-        """Return height and width of an image."""
-        with self.row.naming("sensor_image", touch):
-            return self.size_of(SensorImages(self.row).encoded(touch))
+_SizeOf = Callable[[memoryview], tuple[int, int]]
+_Noted = Callable[[], AbstractContextManager[None]]
+_PictureSize = Callable[[StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
-class _CheckClip(_CheckTouch):
-    def pose(self, touch: int) -> None:
-        self.row.pose_sequences(touch)
-
-    def picture_size(self, touch: int) -> tuple[int, ...]:
-        """Return height and width of all frames of a clip; nothing of a clip without frames."""
-        row, clip = self.row, TouchClip(self.row, touch)
-        with self.noted():
-            if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
-                _ = clip.contact_window
-            else:
-                _ = clip.timestamps_s
-        first: tuple[int, ...] = ()
-        for frame in range(len(clip)):
-            with row.naming("sensor_video", touch, f"frame {frame}: "):
-                size = self.size_of(clip.encoded(frame))
-                first = first or size
-                if size != first:
-                    raise ValueError(f"{_describe(size)}; expected {_describe(first)} as of the first frame")
-        return first
+def _image_size(row: StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted) -> tuple[int, ...]:
+    """Return height and width of an image."""
+    with row.naming("sensor_image", touch):
+        return size_of(SensorImages(row).encoded(touch))
 
 
-_CHECKS: dict[Kind, type[_CheckImage | _CheckClip]] = {"single": _CheckImage, "seq": _CheckClip}
+def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+    """Return height and width of all frames of a clip; nothing of a clip without frames."""
+    clip = TouchClip(row, touch)
+    with noted():
+        if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
+            _ = clip.contact_window
+        else:
+            _ = clip.timestamps_s
+    first: tuple[int, ...] = ()
+    for frame in range(len(clip)):
+        with row.naming("sensor_video", touch, f"frame {frame}: "):
+            size = size_of(clip.encoded(frame))
+            first = first or size
+            if size != first:
+                raise ValueError(f"{_describe(size)}; expected {_describe(first)} as of the first frame")
+    return first
 
 
 def _odd_sizes(row: StoredRound, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:

@@ -93,17 +93,21 @@ class TouchRound(Record):
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
-        named = {"label": self.describe_field("label", str), "object": self.describe_field("object_id", str)}
-        words = [f"{word} {value}" for word, value in named.items() if value is not None]
+        words = self.label_words()
+        words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = evenly_spaced(self.touch_count, MOST_TILES)
         pictures = [(f"{touch}", partial(self._contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
-        label = self.describe_field("label", str)
-        words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
+        words = [*self.label_words(), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
+
+    def label_words(self) -> list[str]:
+        """Return the label for people; nothing of a data set without labels."""
+        label = self.describe_field("label", "label {}".format)
+        return list(filter(None, [label]))
 
     def _contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
@@ -236,7 +240,7 @@ class TouchSeqRound(TouchRound):
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
         decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
-        return tuple(np.split(pixels, np.cumsum(counts)[:-1])) if len(wanted) else ()
+        return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 
 def _cores(threads: int | None) -> int:

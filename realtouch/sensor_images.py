@@ -116,8 +116,9 @@ class SensorImages(Sequence[UInt8]):
             As for indexing; or the images exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
         touches = positions(index, self._count).tolist()
-        first = touches[0] if len(touches) else 0
-        size = self.size(first) if self._count else (0, 0)
+        first, size = [*touches, 0][0], (0, 0)
+        if self._count:
+            size = self.size(first)
         with self._row.naming("sensor_image", first):
             pixels = room_for(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)

@@ -51,7 +51,9 @@ class StoredColumns(Row):
     @property
     def kind(self) -> Kind:
         """Whether it has clips or images."""
-        return "seq" if self.has(MEDIA_COLUMN["seq"]) else "single"
+        if self.has(MEDIA_COLUMN["seq"]):
+            return "seq"
+        return "single"
 
     @property
     def has_poses(self) -> bool:
@@ -89,7 +91,9 @@ class StoredColumns(Row):
         # Once for a block of rows: this is asked for each touch.
         name = next(filter(self.has, _COUNTED), _COUNTED[0])
         starts = self.group.once("starts of touches", lambda: self.column_of(name).levels[0])
-        return starts if isinstance(starts, int) else int(starts[self.index + 1] - starts[self.index])
+        if isinstance(starts, int):
+            return starts
+        return int(starts[self.index + 1] - starts[self.index])
 
     def entries_of(self, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
         """Return a column and the range of its entries that are the round's, or one touch's.

@@ -140,18 +140,22 @@ class StoredRound(StoredColumns):
 
     def stored_plate_z_m(self) -> float:
         """Return the stored height of the plate in a round, metres, cell frame; NaN without one."""
-        stored = self.value(PLATE_COLUMN) if self.has(PLATE_COLUMN) else None
-        return math.nan if stored is None else float(stored)
+        if not self.has(PLATE_COLUMN) or self.value(PLATE_COLUMN) is None:
+            return math.nan
+        return float(self.value(PLATE_COLUMN))
 
     def plate_z_m(self) -> float:
         """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
-        is_known = ContactHeight.of(self.group.names).plate == "known"
-        return PRESS_DEPTH_M if is_known else self.stored_plate_z_m()
+        if ContactHeight.of(self.group.names).plate == "known":
+            return PRESS_DEPTH_M
+        return self.stored_plate_z_m()
 
     def name(self) -> str:
         """Return the id, text or an integer, as text; raises as :meth:`integer`."""
         value = self.plain_value("id")
-        return value if isinstance(value, str) else str(self.integer("id"))
+        if isinstance(value, str):
+            return value
+        return str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
         """Return the class, -1 where it is not known, as `datasets` has it.

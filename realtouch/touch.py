@@ -44,7 +44,9 @@ class Touch:
     def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
         object.__setattr__(self, "round", round)
         object.__setattr__(self, "touch_index", touch_index)
-        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
+        if index_in_row is None:
+            index_in_row = touch_index
+        object.__setattr__(self, "_index_in_row", index_in_row)
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
@@ -139,8 +141,7 @@ class Touch:
 
     def _repr_html_(self) -> str:
         """Show the picture of the contact in a notebook."""
-        label = self.round.describe_field("label", str)
-        words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
+        words = [*self.round.label_words(), f"touch {self.touch_index}"]
         with suppress(InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")

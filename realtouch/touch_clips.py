@@ -192,7 +192,9 @@ class TouchClip(Sequence[UInt8]):
         Those stored with the round; the file's own clock in data sets without them.
         """
         times = self._row.stamps_s(self.touch)
-        return self.media_times_s if times is None else times[0]
+        if times is None:
+            return self.media_times_s
+        return times[0]
 
     def at(self, time_s: float) -> UInt8:
         """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
@@ -305,7 +307,9 @@ class SensorClips(Sequence[TouchClip]):
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
         :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        size = self[0].size if self._count else (0, 0)
+        size = (0, 0)
+        if self._count:
+            size = self[0].size
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
@@ -324,7 +328,9 @@ def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
     """
     times = row.stamps_s(touch)
     if times is None:
-        touches = range(row.touch_total()) if touch is None else [touch]
+        touches: Sequence[int] = range(row.touch_total())
+        if touch is not None:
+            touches = [touch]
         times = [TouchClip(row, each).media_times_s for each in touches]
     ends = (each.tolist() for each in row.times_of_touches(touch))
     return [contact_window(*each) for each in zip(times, *ends, strict=True)]

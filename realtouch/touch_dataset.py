@@ -93,8 +93,9 @@ class TouchDataset(read.RecordDataset[R]):
 
         def heights_m(row: StoredRound, rule: ContactHeight) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
-            plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
-            return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
+            if rule.plate == "known":
+                return contact_heights_m(z_m, True, PRESS_DEPTH_M)
+            return contact_heights_m(z_m, recalibrate_z, row.stored_plate_z_m())
 
         columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)

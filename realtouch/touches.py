@@ -50,10 +50,14 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
-        rows = range(int(self._starts[-1])) if chosen is None else chosen
+        rows: range | Int64 = range(int(self._starts[-1]))
+        if chosen is not None:
+            rows = chosen
         super().__init__(dataset._table, rows, dataset.label_names)
         # Rounds of one length, the common case, are found by a division.
-        self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
+        self._per_round = 0
+        if len(set(counts.tolist())) == 1:
+            self._per_round = int(counts[0])
 
     def __iter__(self) -> Iterator[Touch]:
         last, current = -1, None
@@ -115,8 +119,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     @property
     def _plain_columns(self) -> tuple[str, ...]:
-        where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
-        return (*self.dataset._plain_columns, _INDEX, *where)
+        names = (*self.dataset._plain_columns, _INDEX)
+        if self.dataset.has_column("pos_in_cell"):
+            names += _POSITION
+        return names
 
     def column(self, name: str) -> AnyArray:
         """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
@@ -274,11 +280,16 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             There are fewer touches, or a number, fraction or mask is invalid.
         """
-        if no_contact_fraction is None:
-            return super().sample(len(self) if n is None else n, seed)
-        mask = self.in_contact() if contact is None else contact
-        chosen = self._select(with_no_contact(self, mask, no_contact_fraction, seed))
-        return chosen if n is None else super(Touches, chosen).sample(n, seed)
+        chosen = self
+        if no_contact_fraction is not None:
+            if contact is None:
+                contact = self.in_contact()
+            chosen = self._select(with_no_contact(self, contact, no_contact_fraction, seed))
+            if n is None:
+                return chosen
+        if n is None:
+            n = len(self)
+        return super(Touches, chosen).sample(n, seed)
 
     def images(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode the images of several touches of a ``single`` set into one array.
@@ -304,9 +315,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             An image is damaged or of another size; names file, row and touch.
         """
         wanted = [self.locate(each) for each in read.positions(index, len(self)).tolist()]
-        first, number = wanted[0] if wanted else (0, 0)
-        has_any = wanted or (len(self.dataset) and self.dataset[0].touch_count)
-        size = self._images_of(first).size(number) if has_any else (0, 0)
+        size = (0, 0)
+        if wanted or (len(self.dataset) and self.dataset[0].touch_count):
+            first, number = [*wanted, (0, 0)][0]
+            size = self._images_of(first).size(number)
         out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else room_for(len(wanted), size, out)
         start = 0
         for position, of_round in groupby(wanted, key=itemgetter(0)):

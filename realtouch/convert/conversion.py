@@ -175,9 +175,11 @@ def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
 
 def require_limit(limit: int | None, name: str = "limit") -> int | None:
     """Return a limit; InputError where it is below 1."""
-    if limit is not None and limit < 1:
+    if limit is None:
+        return None
+    if limit < 1:
         raise InputError(f"the {name} is {limit}; expected an integer of at least 1")
-    return None if limit is None else operator.index(limit)
+    return operator.index(limit)
 
 
 def marked_repetitions(source: Source, choices: Choices) -> Choices:

@@ -25,7 +25,7 @@ def with_files(
 ) -> Made:
     """Return the files of a shard with its index, which names up to two for each row: by default all."""
     digests = {path: store.sha256_hex(content) for path, content in files.items()}
-    columns = [[path] * len(index) for path in files] if named is None else named
+    columns = named or [[path] * len(index) for path in files]
     for prefix, paths in zip(_PREFIXES, columns, strict=False):
         for name, values in (("file", paths), ("sha256", [digests[path] for path in paths])):
             index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
@@ -95,7 +95,9 @@ def file_stem(round_id: str) -> str:
 def id_of_stem(stem: str) -> str:
     """Return the id of which :func:`file_stem` made a name; a name that others made, as it is."""
     round_id = unquote(stem)
-    return round_id if file_stem(round_id) == stem else stem
+    if file_stem(round_id) == stem:
+        return round_id
+    return stem
 
 
 def _escaped(found: re.Match[bytes]) -> bytes:

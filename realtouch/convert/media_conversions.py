@@ -18,7 +18,7 @@ from realtouch.schema import POSE_COLUMN, bytes_lists, column_type, flat_row, nu
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
-from tactile_toolkit import store
+from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places import Name, Place
@@ -112,9 +112,8 @@ class TakeContactFrames:
                 f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
             )
         # In the precision of the source: poses are copied, not computed.
-        number = pa.float64() if "double" in str(leaf) else pa.float32()
-        video = column_type(source, "sensor_video")
-        count = video.list_size if pa.types.is_fixed_size_list(video) else -1
+        _, number = read.list_depth(leaf)
+        count = getattr(column_type(source, "sensor_video"), "list_size", -1)
         return pa.schema(
             [
                 *(
@@ -139,7 +138,7 @@ class TakeContactFrames:
         for each in shown_touches(row, self.method):
             _ = each.pixels  # what passes through must be intact
             pictures.append(each.stored)
-            found += [] if each.pose is None else [each.pose[None]]
+            found.append(each.pose[None])
         poses = dict(zip(_WIDTHS, np.hsplit(np.concatenate(found), [3]), strict=True))
         made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
         for part, values in poses.items():
@@ -147,8 +146,8 @@ class TakeContactFrames:
             made[name] = number_lists([values], schema.field(name).type)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
-        columns = [made[name] if name in made else flat.column(name) for name in schema.names]
-        return pa.table(columns, schema=schema), {}
+        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
+        return pa.table([columns[name] for name in schema.names], schema=schema), {}
 
 
 def resize(
@@ -207,23 +206,27 @@ class ResizeMedia:
         return source
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Resize the images or clips of a row; one of the wanted size already passes through untouched."""
-        size = (self.height, self.width)
+        """Resize the images or clips of a row; those of the wanted size already are copied."""
+        name, suffix = "sensor_video", "avi"
         if row.has("sensor_image"):
-            name, suffix, images = "sensor_image", "jpg", SensorImages(row)
-            blobs = [
-                images.encoded(touch) if images.size(touch) == size else self._encode(images[touch])
-                for touch in range(len(images))
-            ]
+            name, suffix = "sensor_image", "jpg"
+            images = SensorImages(row)
+            blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
-            name, suffix = "sensor_video", "avi"
-            blobs = [clip.data if clip.size == size else self._clip(clip) for clip in SensorClips(row)]
+            blobs = [self._clip(clip) for clip in SensorClips(row)]
         flat = flat_row(row)
         index = flat.schema.get_field_index(name)
         field = flat.schema.field(index)
         return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type)), {}
 
-    def _clip(self, clip: TouchClip) -> bytes:
+    def _image(self, images: SensorImages, touch: int) -> bytes | memoryview:
+        if images.size(touch) == (self.height, self.width):
+            return images.encoded(touch)
+        return self._encode(images[touch])
+
+    def _clip(self, clip: TouchClip) -> bytes | memoryview:
+        if clip.size == (self.height, self.width):
+            return clip.data
         return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
 
     def _encode(self, pixels: UInt8) -> bytes:

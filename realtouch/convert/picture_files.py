@@ -25,15 +25,14 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import read, store
-from tactile_toolkit.array_types import Floating, UInt8
+from tactile_toolkit.array_types import Float64, Floating, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places import Name, Place
-from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image
+from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image, is_jpeg
 
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
 _INDEX_ROWS = 16
-_JPEG_START = b"\xff\xd8"
 _INDEX_SCHEMA = pa.schema(
     [
         ("id", pa.string()),
@@ -54,14 +53,14 @@ class TouchPicture:
     """The picture that stands for a touch, and the pose of the gel then.
 
     ``images`` holds it at ``place``: the images of the round, or the clip whose frame it is. ``pose`` are
-    position and quaternion, seven numbers, None where there are no poses.
+    position and quaternion, seven numbers, or none where there are no poses.
     """
 
     touch: int
     frame: int
     images: SensorImages | TouchClip
     place: int
-    pose: Floating | None
+    pose: Floating
 
     @property
     def stored(self) -> memoryview:
@@ -78,18 +77,21 @@ def shown_touches(row: StoredRound, method: ContactMethod) -> Iterator[TouchPict
     """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
     if row.kind == "single":
         images = TouchSingleRound(row).sensor_image
-        at = row.poses() if row.has_poses else None
+        poses = np.empty((len(images), 0))
+        if row.has_poses:
+            poses = _pose_values(row.poses(), slice(None))
         for touch in range(len(images)):
-            yield TouchPicture(touch, 0, images, touch, _pose_values(at, touch))
+            yield TouchPicture(touch, 0, images, touch, poses[touch])
         return
     for touch, clip in enumerate(SensorClips(row)):
-        frame = clip.contact_index(method)
-        at = row.pose_sequences(touch)[0] if row.has_poses else None
-        yield TouchPicture(touch, frame, clip, frame, _pose_values(at, frame))
+        frame, pose = clip.contact_index(method), np.empty(0)
+        if row.has_poses:
+            pose = _pose_values(row.pose_sequences(touch)[0], frame)
+        yield TouchPicture(touch, frame, clip, frame, pose)
 
 
-def _pose_values(at: Poses | None, index: int) -> Floating | None:
-    return None if at is None else np.hstack([at.position_m[index], at.quaternion[index]])
+def _pose_values(at: Poses, index: int | slice) -> Float64:
+    return np.hstack([at.position_m[index], at.quaternion[index]])
 
 
 def columns_of_touches(
@@ -108,9 +110,8 @@ def columns_of_touches(
         columns["object_id"] = np.full(count, row.integer("object_id"))
     if row.has("pos_in_cell"):
         columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
-    found = [each.pose for each in shown if each.pose is not None]
-    if len(found) == count:
-        columns |= dict(zip(POSE_COLUMNS, np.reshape(found, (count, 7)).T, strict=True))
+    if shown:
+        columns |= dict(zip(POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False))
     return columns
 
 
@@ -157,11 +158,15 @@ def frames(
     method = require_method(frame)
 
     def plan(opened: Source, limit: int | None) -> Conversion:
-        options = {"kind": kind, "frame": method if opened.kind == "seq" else None, "limit": limit}
+        options: dict[str, Any] = {"kind": kind, "frame": None, "limit": limit}
+        if opened.kind == "seq":
+            options["frame"] = method
+        if difference is not None:
+            options["difference"] = difference
         return Conversion(
             opened,
             "frames",
-            {**options, **({} if difference is None else {"difference": difference})},
+            options,
             WritePictures(kind, method, difference, read.class_names(opened.schema, CLASS_NAMES)),
             marked_repetitions(opened, first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
@@ -188,8 +193,9 @@ class WritePictures:
 
     def schema(self, source: Any) -> pa.Schema:
         """Return the columns of the index; classes have names in it where those are not the digits."""
-        named = pa.field("label_name", pa.string())
-        return _INDEX_SCHEMA if self.names == CLASS_NAMES else _INDEX_SCHEMA.append(named)
+        if self.names == CLASS_NAMES:
+            return _INDEX_SCHEMA
+        return _INDEX_SCHEMA.append(pa.field("label_name", pa.string()))
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the lines of the index of a row, and its pictures.
@@ -216,9 +222,10 @@ class WritePictures:
         """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:
-            base = background(shown.images) if base is None else base
+            if base is None:
+                base = background(shown.images)
             return encode_image(difference(pixels, base, self.difference), self.kind)
-        if self.kind == "jpeg" and stored[:2] == _JPEG_START:
+        if self.kind == "jpeg" and is_jpeg(stored):
             return bytes(stored)
         return encode_image(pixels, self.kind)
 

@@ -71,24 +71,29 @@ def select(
     InputError, SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
-    if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
-        raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
+    if min_height_m is not None:
+        min_height_m = float(min_height_m)
+        if not math.isfinite(min_height_m):  # nothing is as high as NaN
+            expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+            raise InputError(f"min_height_m is {min_height_m}; {expected}")
     chosen: dict[str, Any] = {
         "contact": contact,
-        "min_height_m": None if min_height_m is None else float(min_height_m),
+        "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
         "labels": [str(label) for label in labels],
         "objects": [_object_ids(each) for each in objects],
-        **({} if require_limit(per_class, "per_class") is None else {"per_class": per_class}),
     }
+    if per_class is not None:
+        chosen["per_class"] = require_limit(per_class, "per_class")
     return write_conversion(source, out, partial(_selection, chosen), **job)
 
 
 def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
     options = {**chosen, "limit": limit}
     if options["min_height_m"] is None:
-        rule = ContactHeight.of(read.column_types(opened.schema))
-        options["min_height_m"] = rule.min_height_m if options["contact"] else MIN_CONTACT_HEIGHT_M
+        options["min_height_m"] = MIN_CONTACT_HEIGHT_M
+        if options["contact"]:
+            options["min_height_m"] = ContactHeight.of(read.column_types(opened.schema)).min_height_m
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
         raise _no_contact(opened, options["min_height_m"])
@@ -109,19 +114,18 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = dataset_of(source.shards[split]), options["limit"]
     if options["labels"]:
-        known = dataset.label_names
-        dataset = dataset.filter_labels(
-            [name if name in known or not name.isdecimal() else int(name) for name in options["labels"]]
-        )
+        unknown = set(options["labels"]).difference(dataset.label_names)
+        numbers = {name: int(name) for name in unknown if name.isdecimal()}
+        dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
     if options["objects"]:
         if not dataset.has_column("object_id"):
             raise InputError(
                 f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
                 next="choose by --labels, or import it again with --object-column",
             )
-        numbers = dataset.int_column("object_id")
-        ranges = (each if isinstance(each, tuple) else (each, each) for each in options["objects"])
-        inside = [(low <= numbers) & (numbers <= high) for low, high in ranges]
+        object_ids = dataset.int_column("object_id")
+        ranges = map(np.ravel, options["objects"])
+        inside = [(ends[0] <= object_ids) & (object_ids <= ends[-1]) for ends in ranges]
         dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
     if "per_class" in options and len(dataset):
         ((_, _, rows_kept),) = catalog.choose_rows([("", dataset)], per_class=options["per_class"])
@@ -137,7 +141,9 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
 
 def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
     try:
-        return tuple(map(operator.index, value)) if isinstance(value, tuple) else operator.index(value)
+        if isinstance(value, tuple):
+            return tuple(map(operator.index, value))
+        return operator.index(value)
     except TypeError as error:
         raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
 
@@ -155,12 +161,10 @@ class KeepTouches:
         """
         if not self.some_touches:
             return source
-        fields = [
-            pa.field(field.name, pa.list_(field.type.value_type))
-            if is_per_touch(field.name, field.type)
-            else field
-            for field in source
-        ]
+        fields = list(source)
+        for place, field in enumerate(source):
+            if is_per_touch(field.name, field.type):
+                fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
         if column_type(source, PLATE_COLUMN) is None:
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)

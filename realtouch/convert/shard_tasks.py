@@ -122,12 +122,14 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
         "source": source.fingerprint(),
     }
     # JPEG does not compress again, and a dictionary or statistics of pictures would only take space.
-    stored = schema.names if conversion.pack is None else ()
-    media = [f"{name}.list.element" for name in MEDIA_COLUMN.values() if name in stored]
-    media += [name for name in stored if schema.field(name).type == MEDIA_TYPE]
-    encodings = tuple((f"{name}.bytes", "PLAIN") for name in media)
-    is_flat = not any(name.endswith(".element") for name in media)
-    per_page = None if is_flat else max(1, _PAGE_BYTES // source.media_bytes())
+    encodings: tuple[tuple[str, str], ...] = ()
+    per_page = None
+    if conversion.pack is None:
+        lists = [f"{name}.list.element" for name in MEDIA_COLUMN.values() if name in schema.names]
+        single = [name for name in schema.names if schema.field(name).type == MEDIA_TYPE]
+        encodings = tuple((f"{name}.bytes", "PLAIN") for name in [*lists, *single])
+        if lists:
+            per_page = max(1, _PAGE_BYTES // source.media_bytes())
     return store.BuildPlan(
         KIND.name,
         spec,

@@ -284,7 +284,7 @@ def test_quick_verification_decodes_nothing(
     single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
-    monkeypatch.setattr("realtouch.sensor_images.decode_image", lambda *_: pytest.fail("a picture was decoded"))
+    monkeypatch.setattr("realtouch.integrity.decode_image", lambda *_: pytest.fail("decoded"))
     assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
 
 
