@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch.damage import Damage, DamagedRoundError, unreadable_file, unreadable_rows
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
 from realtouch.sensor_images import SensorImages
+from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
 from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
 from realtouch.touch_clips import TouchClip
 from tactile_toolkit import catalog, read, run

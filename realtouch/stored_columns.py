@@ -1,31 +1,31 @@
 """Columns of a stored round, with one entry per touch or per frame; checked on reading.
 
 T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip,
-to which entries per frame are cut.
+to which entries per frame are cut. What is wrong with a value is a :class:`Damage`.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.damage import Damage, DamagedRoundError
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
+from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read import (
-    NestedColumn,
-    Row,
-    checked_index,
-    whole_number,
-    whole_numbers,
-)
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
+
+_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
+
+_FIELD = re.compile(r"field '([^']+)': (.*)")
 
 # The first of these that is there says how many touches a round has; poses only where they were read alone.
 _COUNTED = (
@@ -35,8 +35,76 @@ _COUNTED = (
     "gel_pose_cell_frame.position",
     "gel_pose_cell_frame_seq.position",
 )
+
 _UNREADABLE = (ValueError, pa.ArrowException)
+
 _TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """One thing that is wrong with a stored round.
+
+    Attributes
+    ----------
+    file : str
+        Parquet file.
+    row : int or None
+        Row in that file, the first one where the problem names several; None when all of the file is meant.
+    touch : int or None
+        Touch of the round; None when all of the round is meant.
+    field : str
+        Column; empty when no single one is meant.
+    problem : str
+        What was found, and what was expected.
+    """
+
+    file: str
+    row: int | None
+    touch: int | None
+    field: str
+    problem: str
+
+    def __str__(self) -> str:
+        named = {"row": self.row, "touch": self.touch, "field": self.field and repr(self.field)}
+        parts = [f"{name} {value}" for name, value in named.items() if value not in (None, "")]
+        return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
+
+
+class DamagedRoundError(IntegrityError):
+    """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
+
+    def __init__(self, damage: Damage) -> None:
+        super().__init__(damage, next=_NEXT)
+        self.damage = damage
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DamagedRoundError, (self.damage,))
+
+
+def unreadable_file(path: str, error: ToolkitError) -> Damage:
+    """Return the damage of an entire file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = _FIELD.match(words)
+    if named is None:
+        return Damage(path, None, None, "", words)
+    return Damage(path, None, None, named[1], named[2])
+
+
+def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
+    rows = "cannot be read"
+    if last > first:
+        rows = f"rows {first} to {last} cannot be read"
+    found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: ToolkitError) -> str:
+    """Return what an error says, without the file and the next step, which a list names once for all."""
+    words = " ".join(error.what.split())
+    return words.removeprefix(repr(path)).lstrip(",: ")
 
 
 class StoredColumns(Row):

@@ -15,8 +15,17 @@ import pyarrow as pa
 from realtouch.contact import ContactMethod, require_method
 from realtouch.contact_picture import difference
 from realtouch.contacts import background
-from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows, marked_repetitions
-from realtouch.convert.index_tables import file_stem, table_of, write_changed
+from realtouch.convert.conversion import (
+    Conversion,
+    Made,
+    RowChoice,
+    Source,
+    file_stem,
+    first_rows,
+    marked_repetitions,
+    table_of,
+    write_changed,
+)
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
 from realtouch.poses import Poses
 from realtouch.rounds import TouchSingleRound

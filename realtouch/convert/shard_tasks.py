@@ -15,8 +15,7 @@ from typing import Unpack
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Conversion, Pack, RowChoice, Source, Step, require_limit
-from realtouch.convert.index_tables import files_of
+from realtouch.convert.conversion import Conversion, Pack, RowChoice, Source, Step, files_of, require_limit
 from realtouch.kind import KIND
 from realtouch.schema import flat_schema, origin_of
 from realtouch.stored_round import StoredRound

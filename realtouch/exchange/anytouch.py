@@ -14,8 +14,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made
-from realtouch.convert.index_tables import file_stem, id_of_stem, with_files, write_changed
+from realtouch.convert.conversion import Made, file_stem, id_of_stem, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import (
     FoundTouch,

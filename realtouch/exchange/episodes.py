@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.convert.conversion import Choices, Made, RowChoice, Source
-from realtouch.convert.index_tables import schema_of, table_of
+from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of
 from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN

@@ -19,9 +19,13 @@ from realtouch.convert.conversion import (
     RowChoice,
     Source,
     WriteFiles,
+    checksums,
+    file_stem,
     marked_repetitions,
+    schema_of,
+    table_of,
+    with_files,
 )
-from realtouch.convert.index_tables import checksums, file_stem, schema_of, table_of, with_files
 from realtouch.convert.picture_files import columns_of_touches, shown_touches
 from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.schema import POSE_COLUMN

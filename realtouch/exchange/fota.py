@@ -13,8 +13,7 @@ from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made
-from realtouch.convert.index_tables import checksums, with_files, write_changed
+from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.stored_images import as_jpeg

@@ -1,4 +1,4 @@
-"""Touches to import: where their images are and what is said of them; files of the source."""
+"""Touches to import: where their images are and what is said of them; files of the source; formats."""
 
 from __future__ import annotations
 
@@ -10,21 +10,28 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import IO, Any
+from typing import IO, Any, Literal, get_args
 
 from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.text_tables import table_lines
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+
 # Images of a store that are asked for at a time: each answer takes long, and they are small.
 _FAR_READERS = 16
+
 _HERE = re.compile(r"^(?:\./+)+")
+
+ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
+
+_SIZES_SEEN = 32
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,3 +191,31 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the columns with the options of `realtouch import`",
             )
+
+
+@dataclass(frozen=True)
+class ImportFormat:
+    """How a format is read.
+
+    ``find`` takes a folder, the columns and the path of a table, and yields the touches there. ``contents``
+    reads their images. ``sizes_seen`` is from how many of them the size of all follows, if these agree.
+    ``describe`` states how the images are converted; empty where they are taken as they are.
+    """
+
+    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[FoundTouch]]
+    contents: ReadContents = contents_of
+    sizes_seen: int = _SIZES_SEEN
+    describe: Callable[[Sequence[FoundTouch]], str] = lambda _touches: ""
+
+
+IMPORTS: dict[str, ImportFormat] = {
+    layout: ImportFormat(lazy(f"realtouch.exchange.{layout}:find_{layout}"))
+    for layout in get_args(ImportLayout)
+} | {
+    "replay": ImportFormat(
+        lazy("realtouch.exchange.replay:find_replay"),
+        lazy("realtouch.exchange.replay:encoded_frames"),
+        1,  # the pictures of one array are of one size
+        lazy("realtouch.exchange.replay:describe_conversion"),
+    )
+}

@@ -17,8 +17,7 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch.exchange.fields import NUMBERED, label_of, object_of, pose_of, position_of
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.import_formats import IMPORTS
+from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store

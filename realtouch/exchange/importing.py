@@ -13,8 +13,7 @@ from typing import Any, Unpack
 
 from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
-from realtouch.exchange.found_touches import FoundTouch, common_size
-from realtouch.exchange.import_formats import IMPORTS, ImportLayout
+from realtouch.exchange.found_touches import IMPORTS, FoundTouch, ImportLayout, common_size
 from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema, version_of
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card

@@ -19,8 +19,16 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import Choices, Conversion, Made, Source
-from realtouch.convert.index_tables import checksums, files_of, with_files, write_changed
+from realtouch.convert.conversion import (
+    Choices,
+    Conversion,
+    Made,
+    Source,
+    checksums,
+    files_of,
+    with_files,
+    write_changed,
+)
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
 from realtouch.exchange.flat import FRAMES_PER_MEDIA
 from realtouch.exchange.stored_images import decoded

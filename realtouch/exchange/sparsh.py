@@ -16,8 +16,7 @@ from typing import Any
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch.convert.conversion import Made
-from realtouch.convert.index_tables import checksums, with_files, write_changed
+from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
 from realtouch.exchange.stored_images import background_of

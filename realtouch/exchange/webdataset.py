@@ -14,8 +14,7 @@ from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made
-from realtouch.convert.index_tables import with_files
+from realtouch.convert.conversion import Made, with_files
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import (
     IMAGE_ENDINGS,

@@ -13,7 +13,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert.index_tables import file_stem, id_of_stem
+from realtouch.convert.conversion import file_stem, id_of_stem
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
 from tactile_toolkit.run import Check
 from tactile_toolkit.store import problem_of_name, sha256_hex
