@@ -155,8 +155,7 @@ def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None
             IntegrityError, match=r"touch 1, field 'sensor_video': an AVI without an MJPEG stream"
         ):
             ask()
-    kept = realtouch.load(tmp_path, on_error="skip")
-    assert [(damage.row, damage.touch) for damage in kept.skipped] == [(1, 1)]
+    assert [(damage.row, damage.touch) for damage in realtouch.verify(tmp_path).findings] == [(1, 1)]
 
 
 WRONG = {
