@@ -57,7 +57,7 @@ def write_digits(data: Path) -> float:
     import mnist3d
     from mnist3d.sources.synthetic import SyntheticSource
 
-    spec = mnist3d.GenerateSpec(SyntheticSource(seed=1), limit=40)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(seed=1), limit=40)
     with tempfile.TemporaryDirectory(dir=data) as out:
         start = time.process_time()
         mnist3d.generate(spec, Path(out) / "digits", splits=("test",))
@@ -70,7 +70,7 @@ def write_scenes(data: Path) -> float:
 
     with tempfile.TemporaryDirectory(dir=data) as out:
         start = time.process_time()
-        starstruck_gen.generate(starstruck_gen.GenerateSpec(), Path(out) / "scenes")
+        starstruck_gen.generate(starstruck_gen.SceneSetSpec(), Path(out) / "scenes")
         return time.process_time() - start
 
 
@@ -253,7 +253,7 @@ def prepare(data: Path) -> None:
 
     source = SyntheticSource(seed=0)
     np.save(data / "pages.npy", np.stack([source.image(row).pixels for row in range(0, 13580, 700)]))
-    mnist3d.generate(mnist3d.GenerateSpec(source, limit=100), data / "digits", splits=("test",))
+    mnist3d.generate(mnist3d.DigitSetSpec(source, limit=100), data / "digits", splits=("test",))
     rounds = [f.make_round(index, 32, (64, 64), (4, 5), noise=1.5) for index in range(ROUNDS)]
     rows = [_longer(row, TOUCHES) for row in f.single_rows(rounds)]
     f.write_set(data / "single", {"train": rows}, "single", f.Layout(group_rows=100))

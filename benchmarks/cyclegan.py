@@ -1,9 +1,10 @@
 """Learned rendering on a domain whose truth is known (extras torch, env, sim): figures for README.md here.
 
-The published generator's pictures, with sensor noise, stand for real touches: what depth belongs to each of
-them is known, though no training sees it. A small CycleGAN is trained on them, without pairs, on one core;
-then ``tactile-sim evaluate`` compares it with Taxim and with weights that were never trained, and what both
-generators make is compared with the truth. Stopped, the same command continues.
+No real touch is involved: pictures of the published generator, with sensor noise, stand for real touches. The
+depth of each of them is known, though no training sees it. A small CycleGAN is trained on them, without
+pairs, on one core. Then ``tactile-sim evaluate`` compares it with Taxim and with weights that were never
+trained, and what both generators make is compared with the truth. The published inverse reads pictures of the
+published generator in their own size, 256 pixels. After an interruption, the same command continues.
 
     python benchmarks/cyclegan.py WORK [--steps N]
 """
@@ -25,6 +26,7 @@ import realtouch
 from tactile_sim import center_view
 from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
 from tactile_sim.learned.networks import (
+    PUBLISHED_SIZE_PX,
     CycleganOptics,
     Generator,
     GeneratorWeights,
@@ -41,7 +43,7 @@ from tactile_sim.noise import SensorNoise
 from tactile_sim.optics import TaximOptics, scaled
 from tactile_sim.pairs import Pairs
 from tactile_sim.spec import TrainConfig
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 
 SIZE = (64, 64)
 # In fewer pixels the published network shows hardly any relief; what it makes here is scaled down.
@@ -56,11 +58,11 @@ SMALL = {
     "crop": 1.0,
     # Pairs by simulation first: pictures that are not paired do not say where in them relief belongs.
     "pretrain_steps": 2500,
-    # Without these three, depth hides in faint dots, and real touches are said to be empty.
+    # Without these three, depth hides in faint dots, and touches are read as empty.
     "depth_cycle_weight": 10.0,
     "touch_cycle_weight": 40.0,
     "noise": 0.06,
-    # Real touches differ by noise from all that is made without it; at first fine detail does, too.
+    # Touches of the sensor differ by noise from all that is made without it; at first fine detail does, too.
     "sensor_noise": SensorNoise.calibrated(),
     "discriminator_noise": 0.06,
     "identity_weight": 0.0,
@@ -70,6 +72,8 @@ STEPS = 7_000
 # Split, objects, touches of each, pictures of each kind.
 SETS = (("train", 400, 12, 2300), ("test", 160, 12, 960))
 WITHOUT_CONTACT = 0.25
+# Objects whose touches the published networks make and read in their own size, at seconds for each touch.
+PEER_OBJECTS = 24
 
 
 def run(module: str, *arguments: object) -> None:
@@ -82,37 +86,42 @@ def make(work: Path, split: str, objects: int, touches: int, count: int) -> None
     """Make objects, depth of touches, the same touches as a sensor shows them, and pairs."""
     made = work / f"digits-{split}"
     run("mnist3d", "generate", "--source", "synthetic", "--split", split, "--limit", objects, "--out", made)
-    learned = ("--optics", "cyclegan", "--weights", work / "published.npz")
-    hows = {
-        "truth": ("--optics", "depth"),
-        "real": (*learned, "--sensor-noise", "calibrated"),
-        "clean": learned,
-    }
-    for name, how in hows.items():
-        if (name, split) != ("clean", "train"):
-            run(
-                "tactile_sim", "generate", made, "--split", split, "--rounds", 1, "--touches", touches,
-                "--seed", 11, "--format", "png", "--size", "64x64", *how, "--out", work / f"{name}-{split}",
-            )  # fmt: skip
+    touch(work, split, "--touches", touches, "--size", "64x64", weights=("--weights", work / "published.npz"))
     run(
-        "tactile_sim", "pairs", made, "--real", work / f"real-{split}", "--split", split, "--size", "64x64",
+        "tactile_sim", "pairs", made, "--real", work / f"noisy-{split}", "--split", split, "--size", "64x64",
         "--count", count, "--without-contact", WITHOUT_CONTACT, "--window", "center",
         "--min-height-mm", 1e3 * CONTACT_M, "--out", work / f"pairs-{split}",
     )  # fmt: skip
 
 
-class Known:
-    """Touches with contact of the test split: real ones, the same without noise, and their depth."""
+def touch(work: Path, split: str, *options: object, own: str = "", weights: tuple[object, ...] = ()) -> None:
+    """Make touches by the published generator, with and without noise, and their depth."""
+    learned = ("--optics", "cyclegan", *weights)
+    hows = {
+        "truth": ("--optics", "depth"),
+        "noisy": (*learned, "--sensor-noise", "calibrated"),
+        "clean": learned,
+    }
+    for name, how in hows.items():
+        if (name, split) != ("clean", "train"):
+            run(
+                "tactile_sim", "generate", work / f"digits-{split}", "--split", split, "--rounds", 1,
+                "--seed", 11, "--format", "png", *options, *how, "--out", work / f"{own}{name}-{split}",
+            )  # fmt: skip
 
-    def __init__(self, work: Path) -> None:
+
+class Known:
+    """Touches with contact of the test split: those with noise, the same without, and their depth."""
+
+    def __init__(self, work: Path, own: str = "") -> None:
         touches = {
-            name: realtouch.load(work / f"{name}-test", "test").touches()
-            for name in ("real", "clean", "truth")
+            name: realtouch.load(work / f"{own}{name}-test", "test").touches()
+            for name in ("noisy", "clean", "truth")
         }
-        met = np.flatnonzero(touches["real"].heights_m() >= CONTACT_M)
-        self.real, self.clean, depth = (touches[name].images()[met] for name in ("real", "clean", "truth"))
+        met = np.flatnonzero(touches["noisy"].heights_m() >= CONTACT_M)
+        self.noisy, self.clean, depth = (touches[name].images()[met] for name in ("noisy", "clean", "truth"))
         self.depth = depth[..., 0].astype(np.float32) / 255
-        self.objects = touches["real"].object_ids[met]
+        self.objects = touches["noisy"].object_ids[met]
 
 
 def moved(depth: NDArray[np.float32], down: int, right: int) -> NDArray[np.float32]:
@@ -137,10 +146,8 @@ def resized_depth(depth: NDArray[np.float32], size: tuple[int, int]) -> NDArray[
 
 
 def depth_errors(known: Known, work: Path) -> tuple[int, int]:
-    """Print how far depth that is read from real touches is from the truth; return the best move of it."""
-    sensor = center_view(*SIZE)
-    few = slice(None, None, 7)  # the published network takes a third of a second for each
-    trained = depth_again(work / "weights" / DEPTH_WEIGHTS, known.real)
+    """Print how far depth that is read from touches with noise is from the truth; return its best move."""
+    trained = depth_again(work / "weights" / DEPTH_WEIGHTS, known.noisy)
     # Nothing in pictures that are not paired says that depth and relief lie at the same place.
     reach = range(-10, 11)
     seen, held = slice(0, None, 2), slice(1, None, 2)
@@ -150,22 +157,30 @@ def depth_errors(known: Known, work: Path) -> tuple[int, int]:
     for name, found, true in (
         ("trained", trained, known.depth),
         (f"trained, moved by {best} pixels", moved(trained[held], *best), known.depth[held]),
-        ("untrained", depth_again(work / "untrained.npz", known.real), known.depth),
+        ("untrained", depth_again(work / "untrained.npz", known.noisy), known.depth),
         ("no contact anywhere", np.ones_like(known.depth), known.depth),
-        (
-            "published inverse",
-            depth_again(work / "inverse.npz", known.real[few]),
-            known.depth[few],
-        ),
     ):
-        off_um = 1e6 * (sensor.gel_m - sensor.press_m) * np.abs(found - true).mean(axis=(1, 2))
-        error = off_um.std() / np.sqrt(len(off_um))
-        alike = np.corrcoef(found.ravel(), true.ravel())[0, 1] if np.ptp(found) else 0.0
-        print(
-            f"depth of {len(true)} real touches, {name}: {off_um.mean():.0f} ± {error:.0f} um, "
-            f"correlation {alike:.2f}"
-        )
+        print_depth_error(name, found, true)
     return best
+
+
+def peer_errors(work: Path) -> None:
+    """Print the same of the published inverse, at its best: in the size that it was trained in."""
+    known = Known(work, "own-")
+    inverse = generator_of(read_weights(published_weights("depth"))).eval()
+    for name, pictures in (("with noise", known.noisy), ("without noise", known.clean)):
+        print_depth_error(f"published inverse, 256 pixels, {name}", depth_of(inverse, pictures), known.depth)
+
+
+def print_depth_error(name: str, found: NDArray[np.float32], true: NDArray[np.float32]) -> None:
+    """Print the mean distance of depth images from the truth, its standard error, and their correlation."""
+    sensor = center_view(*SIZE)
+    off_um = 1e6 * (sensor.gel_m - sensor.press_m) * np.abs(found - true).mean(axis=(1, 2))
+    error = off_um.std() / np.sqrt(len(off_um))
+    alike = np.corrcoef(found.ravel(), true.ravel())[0, 1] if np.ptp(found) else 0.0
+    print(
+        f"depth of {len(true)} touches, {name}: {off_um.mean():.0f} ± {error:.0f} um, correlation {alike:.2f}"
+    )
 
 
 def picture_errors(known: Known, work: Path, move: tuple[int, int]) -> None:
@@ -190,7 +205,7 @@ def picture_errors(known: Known, work: Path, move: tuple[int, int]) -> None:
         ("the published network", known.clean),
     ):
         off = np.abs(shown.astype(np.float64) - known.clean).mean(axis=-1)
-        noisy = np.abs(shown.astype(np.float64) - known.real).mean()
+        noisy = np.abs(shown.astype(np.float64) - known.noisy).mean()
         print(
             f"pictures of true depth, {name}: {off.mean():.2f} levels, {off[relief].mean():.1f} on relief "
             f"({100 * relief.mean():.0f} % of pixels), {noisy:.2f} against pictures with noise"
@@ -205,12 +220,14 @@ def main() -> None:
     work: Path = options.work
     work.mkdir(parents=True, exist_ok=True)
     torch.set_num_threads(1)
-    for name, direction in (("published", "touch"), ("inverse", "depth")):
-        arrays = read_weights(published_weights(direction)).arrays
-        write_weights(DataFolder(str(work)), f"{name}.npz", GeneratorWeights(arrays, RENDERED))
+    arrays = read_weights(published_weights("touch")).arrays
+    write_weights(open_folder(str(work)), "published.npz", GeneratorWeights(arrays, RENDERED))
     for split, *each in SETS:
         if not (work / f"pairs-{split}" / "README.md").exists():
             make(work, split, *each)
+    size = "{}x{}".format(*PUBLISHED_SIZE_PX)
+    touch(work, "test", "--limit", PEER_OBJECTS, "--touches", SETS[1][2], "--size", size, own="own-")
+    peer_errors(work)
     config = TrainConfig(**SMALL, steps=options.steps, checkpoint_every=500)
     started = time.perf_counter(), time.process_time()
     done = train(str(work / "pairs-train"), work / "weights", config, device="cpu", deterministic=True)
@@ -224,12 +241,12 @@ def main() -> None:
         print((work / f"evaluation-{noise}" / "evaluation.md").read_text())
     untrained = Generator(config.filters, config.blocks)
     initialise(untrained, 0)
-    write_weights(DataFolder(str(work)), "untrained.npz", weights_of(untrained, SIZE))
+    write_weights(open_folder(str(work)), "untrained.npz", weights_of(untrained, SIZE))
     known = Known(work)
     picture_errors(known, work, depth_errors(known, work))
     # What a generator without any fault would reach.
     other = add_noise_per_object(known.clean, known.objects, SensorNoise.calibrated(), 0)
-    share, error = two_sample_test((known.real, known.objects), (other, known.objects), 0)
+    share, error = two_sample_test((known.noisy, known.objects), (other, known.objects), 0)
     print(f"two-sample test under other noise: {100 * share:.1f} ± {100 * error:.1f} %")
 
 

@@ -28,7 +28,7 @@ os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
 import numpy as np
 from figures import tell
 
-from mnist3d.make import GenerateSpec, generate
+from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 
 ENVS = 4
@@ -140,7 +140,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         os.environ["TACTILE_TOOLKIT_CACHE"] = str(root / "cache")
-        spec = GenerateSpec(SyntheticSource(), per_class=options.digits // 10)
+        spec = DigitSetSpec(SyntheticSource(), per_class=options.digits // 10)
         generate(spec, str(root / "mnist3d"), ("train",))
         order = np.random.default_rng(options.seed).permutation(options.digits // 10 * 10).tolist()
         theirs = published(root)

@@ -25,7 +25,7 @@ from figures import tell
 
 import env_assets
 from env_assets.height_map import HeightMap, top_surface
-from mnist3d.loader import MeshRecord
+from mnist3d.digit_dataset import DigitRecord
 
 
 def main() -> None:
@@ -47,7 +47,7 @@ def main() -> None:
         height_table(digits, options.pitch_mm / 1000, options.repeats)
 
 
-def describe(digits: Sequence[MeshRecord], pitch_m: float) -> None:
+def describe(digits: Sequence[DigitRecord], pitch_m: float) -> None:
     """Print what is measured."""
     faces = statistics.median(len(digit.faces) for digit in digits)
     vertices = statistics.median(len(digit.vertices_m) for digit in digits)
@@ -59,7 +59,7 @@ def describe(digits: Sequence[MeshRecord], pitch_m: float) -> None:
     )
 
 
-def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int) -> None:
+def height_table(digits: Sequence[DigitRecord], pitch_m: float, repeats: int) -> None:
     """Print milliseconds per map: made, and by every-triangle search."""
     made = [best_ms(lambda d=digit: top_surface(d, pitch_m), repeats) for digit in digits]
     boxes = [best_ms(lambda d=digit: by_boxes(d, top_surface(d, pitch_m)), 1) for digit in digits[:8]]
@@ -69,7 +69,7 @@ def height_table(digits: Sequence[MeshRecord], pitch_m: float, repeats: int) -> 
     tell("made", what, middle_s, "s", other=boxes_s, note=note)
 
 
-def by_boxes(digit: MeshRecord, expected: HeightMap) -> None:
+def by_boxes(digit: DigitRecord, expected: HeightMap) -> None:
     """The plain way, for comparison: each triangle tried at the pixels of its bounding box, in a loop."""
     window = expected
     heights = np.full(expected.heights_m.shape, -np.inf)

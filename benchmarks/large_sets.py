@@ -76,13 +76,13 @@ def fabricate_groups(folder: Path, groups: int) -> None:
     import pyarrow as pa
 
     from mnist3d import SolidSpec
-    from mnist3d.make import DigitMaking, GenerateSpec
+    from mnist3d.digit_generation import DigitMaking, DigitSetSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.generation import plan_build
     from tactile_toolkit.store import ShardName, encode_parquet
 
     small = SolidSpec(target_vertices=600)
-    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource(), small, limit=1)), ("train",))
+    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource(), small, limit=1)), ("train",))
     rows = pa.concat_tables([plan.tasks[0].make().table] * GROUPS_OF_SHARD).combine_chunks()
     first, *others = [
         folder / ShardName("train", index, groups // GROUPS_OF_SHARD).data_path
@@ -95,20 +95,20 @@ def fabricate_groups(folder: Path, groups: int) -> None:
 
 
 def fabricate(folder: Path, shards: int) -> None:
-    """Make a set of so many shards of one digit, with manifest, report and files of small columns."""
+    """Make a set of so many shards of one digit, with manifest and report."""
     from dataclasses import replace
 
     import msgspec
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from mnist3d.columns import REPORT_FILE
-    from mnist3d.make import GenerateSpec, generate
+    from mnist3d.digit_generation import DigitSetSpec, generate
+    from mnist3d.digit_rows import REPORT_FILE
     from mnist3d.sources.synthetic import SyntheticSource
-    from tactile_toolkit.store import DataFolder, ShardName, write_manifest
-    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex, write_small_columns
+    from tactile_toolkit.store import ShardName, open_folder, write_manifest
+    from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet, sha256_hex
 
-    made = generate(GenerateSpec(SyntheticSource(), limit=1), folder, ("train",))
+    made = generate(DigitSetSpec(SyntheticSource(), limit=1), folder, ("train",))
     (record,) = made.shards
     names = [ShardName("train", index, shards) for index in range(shards)]
     for name in names:
@@ -121,10 +121,7 @@ def fabricate(folder: Path, shards: int) -> None:
     (folder / REPORT_FILE).write_bytes(content)
     records = tuple(msgspec.structs.replace(record, file=name.data_path) for name in names)
     manifest = replace(made, shards=records, files={REPORT_FILE: sha256_hex(content)})
-    start_s = time.perf_counter()
-    files = write_small_columns(DataFolder(str(folder)), manifest)
-    print(f"files of small columns of {shards:,} shards, once: {time.perf_counter() - start_s:.1f} s")
-    write_manifest(DataFolder(str(folder)), replace(manifest, files={**(manifest.files or {}), **files}))
+    write_manifest(open_folder(str(folder)), manifest)
 
 
 def peak_mb() -> float:
@@ -190,7 +187,7 @@ def fabricate_reports(folder: Path, rows: int, shards: int) -> None:
     import numpy as np
     import pyarrow as pa
 
-    from mnist3d.columns import report_table
+    from mnist3d.digit_rows import report_table
     from tactile_toolkit.store import ShardName
     from tactile_toolkit.store.parquet import REPORT_STYLE, encode_parquet
 
@@ -217,12 +214,12 @@ def merging(folder: Path) -> dict[str, float]:
     """The report of a set, merged from those of its shards, and what the card says of it."""
     import pyarrow.parquet  # noqa: F401
 
-    from mnist3d.card import summarise
-    from mnist3d.columns import REPORT_FILE
-    from tactile_toolkit.store import DataFolder, Manifest, ShardName, ShardRecord
-    from tactile_toolkit.store.parquet import merge_reports
+    from mnist3d.digit_card import summarise
+    from mnist3d.digit_rows import REPORT_FILE
+    from tactile_toolkit.store import Manifest, ShardName, ShardRecord, open_folder
+    from tactile_toolkit.store.reports import merge_reports
 
-    where, names = DataFolder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
+    where, names = open_folder(str(folder)), [ShardName("train", i, REPORTS) for i in range(REPORTS)]
     each, digest = REPORT_ROWS // REPORTS, "0" * 64
     more = {"report_sha256": digest, "unpacked_bytes": 1}
     records = [ShardRecord.of(name, each, 1, digest, **more) for name in names]
@@ -243,25 +240,25 @@ def merging(folder: Path) -> dict[str, float]:
 
 
 def planning_digits(_: Path) -> dict[str, float]:
-    from mnist3d.make import DigitMaking, GenerateSpec
+    from mnist3d.digit_generation import DigitMaking, DigitSetSpec
+    from mnist3d.published_splits import SplitSpec
     from mnist3d.sources.synthetic import SyntheticSource
-    from mnist3d.splits import SplitSpec
-    from tactile_toolkit.making import plan_build
+    from tactile_toolkit.generation import plan_build
 
     sizes = (("train", 95 * ROWS // 1000), ("test", ROWS // 1000))
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
-    spec = GenerateSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes))
+    spec = DigitSetSpec(SyntheticSource(count=ROWS), split=SplitSpec(sizes=sizes))
     plan = plan_build(DigitMaking(spec))
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     return {"s": elapsed_s, "s of the processor": cpu_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 
 def planning_scenes(_: Path) -> dict[str, float]:
-    from starstruck_gen.make import GenerateSpec, SceneMaking
-    from tactile_toolkit.making import plan_build
+    from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec
+    from tactile_toolkit.generation import plan_build
 
     start_s = time.perf_counter()
-    plan = plan_build(SceneMaking(GenerateSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))
+    plan = plan_build(SceneMaking(SceneSetSpec(scenes=(("train", SCENES), ("test", SCENES // 100)))))
     return {"s": time.perf_counter() - start_s, "MB": peak_mb(), "shards": len(plan.tasks)}
 
 

@@ -125,14 +125,14 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=5)
     options = parser.parse_args()
     warnings.simplefilter("ignore")
-    from mnist3d.make import GenerateSpec, generate
+    from mnist3d.digit_generation import DigitSetSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
 
     with tempfile.TemporaryDirectory() as temporary:
         root = Path(temporary)
         os.environ["TACTILE_TOOLKIT_CACHE"] = str(root / "cache")
         os.environ["HOME"] = str(root)  # where the published package keeps statistics of the data set
-        spec = GenerateSpec(SyntheticSource(), per_class=options.digits // 10)
+        spec = DigitSetSpec(SyntheticSource(), per_class=options.digits // 10)
         generate(spec, str(root / "mnist3d"), ("train",))
         report_always_on_object(root, options.repeats)
         report_threads(root, options.repeats)

@@ -38,8 +38,8 @@ import numpy as np
 from figures import tell
 from plain_digit import NAME, plain_row
 
-from mnist3d.columns import PARQUET_STYLE, digit_schema
-from mnist3d.make import GenerateSpec, generate, make_row
+from mnist3d.digit_generation import DigitSetSpec, generate, make_row
+from mnist3d.digit_rows import PARQUET_STYLE, digit_schema
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.store import encode_parquet
 
@@ -79,7 +79,7 @@ def median_s(work: Callable[[], object], times: int = 5) -> float:
 def report_written(count: int) -> None:
     """A proved mesh, written, against the plain implementation: processor time, turn by turn."""
     ids = list(range(0, 13_580, 13_580 // count))[:count]
-    spec = GenerateSpec(SOURCE)
+    spec = DigitSetSpec(SOURCE)
     ways = (partial(written_row, spec), lambda digit_id: plain_row(SOURCE.image(digit_id).pixels))
     for way in ways:
         way(ids[0])
@@ -99,7 +99,7 @@ def report_written(count: int) -> None:
     )  # fmt: skip
 
 
-def written_row(spec: GenerateSpec, digit_id: int) -> None:
+def written_row(spec: DigitSetSpec, digit_id: int) -> None:
     encode_parquet(table_of([make_row(digit_id, spec)], digit_schema()), PARQUET_STYLE)
 
 
@@ -111,7 +111,7 @@ def processor_s(way: Callable[[int], object], digit_id: int) -> float:
 
 def report_workers(folder: Path) -> None:
     """Two workers against one on the same 1,200 digits, whole runs with the start of the workers."""
-    spec = GenerateSpec(SOURCE, limit=1_200)
+    spec = DigitSetSpec(SOURCE, limit=1_200)
     seconds = {1: [], 2: []}
     for turn in range(3):
         for workers in (1, 2):

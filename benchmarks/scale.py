@@ -31,9 +31,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from figures import tell
 
-from mnist3d.make import DigitMaking, GenerateSpec, generate
+from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
-from tactile_toolkit.making import plan_build
+from tactile_toolkit.generation import plan_build
 from tactile_toolkit.run import InlineRunner, ProcessRunner, RayRunner, Runner
 
 ROWS: dict[str, Callable[[], None]] = {}
@@ -59,7 +59,7 @@ def main() -> None:
 @row
 def nodes() -> None:
     """Two Ray nodes of one core against two local processes: whole runs of 600 digits, in turn."""
-    spec = GenerateSpec(SyntheticSource(), limit=600)
+    spec = DigitSetSpec(SyntheticSource(), limit=600)
     seconds: dict[str, list[float]] = {"processes": [], "ray": []}
     with ray_cluster(cores=(0, 1, 1)) as address, scratch() as folder:
         runners: dict[str, Runner] = {"processes": ProcessRunner(2), "ray": RayRunner(address)}
@@ -82,7 +82,7 @@ def nodes() -> None:
 @row
 def overhead() -> None:
     """What Ray adds to a shard, from many shards that cost nothing, as a share of a shard of digits."""
-    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource())), ("train",))
+    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())), ("train",))
     with scratch() as folder:
         shard_s = median_s(lambda: plan.tasks[0].make(), 3)
         size = plan.tasks[0].size
@@ -108,7 +108,7 @@ def again() -> None:
     """A run over a finished set in a store: what it reads, as a share of the bytes that are there."""
     from tests.s3_server import serve
 
-    spec = GenerateSpec(SyntheticSource(), limit=400)
+    spec = DigitSetSpec(SyntheticSource(), limit=400)
     with contextlib.closing(serve()) as servers:
         server = next(servers)
         os.environ.update(server.environment())

@@ -23,10 +23,10 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from numpy.typing import NDArray
 
-from mnist3d.columns import PARQUET_STYLE
+from mnist3d.digit_rows import PARQUET_STYLE
 from tactile_sim import GenerateSpec, TouchPlan
 from tactile_sim.generation import TouchMaking
-from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, read_manifest
+from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
 
 # Any 256 random numbers cut alike; these are not those of the Hub.
 GEAR = np.random.default_rng(0).integers(0, 1 << 64, 256, dtype=np.uint64)
@@ -96,7 +96,7 @@ def main() -> None:
         paths = sorted(Path(name, "data").glob("*.parquet"))
         sets = changed([pq.read_table(path).combine_chunks() for path in paths])
         print(f"{name}: {sum(map(len, sets[0])):,} rows in {len(paths):,} shards")
-        now = style_of(DataFolder(name))
+        now = style_of(open_folder(name))
         plain = replace(now, values_per_page=None, chunks_by_content=False, page_index=False)
         for pages, style in (("plain", plain), ("ours", now)):
             first, *others = ([encode_parquet(table, style) for table in tables] for tables in sets)

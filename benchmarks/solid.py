@@ -25,10 +25,12 @@ from scipy import ndimage
 from skimage.filters import threshold_otsu
 from skimage.measure import marching_cubes
 
-from mnist3d.columns import PARQUET_STYLE, DigitRow, digit_schema
-from mnist3d.ink import count_bodies_and_holes
-from mnist3d.literal import literal_solid
-from mnist3d.solid import SolidSpec, binarise, solidify
+from mnist3d.digit_rows import PARQUET_STYLE, DigitRow, digit_schema
+from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.cleaning import count_bodies_and_holes
+from mnist3d.solid.algorithm import solidify
+from mnist3d.solid.literal import literal_solid
+from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintProfile, PrintReport, inspect
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.store import encode_parquet

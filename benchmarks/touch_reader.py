@@ -112,7 +112,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         work = Path(sys.argv[1] if len(sys.argv) > 1 else folder)
         digits = work / "digits"
-        mnist3d.generate(mnist3d.GenerateSpec(SyntheticSource(), per_class=100), digits, ["train", "test"])
+        mnist3d.generate(mnist3d.DigitSetSpec(SyntheticSource(), per_class=100), digits, ["train", "test"])
         test = kept(work / "test.npz", lambda: published(digits, "test", 100, TEST_EVERY))
         sources = {
             "the environments' renderer": kept(work / "train.npz", lambda: published(digits, "train", 1)),

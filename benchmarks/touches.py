@@ -176,7 +176,7 @@ def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers:
 def main() -> None:
     parts = sys.argv[1:] or ["depth", "environments", "sets", "workers"]
     with tempfile.TemporaryDirectory() as folder:
-        mnist3d.generate(mnist3d.GenerateSpec(SyntheticSource(), per_class=4), folder, ["test"])
+        mnist3d.generate(mnist3d.DigitSetSpec(SyntheticSource(), per_class=4), folder, ["test"])
         if "depth" in parts:
             depth_and_taxim(mnist3d.load(folder, "test"))
         if "environments" in parts:

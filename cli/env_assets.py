@@ -7,17 +7,23 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Annotated, Any
 
-from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Objects, cache, show, verify
-from cli.making import merge, split
+import env_assets
+from cli.application import command, new_app, run
+from cli.checks import Objects, verify
+from cli.contents import show
+from cli.declared_options import OptionsOf
+from cli.exports import export
+from cli.merge_and_split import merge, split
 from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
 from cli.output import Sink
-from cli.products import export
+from cli.upkeep import cache
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import switch, text
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
+
+_WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
 app = new_app("env-assets", "Assets of environments: the wrench, and what a folder of assets holds.")
 
@@ -47,28 +53,25 @@ def wrench(
 
     Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
     """
-    from env_assets.wrench.making import wrench_facts, write_wrench
-    from env_assets.wrench.solid import wrench_mesh
-
     if stl is not None:
         mesh.file_ending(stl)
         stl.is_file()  # a name that the system refuses is named before anything is made
     spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
-    report = mesh.inspect(wrench_mesh(spec))
+    report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
-        write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
-    places = {"folder": str(out), "mesh_file": None if stl is None else str(stl), "written": not dry_run}
-    sink.document({**places, **wrench_facts(spec, report)})
-    second = f" and {spec.second_opening_mm:g}" if spec.second_opening_mm else ""
+        env_assets.write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
+    places = {"folder": str(out), "mesh_file": stl and str(stl), "written": not dry_run}
+    sink.document({**places, **env_assets.wrench_facts(spec, report)})
+    openings = " and ".join(f"{each:g}" for each in (spec.opening_mm, spec.second_opening_mm) if each)
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(
-        f"wrench for {spec.opening_mm:g}{second} mm across flats: {sides} mm, {report.mass_g:.1f} g of PLA, "
+        f"wrench for {openings} mm across flats: {sides} mm, {report.mass_g:.1f} g of PLA, "
         f"thinnest wall {report.thinnest_wall_mm:.1f} mm, {report.faces:,} triangles"
     )
     for warning in report.warnings:
         sink.line(f"warning: {warning}")
-    files = f"{out}" if stl is None else f"{out} and {stl}"
-    sink.line(f"would be written to {files}; nothing was written" if dry_run else f"written to {files}")
+    files = " and ".join(map(str, filter(None, (out, stl))))
+    sink.line(_WRITTEN[dry_run].format(files))
 
 
 @command(app)
@@ -81,9 +84,7 @@ def info(
 
     Example: env-assets info assets
     """
-    from env_assets.provider import inventory
-
-    summaries = inventory(root)
+    summaries = env_assets.inventory(root)
     sink.document(summaries)
     if not summaries:
         sink.line(f"{root} holds no data sets")
@@ -119,18 +120,18 @@ def list_environments(
 
     Example: env-assets list Minecraft
     """
-    from env_assets.published.packages import overview
-    from tactile_envs.config import IDS
+    # It registers the environments, which takes numpy.
+    import tactile_envs
 
-    found = [{**each, "native": each["id"] in IDS} for each in overview(words or ())]
+    found = [{**each, "native": each["id"] in tactile_envs.IDS} for each in env_assets.overview(words or ())]
     sink.document(found)
     columns = ("task", "split", "sensor", "assets", "state", "native")
     sink.table(("environment", *columns), [[each[name] for name in ("id", *columns)] for each in found])
-    sink.line(f"{counted(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
+    sink.line(f"{with_count(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
     for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)
     if any(each["native"] for each in found):
-        sink.line("native: `tactile_envs:ID` runs it a hundred times as fast, with the same episodes")
+        sink.line("native: `tactile_envs:ID` runs the same episodes without OpenGL, many times as fast")
 
 
 for _shared in (export, verify, merge, split, show, cache):

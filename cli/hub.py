@@ -10,16 +10,18 @@ from functools import partial
 import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
-from cli.output import BYTES, Sink, bytes_text
+from cli.output import Sink
+from cli.quantities import BYTES, bytes_text
 from tactile_toolkit import catalog, exchange, places
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _LARGE_BYTES = 1_000_000_000
 # Files of a longer list that are named.
 _FILES_SHOWN = 8
+_VISIBLE = {True: "private", False: "public"}
 
 
 def upload(
@@ -122,8 +124,10 @@ def _require_consent(question: str, refused: str, next_step: str) -> None:
 
 def _listed(paths: Sequence[str]) -> str:
     """Name some files, and how many more there are."""
-    more = f" and {len(paths) - _FILES_SHOWN:,} more" if len(paths) > _FILES_SHOWN else ""
-    return ", ".join(paths[:_FILES_SHOWN]) + more
+    words = ", ".join(paths[:_FILES_SHOWN])
+    if len(paths) > _FILES_SHOWN:
+        words += f" and {len(paths) - _FILES_SHOWN:,} more"
+    return words
 
 
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
@@ -135,17 +139,13 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
         if paths:
             sink.info(words.format(_listed(paths)))
     if held is None:
-        visible = "private" if prepared.options.private else "public"
-        sink.line(f"{visible} repository to create: {where}")
+        sink.line(f"{_VISIBLE[prepared.options.private]} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
     if plan.is_done:
         return
-    there = held.remote if held else {}
-    rows = [
-        (file.path, bytes_text(file.size), "changed" if file.path in there else "new")
-        for file in plan.to_send
-    ]
+    states = dict.fromkeys(held.remote, "changed") if held else {}
+    rows = [(file.path, bytes_text(file.size), states.get(file.path, "new")) for file in plan.to_send]
     sink.table(("file", "size", "on the Hub"), rows[:_FILES_SHOWN])
     if len(rows) > _FILES_SHOWN:
         sink.line(f"  and {len(rows) - _FILES_SHOWN:,} more")
@@ -162,12 +162,12 @@ def _print_upload(
     sink: Sink, kind: DatasetKind, prepared: exchange.PreparedUpload, result: exchange.UploadResult | None
 ) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
-    name, tag = prepared.options.branch, prepared.options.tag
-    pull = result.pull if result else None
-    address = prepared.page if name == exchange.MAIN_BRANCH else f"{prepared.page}/tree/{name}"
-    if pull:  # its branch (refs/pr/N) has no page that can be merged from
-        address = f"{prepared.page}/discussions/{pull.rpartition('/')[2]}"
-    revision = pull or (None if name == exchange.MAIN_BRANCH else name)
+    name, done = prepared.options.branch, result or exchange.UploadResult("")
+    address, revision = prepared.page, None
+    if done.pull:  # its branch (refs/pr/N) has no page that can be merged from
+        address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
+    elif name != exchange.MAIN_BRANCH:
+        address, revision = f"{address}/tree/{name}", name
     split = prepared.manifest.splits[0]
     first, call = kind.loading_lines(prepared.manifest, prepared.repo_id, split, revision)
     lines = [first, f"data = {call}"]
@@ -178,7 +178,7 @@ def _print_upload(
             "address": address,
             "dry_run": result is None,
             "exists": held is not None,
-            "private": held.is_private if held else prepared.options.private,
+            "private": (held or prepared).is_private,
             "files": len(prepared.files),
             "bytes": sum(file.size for file in prepared.files),
             "to_send": [file.path for file in plan.to_send],
@@ -186,11 +186,11 @@ def _print_upload(
             "to_remove": plan.removed,
             "kept": plan.kept,
             "left_out": prepared.left_out,
-            "tags": [tag] if tag else [],
-            "commit": result.commit if result else None,
-            "pull_request": pull,
-            "sent": result.sent if result else [],
-            "removed": result.removed if result else [],
+            "tags": list(filter(None, [prepared.options.tag])),
+            "commit": done.commit or None,
+            "pull_request": done.pull,
+            "sent": done.sent,
+            "removed": done.removed,
             "python": lines,
         }
     )
@@ -200,7 +200,7 @@ def _print_upload(
         sink.line("nothing was sent")
     else:
         sink.line(
-            f"sent {counted(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
+            f"sent {with_count(len(result.sent), 'files')}, removed {len(result.removed):,}; all "
             f"{len(prepared.files):,} compared by checksum"
         )
     if result is not None:
@@ -210,25 +210,28 @@ def _print_upload(
 
 
 def _where(prepared: exchange.PreparedUpload) -> str:
+    """Name the repository, and the branch where it is not the main one."""
     name = prepared.options.branch
-    return prepared.repo_id if name == exchange.MAIN_BRANCH else f"{prepared.repo_id} ({name})"
+    if name == exchange.MAIN_BRANCH:
+        return prepared.repo_id
+    return f"{prepared.repo_id} ({name})"
 
 
 def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> None:
     """Print what is fetched, how large it is, and under which terms it stands."""
     known, files = places.published_set(name), plan.record.files.values()
-    licence = (known.licence if known else None) or plan.repository.licence
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
-        f"{counted(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
+        f"{with_count(len(files), 'files')}, {bytes_text(sum(file.size_bytes for file in files))}, of which "
         f"{bytes_text(plan.missing_bytes)} are to be fetched"
     )
     if plan.leftover:
-        sink.info(f"to remove, the Hub has them no more: {_listed(plan.leftover)}")
+        sink.info(f"to remove, no longer on the Hub: {_listed(plan.leftover)}")
     if plan.repository.is_cache:
-        sink.info("the Hub gives no answer: what is known here of the data set is taken for all of it")
+        sink.info("the Hub does not answer: the files known on this machine are taken for the whole data set")
     if known is not None and plan.missing:
-        sink.info(f"licence: {licence or 'see its card on the Hub'}; please cite: {known.citation}")
+        licence = known.licence or plan.repository.licence or "see its card on the Hub"
+        sink.info(f"licence: {licence}; please cite: {known.citation}")
 
 
 def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: DatasetKind) -> None:
@@ -249,14 +252,14 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
             "folder": place or None,
         }
     )
-    missing, count, gone = counted(len(plan.missing), "files"), len(plan.leftover), ""
+    missing, leftover = with_count(len(plan.missing), "files"), with_count(len(plan.leftover), "files")
     if not place:
-        gone = f" and remove {count:,}" if count else ""
         size = bytes_text(plan.missing_bytes)
-        sink.line(f"would fetch {missing}, {size}{gone}; nothing was fetched, nothing removed")
+        sink.line(f"would fetch {missing}, {size}, and remove {leftover}; nothing was fetched or removed")
         return
-    gone = f", removed {count:,} that the Hub has no more" if count else ""
-    done = "nothing was left to fetch" if plan.is_done else f"fetched {missing}{gone}"
+    done = f"fetched {missing}, removed {leftover} no longer on the Hub"
+    if plan.is_done:
+        done = "nothing was left to fetch"
     sink.line(f"{done}; all {len(files):,} files are intact, in {place}")
     # Files in the Hub's cache are found again by the name of the repository, and by the revision asked for.
     name, revision = plan.repository.repo_id, plan.repository.revision

@@ -2,19 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import partial
 from typing import Annotated, Any
 
-from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Geometry
-from cli.making import generate_set, least_to_most, print_left_out, print_set
+import mnist3d
+from cli.application import command, new_app, run as run_app
+from cli.checks import Geometry
+from cli.declared_options import OptionsOf
 from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink, bytes_text
-from cli.products import Pictures
+from cli.output import Sink
+from cli.previews import Pictures
+from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
+from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.kind import KIND
-from mnist3d.spec import SOURCES, SPLITS, DigitPreviewSpec, SolidSpec, SourceOptions, SplitSpec
-from tactile_toolkit import catalog, store
+from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.source_options import SOURCES, SourceOptions
+from tactile_toolkit import cards, catalog, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
@@ -46,55 +52,38 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from mnist3d.make import DigitMaking, GenerateSpec, chosen_source
-    from tactile_toolkit.run import prepare_batch_process
-
-    spec = GenerateSpec(
-        source=chosen_source(source, images, division.seed),
+    spec = mnist3d.DigitSetSpec(
+        source=mnist3d.chosen_source(source, images, division.seed),
         solid=solid,
         split=division,
         per_class=per_class,
         limit=limit,
     )
-    splits = None if split is None else SPLITS if split == "all" else (split,)
+    splits: Sequence[str] | None = SPLITS
+    if split != "all":
+        splits = None if split is None else (split,)
     # Before the first digit, of a forecast too: it measures what a worker takes.
-    prepare_batch_process()
-    generate_set(sink, "making digits", DigitMaking.of(spec, splits), out, splits, making, _print_made)
+    run.prepare_batch_process()
+    generate_set(
+        sink, "making digits", mnist3d.DigitMaking.of(spec, splits), out, splits, making, _print_made
+    )
 
 
 def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from mnist3d.card import summarise
-
     # The report that the figures come from is written at the end of a run.
-    summaries = summarise(store.DataFolder(out), manifest) if manifest.complete else []
-    rows = [
-        (
-            summary.split,
-            summary.rows,
-            least_to_most(summary.per_class),
-            bytes_text(summary.bytes),
-            _range(summary.height_mm),
-            _range(summary.thinnest_wall_mm),
-            summary.skipped,
-            ", ".join(f"{word} {count:,}" for word, count in summary.warnings.items()) or "none",
-        )
-        for summary in summaries
-    ]
-    measures = ("height mm", "thinnest wall mm", "skipped", "warnings")
-    header = ("split", "digits", "per class", "Parquet", *measures)
+    summaries = []
+    if manifest.complete:
+        summaries = mnist3d.summarise(store.open_folder(out), manifest)
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
+    facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
     print_left_out(sink, manifest)
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits, skipped=skipped)
+    print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
 
-def _range(spread: tuple[float, ...]) -> str:
-    return f"{spread[0]:.1f}-{spread[-1]:.1f}" if spread else "-"
-
-
-_CHECKS = Geometry("meshes", lazy("mnist3d.validate:validate_paths"))
+_CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 
 def _preview(
@@ -111,12 +100,12 @@ def _preview(
 
     Examples: mnist3d preview digits;  mnist3d preview digits --ids 17,408;  mnist3d preview part.stl
     """
-    from mnist3d.previews import is_picture_or_mesh, plan_previews
-
-    name = path if is_picture_or_mesh(path) else opening.open(sink, path)
-    pictures.write(sink, plan_previews(name, spec))
+    name: str | places.Place = path
+    if not mnist3d.is_picture_or_mesh(path):
+        name = opening.open(sink, path)
+    pictures.write(sink, KIND.plan_previews(name, spec))
 
 
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
-main = partial(run, app)
+main = partial(run_app, app)

@@ -13,6 +13,12 @@ from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from cli.output import Sink
+from typing import TYPE_CHECKING
+
+from cli.output import Sink
+
+if TYPE_CHECKING:
+    pass
 
 
 JOB = "Job options"
@@ -42,7 +48,9 @@ def _runner_name(text: str) -> str:
 def parse_address(text: str | Path) -> str:
     """Read a folder or file, local (``~`` is the home folder) or in a store (``s3://BUCKET/FOLDER``)."""
     place = store.normalize_uri(str(text))
-    return place if store.is_remote(place) else str(store.expanded(place))
+    if store.is_remote(place):
+        return place
+    return str(store.expanded(place))
 
 
 def argument(metavar: str, help: str, **option: Any) -> Any:
@@ -117,21 +125,20 @@ class Work:
     check: bool = switch(False, panel=JOB, help="Read finished shards again, and make damaged ones again.")
     overwrite: bool = OVERWRITE
 
-    def chosen_runner(self) -> int | run.Runner:
-        """Return what makes the shards, as functions take it."""
-        if self.finish and self.part is not None:
-            raise InputError(
-                "--part and --finish were both given; expected --finish when all parts have ended"
-            )
-        runner: int | run.Runner = process_count(self.workers)
+    def run_keywords(self) -> store.RunKeywords:
+        """Return these options as functions take them."""
         name, _, address = self.runner.partition("=")
-        if self.finish:
-            runner = run.Finish()
-        elif name == "ray":
+        runner: int | run.Runner = process_count(self.workers)
+        if name == "ray":
             runner = run.RayRunner(address or None, self.workers)
-        if self.part is not None:
-            runner = run.part_of(self.part, runner)
-        return run.Check(runner) if self.check else runner
+        part = None if self.part is None else run.parse_part(self.part)
+        return {
+            "workers": runner,
+            "part": part,
+            "finish": self.finish,
+            "check": self.check,
+            "overwrite": self.overwrite,
+        }
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,3 +151,12 @@ class Making(Work):
 def process_count(workers: int) -> int:
     """Return what ``--workers`` asks for: 0 means one process per processor core."""
     return workers or usable_cores()
+
+
+@dataclass(frozen=True, slots=True)
+class Job:
+    """How files other than those of a data set are made."""
+
+    workers: int = WORKERS
+    overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")
+    dry_run: bool = DRY_RUN

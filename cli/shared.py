@@ -8,10 +8,13 @@ from typing import Any
 import typer
 
 from cli.application import command
-from cli.folders import cache, card, info, list_sets, show, validate, verify
+from cli.checks import validate, verify
+from cli.contents import info, list_sets, show
+from cli.exports import export
+from cli.galleries import gallery_of_meshes
 from cli.hub import download, upload
-from cli.making import merge, split
-from cli.products import export, gallery_of_meshes
+from cli.merge_and_split import merge, split
+from cli.upkeep import cache, card
 from tactile_toolkit.kind import DatasetKind
 
 _COMMANDS: dict[str, Any] = {

@@ -4,24 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from cli.application import command, new_app, run
-from cli.folders import Geometry
-from cli.making import generate_set, least_to_most, print_set
+import starstruck_gen
+from cli.application import command, new_app, run as run_app
+from cli.checks import Geometry
 from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink, bytes_text
-from cli.products import Pictures
+from cli.output import Sink
+from cli.previews import Pictures
+from cli.quantities import least_to_most
+from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
-from starstruck_gen.options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, mesh, places, store
+from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
+from tactile_toolkit import catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
-
-if TYPE_CHECKING:
-    from starstruck_gen.validate import Checked
-
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -50,43 +48,32 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from starstruck_gen.make import PUBLISHED_SIZES, GenerateSpec, SceneMaking
-    from starstruck_gen.sampling import SPLITS, require_feasible
-    from tactile_toolkit.run import limit_threads
-
-    spec = GenerateSpec(scene.spec(), scenes or PUBLISHED_SIZES, seed, limit)
-    splits = SPLITS if split == "all" else (split,)
+    spec = starstruck_gen.SceneSetSpec(scene.spec(), scenes or starstruck_gen.PUBLISHED_SIZES, seed, limit)
+    splits = {"all": starstruck_gen.SPLITS}.get(split, (split,))
     if scene.collision == "exact" and not making.dry_run:
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
-        limit_threads()
+        run.limit_threads()
     # Before anything is made or forecast, which may take minutes.
     with sink.progress("trying whether the fullest scene has room", "failed layouts") as on_failure:
-        require = partial(require_feasible, spec.scene, spec.seed, on_failure)
-        rows = SceneMaking(spec)
+        require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
+        rows = starstruck_gen.SceneMaking(spec)
         generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 
 def _print_made(
     sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
-    from starstruck_gen.card import summarise
-
-    summaries = summarise(manifest)
+    found = starstruck_gen.summarise(manifest)
     rows = [
-        (
-            summary.split,
-            summary.rows,
-            least_to_most(summary.acceptance.classes),
-            bytes_text(summary.bytes),
-            round(summary.bytes_per_scene),
-            f"{100 * summary.acceptance.accepted:.1f} %",
-            summary.acceptance.restarts,
-        )
-        for summary in summaries
+        (split, least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
+        for split, each in found.items()
     ]
-    header = ("split", "scenes", "per class", "Parquet", "bytes per scene", "accepted", "started over")
-    splits = [summary.to_dict() for summary in summaries]
+    splits = [
+        {"split": split, **counts, "acceptance": found[split].to_dict()}
+        for split, counts in manifest.split_table().items()
+    ]
+    header = ("split", "per class", "accepted", "started over")
     print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
@@ -96,11 +83,9 @@ def _check(
     opened: Callable[[str], places.Place],
     unit: str | None = None,
     on_progress: Callable[[int, int], None],
-) -> list[Checked]:
-    from starstruck_gen.validate import validate_folder
-
+) -> list[starstruck_gen.CheckedScenes]:
     mesh.refuse_unit(unit, paths[0])
-    return [validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
+    return [starstruck_gen.validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 
 
 _CHECKS = Geometry("scenes", _check)
@@ -118,11 +103,9 @@ def _preview(
 
     Examples: starstruck preview scenes;  starstruck preview scenes --ids 17 --out scene.png
     """
-    from starstruck_gen.previews import plan_previews
-
-    pictures.write(sink, plan_previews(opening.open(sink, path), spec))
+    pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
 
 
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
-main = partial(run, app)
+main = partial(run_app, app)

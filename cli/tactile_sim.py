@@ -7,28 +7,27 @@ import os
 from dataclasses import MISSING
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import Annotated, Any, Literal
 
-from cli.application import OptionsOf, command, new_app, run
-from cli.folders import Objects
-from cli.making import generate_set, print_set
+import tactile_sim
+from cli.application import command, new_app, run as run_app
+from cli.checks import Objects
+from cli.declared_options import OptionsOf
+from cli.galleries import gallery_of_touches
 from cli.options import Making, Opening, argument, local_out_folder, local_place, out_folder
-from cli.output import Sink, bytes_text
-from cli.products import gallery_of_touches, preview_touches
+from cli.output import Sink
+from cli.previews import preview_touches
+from cli.quantities import bytes_text
+from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from tactile_sim.kind import KIND
 from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
-from tactile_toolkit.catalog import Chosen
+from tactile_toolkit import mesh, run, store, touch
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import UNIT
-from tactile_toolkit.wording import counted
-
-if TYPE_CHECKING:
-    from tactile_sim.generation import GenerateSpec
-    from tactile_toolkit.store import Manifest
-
+from tactile_toolkit.wording import with_count
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")
 
@@ -40,7 +39,7 @@ def generate(
     *,
     objects: str = argument("DIR|NAME", "Digits, scenes or other meshes: folder, file or Hub id."),
     opening: Opening,
-    chosen: Chosen,
+    chosen: RowFilter,
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: PictureOptions,
@@ -53,36 +52,37 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    from tactile_sim.generation import GenerateSpec, TouchMaking
-    from tactile_toolkit.run import prepare_batch_process
-
     # "cell" is the default, and who gives a table means it; any other place with a table is refused.
     if "given" in plan and plan.get("positions", "cell") == "cell":
         plan["positions"] = "given"
     given = chosen.given()
     split = given.pop("split")
-    splits = None if split is None else (split,)
-    spec = _noted(sink, picture, GenerateSpec.of(picture, TouchPlan(**plan), **given))
+    splits = split and (split,)
+    spec = _noted(sink, picture, tactile_sim.GenerateSpec.of(picture, TouchPlan(**plan), **given))
     if not making.dry_run:
-        prepare_batch_process()
-    touches = TouchMaking.of(opening.open(sink, objects), spec)
+        run.prepare_batch_process()
+    touches = tactile_sim.TouchMaking.of(opening.open(sink, objects), spec)
     require = partial(touches.refuse_sources, objects, out)
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
 
-def _noted(sink: Sink, picture: PictureOptions, spec: GenerateSpec) -> GenerateSpec:
+def _noted(sink: Sink, picture: PictureOptions, spec: tactile_sim.GenerateSpec) -> tactile_sim.GenerateSpec:
     if picture.optics is None and spec.optics == "depth":
         sink.info("note: pictures are depth images, as Taxim needs the extra `sim`: --optics taxim")
     return spec
 
 
-def _print_made(sink: Sink, kind: DatasetKind, manifest: Manifest, out: str, elapsed_s: float | None) -> None:
+def _print_made(
+    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+) -> None:
     rows = []
     for split, held in manifest.split_table().items():
         # Shards carry their counts, so that no row is read for this table.
         parts = [record.statistics or {} for record in manifest.shards_of(split)]
         touches, contact = (sum(part.get(name, 0) for part in parts) for name in ("touches", "on_object"))
-        share = f"{100 * contact / touches:.1f} %" if touches else "-"
+        share = "-"
+        if touches:
+            share = f"{100 * contact / touches:.1f} %"
         rows.append((split, held["rows"], touches, share, held["skipped"], bytes_text(held["bytes"])))
     header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
     print_set(sink, kind, manifest, out, elapsed_s, header, rows)
@@ -104,7 +104,7 @@ def _place_m(words: str) -> tuple[float, float] | None:
 @command(app)
 def render(
     *,
-    mesh: Path = argument("FILE", "A mesh: STL, 3MF, PLY, OBJ or GLB.", read=Path),
+    file: Path = argument("FILE", "A mesh: STL, 3MF, PLY, OBJ or GLB.", read=Path),
     at: tuple[float, float] | None = text(
         (0.0, 0.0),
         name="--at-mm",
@@ -114,7 +114,7 @@ def render(
         help="Where the gel goes, relative to the origin of the mesh; object: onto the mesh, wherever it is.",
     ),
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
-    unit: str | None = UNIT,
+    unit: str | None = mesh.UNIT,
     picture: PictureOptions,
     out: Path = text(
         Path("touch.png"), name="--out", metavar="FILE", read=local_place, help="Image to write."
@@ -127,21 +127,16 @@ def render(
 
     Example: tactile-sim render part.stl --at-mm object --out touch.png
     """
-    from tactile_sim.generation import GenerateSpec, look
-    from tactile_toolkit.mesh import read_mesh
-    from tactile_toolkit.store import DataFolder
-    from tactile_toolkit.touch import encode_image
-
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
-    spec = _noted(sink, picture, GenerateSpec.of(picture))
-    solid = read_mesh(mesh, unit=unit)
+    spec = _noted(sink, picture, tactile_sim.GenerateSpec.of(picture))
+    solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
-        sink.info(f"note: {mesh}: {note}")
-    seen = look(solid, spec, at, math.radians(turn_deg))
-    encoded = encode_image(seen.picture, image_format, picture.quality)
-    DataFolder(str(out.parent.absolute())).write_bytes(out.name, encoded)
+        sink.info(f"note: {file}: {note}")
+    seen = tactile_sim.look(solid, spec, at, math.radians(turn_deg))
+    encoded = touch.encode_image(seen.picture, image_format, picture.quality)
+    store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
@@ -170,11 +165,8 @@ def pairs(
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
-    from tactile_sim.pairs import PairsMaking
-    from tactile_toolkit.run import prepare_batch_process
-
-    prepare_batch_process()
-    pairs = PairsMaking.of(objects, real, split, spec)
+    run.prepare_batch_process()
+    pairs = tactile_sim.PairsMaking.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
     generate_set(sink, "pressing and scaling", pairs, out, None, making, print_set, require)
 
@@ -204,12 +196,15 @@ def train(
     After an interruption, the same command continues from the last checkpoint.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """
-    import tactile_sim.learned  # noqa: F401  (reports what is missing)
+    # Torch takes seconds, and is an extra: the first import reports where it is missing.
+    import tactile_sim.learned  # noqa: F401
     from tactile_sim.learned.training import train as train_both
 
     settings = TrainConfig.read(config, options)
     # `torchrun` starts this command once for each GPU, numbered by RANK: the first speaks for all.
-    talks = sink if os.environ.get("RANK", "0") == "0" else Sink(quiet=True)
+    talks = sink
+    if os.environ.get("RANK", "0") != "0":
+        talks = Sink(quiet=True)
     with talks.progress("training", "steps") as update:
         done = train_both(
             pairs,
@@ -223,9 +218,10 @@ def train(
             on_progress=update,
         )
     # JSON has no NaN, which losses are where no step was left to take.
-    losses = {name: loss if math.isfinite(loss) else None for name, loss in done.losses.items()}
+    losses = dict.fromkeys(done.losses)
+    losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}
     talks.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
-    talks.line(f"{counted(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
+    talks.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
     talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
 
 
@@ -250,12 +246,12 @@ def evaluate(
 
     Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
     """
-    import tactile_sim.learned  # noqa: F401  (reports what is missing)
+    # Torch takes seconds, and is an extra: the first import reports where it is missing.
+    import tactile_sim.learned
     from tactile_sim.learned.evaluation import BASELINES, evaluate as measure
-    from tactile_sim.noise import SensorNoise
 
     baselines = tuple(name for name in BASELINES if taxim or name != "taxim")
-    noise = SensorNoise.named(sensor_noise)
+    noise = tactile_sim.SensorNoise.named(sensor_noise)
     with sink.progress("measuring", "steps") as update:
         found = measure(
             weights,
@@ -276,4 +272,4 @@ def evaluate(
 _own = {"preview": preview_touches, "gallery": gallery_of_touches, "validate": None, "export": None}
 add_shared(app, KIND, _own, print_made=_print_made, checks=None, objects=Objects())
 
-main = partial(run, app)
+main = partial(run_app, app)

@@ -20,10 +20,10 @@ from sphinx.pycode import ModuleAnalyzer
 
 API = (
     "mnist3d",
-    "mnist3d.torch",
+    "mnist3d.digit_tensors",
     "mnist3d.sources",
     "starstruck_gen",
-    "starstruck_gen.torch",
+    "starstruck_gen.scene_tensors",
     "realtouch",
     "realtouch.torch",
     "tactile_sim",
@@ -40,21 +40,20 @@ SHARED = (
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
-    "starstruck_gen.spec.COLLISION_RULES",
+    "starstruck_gen.scene_spec.COLLISION_RULES",
     "tactile_sim.pressing.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.files.FORMATS",
-    "tactile_toolkit.mesh.printability.REPORT_COLUMNS",
-    "tactile_toolkit.mesh.printability.UNREADABLE",
-    "tactile_toolkit.mesh.printability.WARNINGS",
+    "tactile_toolkit.mesh.print_report.UNREADABLE",
+    "tactile_toolkit.mesh.print_report.WARNINGS",
     "tactile_toolkit.mesh.records.RecordStream",
     "tactile_toolkit.read.stream.Stream",
     "tactile_toolkit.mesh.records.SolidRecord",
     "tactile_toolkit.mesh.solid_check.PROBLEMS",
-    "tactile_toolkit.mesh.torch.SolidTensors",
-    "tactile_toolkit.read.dataset.Record",
+    "tactile_toolkit.mesh.solid_tensors.SolidTensors",
+    "tactile_toolkit.read.record.Record",
     "tactile_toolkit.read.dataset.RecordDataset",
-    "tactile_toolkit.store.building.Progress",
-    "tactile_toolkit.store.building.RunOptions",
+    "tactile_toolkit.store.run_options.Progress",
+    "tactile_toolkit.store.run_options.RunOptions",
     "realtouch.sensor_images.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
@@ -331,17 +330,18 @@ def _outside_code(text: str) -> Iterator[str]:
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
     from env_assets.wrench.making import WrenchRow, wrench_schema
-    from mnist3d.columns import DigitRow, digit_schema
+    from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
-    from starstruck_gen.columns import SceneRow, scene_schema
+    from starstruck_gen.scene_rows import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
-    from tactile_toolkit.cards import FolderFacts
-    from tactile_toolkit.cards.card import card_words, field_table, markdown_table
+    from tactile_toolkit.cards import FolderSummary
+    from tactile_toolkit.cards.card import card_words
+    from tactile_toolkit.cards.card_tables import field_table, markdown_table
     from tactile_toolkit.rows import meanings
 
     def table(schema: Any, row_type: type) -> str:
-        return field_table(FolderFacts((), schema), meanings(row_type)).replace(
+        return field_table(FolderSummary((), schema), meanings(row_type)).replace(
             "frame below", "frame of the mesh"
         )
 

@@ -14,10 +14,10 @@ from PIL import Image, ImageColor
 
 import starstruck_gen
 import tactile_sim
-from mnist3d.solid import solidify
+from mnist3d.solid.algorithm import solidify
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures.render import Body, View, draw_bodies
+from tactile_toolkit.pictures.render import DrawnBody, View, draw_bodies
 
 HEIGHT_PX, MARGIN_PX = 480, 60
 DIGITS, SCENE = (1000, HEIGHT_PX), (360, HEIGHT_PX)
@@ -53,7 +53,7 @@ def _drawn(
     for mesh, (x_m, y_m) in bodies:
         points = mesh.vertices_m.astype(np.float64)
         points[:, :2] += np.array([x_m, y_m]) - (points[:, :2].min(0) + points[:, :2].max(0)) / 2
-        placed.append(Body(Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
+        placed.append(DrawnBody(Mesh(points, mesh.faces), ImageColor.getrgb(colour)))
     paper = ImageColor.getrgb(PAPER)
     return draw_bodies(tuple(placed), size_px, size_px[1] / height_m, FROM, paper)
 

@@ -20,8 +20,8 @@ from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import FORMATS, MM_PER_M, Mesh, read_mesh, require_unit
+from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.read import RecordDataset, picks_several, positions
-from tactile_toolkit.wording import natural_key
 
 _LOG = logging.getLogger(__name__)
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")

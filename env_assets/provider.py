@@ -16,10 +16,10 @@ from env_assets.height_map import HeightMap, top_surface
 from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
 from env_assets.wrench.kind import KIND as WRENCH
 from env_assets.wrenches import WrenchDataset
+from mnist3d.digit_dataset import DigitDataset
 from mnist3d.kind import KIND as DIGITS
-from mnist3d.loader import MeshDataset
 from starstruck_gen.kind import KIND as SCENES
-from starstruck_gen.loader import SceneMeshDataset
+from starstruck_gen.scene_dataset import SceneMeshDataset
 from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.checked_fields import checked_integer
@@ -32,7 +32,7 @@ from tactile_toolkit.wording import did_you_mean
 if TYPE_CHECKING:
     from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
-    from tactile_toolkit.making import Recipe
+    from tactile_toolkit.generation import Recipe
 
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
@@ -45,9 +45,9 @@ FOREIGN: dict[str, str] = {
 }
 """Assets that this toolkit does not make, and where the published ones are from."""
 
-MeshSet = MeshDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
+MeshSet = DigitDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
 _DATASETS: dict[str, Any] = {
-    DIGITS.name: MeshDataset,
+    DIGITS.name: DigitDataset,
     SCENES.name: SceneMeshDataset,
     WRENCH.name: WrenchDataset,
 }
@@ -147,7 +147,7 @@ class AssetProvider:
         return self._root
 
     @overload
-    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> MeshDataset: ...
+    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> DigitDataset: ...
     @overload
     def meshes(self, name: Literal["starstruck"], split: str = "train") -> SceneMeshDataset: ...
     @overload
@@ -166,7 +166,7 @@ class AssetProvider:
 
         Returns
         -------
-        mnist3d.MeshDataset, starstruck_gen.SceneMeshDataset, WrenchDataset or SolidDataset
+        mnist3d.DigitDataset, starstruck_gen.SceneMeshDataset, WrenchDataset or SolidDataset
             By what the data set holds.
 
         Raises
@@ -430,7 +430,7 @@ def inventory(root: Path) -> list[dict[str, Any]]:
     """
     if not root.is_dir():
         raise InputError(
-            f"{store.DataFolder(str(root)).missing_message('data sets')}",
+            f"{store.open_folder(str(root)).missing_message('data sets')}",
             next="give the folder of an AssetProvider",
         )
     found = []

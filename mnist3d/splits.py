@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mnist3d.sources import NO_WRITER, DigitCatalog
-from mnist3d.spec import PUBLISHED_SIZES, SPLITS, SplitSpec
+from mnist3d.published_splits import PUBLISHED_SIZES, SPLITS, SplitSpec
+from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog
 from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.errors import InputError
 

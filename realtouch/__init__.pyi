@@ -12,6 +12,7 @@ from .contacts import (
     best_frame as best_frame,
     contacts_by_image as contacts_by_image,
 )
+from .convert.conversion import Source as Source
 from .convert.media_conversions import (
     clips_to_images as clips_to_images,
     resize as resize,
@@ -19,7 +20,8 @@ from .convert.media_conversions import (
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
 from .exchange.exporting import export as export
-from .exchange.importing import import_images as import_images
+from .exchange.import_shards import NOT_IMPORTED as NOT_IMPORTED
+from .exchange.importing import CONVERSION as CONVERSION, import_images as import_images
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .poses import Poses as Poses, PoseSequences as PoseSequences
 from .rounds import (
@@ -27,7 +29,11 @@ from .rounds import (
     TouchSeqRound as TouchSeqRound,
     TouchSingleRound as TouchSingleRound,
 )
-from .summary import Summary as Summary, summarise as summarise
+from .summary import (
+    Summary as Summary,
+    paper_numbers as paper_numbers,
+    summarise as summarise,
+)
 from .touch import Touch as Touch
 from .touch_clips import TouchClip as TouchClip
 from .touch_dataset import (
@@ -35,9 +41,10 @@ from .touch_dataset import (
     TouchSeqDataset as TouchSeqDataset,
     TouchSingleDataset as TouchSingleDataset,
     TouchStream as TouchStream,
+    dataset_of as dataset_of,
 )
 from .touch_options import ImportColumns as ImportColumns
 from .touches import Touches as Touches
-from .verification import verify as verify
+from .verification import TouchVerification as TouchVerification, verify as verify
 
 __version__: str

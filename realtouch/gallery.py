@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch.kind import KIND
 from realtouch.picture_views import evenly_spaced
@@ -18,6 +19,7 @@ from realtouch.touch_dataset import TouchDataset
 from tactile_toolkit import catalog, gallery, mesh, places
 from tactile_toolkit.array_types import Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
 from tactile_toolkit.wording import class_name
 
@@ -35,23 +37,20 @@ DEFAULT_TOUCHES = 64
 _Known = tuple[int, Float64 | None, float]
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
-_FACETS = (
-    gallery.Facet("label", "Class"),
-    gallery.Facet("split", "Split"),
-    gallery.Facet("contact", "Touches with contact", _SHARES),
-    gallery.Facet("gel", "Gel"),
-    gallery.Facet("object", "Object"),
-)
-_MEASURES = (
-    gallery.Measure("touches", "Touches"),
-    gallery.Measure("in_contact", "With contact"),
-    gallery.Measure("highest_mm", "Highest contact", "mm", 1),
+_SHOWN = (
+    Column(pa.string(), name="label", role="facet", title="Class"),
+    Column(pa.string(), name="contact", role="facet", title="Touches with contact", values=_SHARES),
+    Column(pa.string(), name="gel", role="facet", title="Gel"),
+    Column(pa.int64(), name="object", role="facet", title="Object"),
+    Column(pa.int64(), name="touches", role="measure", title="Touches"),
+    Column(pa.int64(), name="in_contact", role="measure", title="With contact"),
+    Column(pa.float64(), "mm", name="highest_mm", role="measure", title="Highest contact", decimals=1),
 )
 
 
 def plan_gallery(
     name: places.Name | places.Place,
-    chosen: catalog.Chosen = catalog.ALL_ROWS,
+    chosen: catalog.RowFilter = catalog.NO_FILTER,
     *,
     touches: int = DEFAULT_TOUCHES,
 ) -> gallery.Gallery:
@@ -79,7 +78,7 @@ def plan_gallery(
     place = places.open_place(name).require(KIND, "gallery")
     schema = place.shards(chosen.given()["split"] or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    return gallery.gallery_of_rows(KIND, place, chosen, title, _FACETS, _MEASURES, _item, 1, known)
+    return gallery.gallery_of_rows(KIND, place, chosen, title, _SHOWN, _item, 1, known)
 
 
 def _item(
@@ -87,7 +86,7 @@ def _item(
     split: str,
     names: tuple[str, ...],
     known: _Known,
-) -> gallery.Item:
+) -> gallery.GalleryItem:
     """Show a round."""
     most, heights_m, least_m = known
     touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
@@ -120,17 +119,13 @@ def _item(
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))
-    return gallery.Item(
+    return gallery.GalleryItem(
         id=record.id,
         title=f"class {label}, object {touched}" if touched else f"class {label}",
-        facets={
-            "label": (label,),
-            "split": (split,),
-            "contact": (_share(met),),
-            "gel": ("unknown" if gel is None else str(gel),),
-            "object": (touched or "unknown",),
-        },
-        measures={
+        values={
+            "contact": _share(met),
+            "gel": gel,
+            "object": touched or None,
             "touches": record.touch_count,
             "in_contact": None if met is None else int(met.sum()),
             "highest_mm": None if heights_m is None else _millimetres(float(np.fmax.reduce(heights_m))),

@@ -21,7 +21,7 @@ from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import height_text
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
@@ -104,7 +104,7 @@ def draw_overlay(record: TouchRound) -> UInt8:
 
 def _touches_in_words(record: TouchRound) -> str:
     of_object = f" of object {record.object_id}" if record._row.has("object_id") else ""
-    return f"{counted(record.touch_count, 'touches')}{of_object}"
+    return f"{with_count(record.touch_count, 'touches')}{of_object}"
 
 
 def _title(record: TouchRound) -> str:

@@ -41,7 +41,7 @@ class _Content:
     """What a card says of the rows at hand: the words of their kind, columns, and what was counted."""
 
     words: dict[str, Any]
-    columns: dict[str, cards.Column]
+    columns: dict[str, cards.ColumnWords]
     nouns: str
     pictures: Iterable[UInt8 | None]
     values: dict[str, str]
@@ -56,7 +56,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     IntegrityError: a file is missing or damaged.
     """
     words = cards.card_words(WORDS)
-    facts = cards.folder_facts(folder, manifest)
+    facts = cards.folder_summary(folder, manifest)
     operation = None if manifest is None else manifest.spec.get("operation")
     origin = origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
@@ -116,7 +116,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
 
 
 def _plain_content(
-    folder: store.DataFolder, facts: cards.FolderFacts, manifest: store.Manifest | None, words: dict[str, Any]
+    folder: store.DataFolder,
+    facts: cards.FolderSummary,
+    manifest: store.Manifest | None,
+    words: dict[str, Any],
 ) -> _Content:
     """Return what a card says of pictures in files, or of rows in a foreign format."""
     layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
@@ -129,7 +132,7 @@ def _plain_content(
     return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, missed_text(None, 0), {})
 
 
-def _plain_pictures(folder: store.DataFolder, facts: cards.FolderFacts) -> Iterator[UInt8 | None]:
+def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Iterator[UInt8 | None]:
     """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
@@ -142,7 +145,7 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderFacts) -> Itera
 
 
 def _stored_content(
-    facts: cards.FolderFacts,
+    facts: cards.FolderSummary,
     kind: Kind,
     rule: ContactHeight,
     manifest: store.Manifest | None,
@@ -189,7 +192,7 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderFacts, kind: Kind) -> list[UInt8 | None]:
+def _stored_pictures(facts: cards.FolderSummary, kind: Kind) -> list[UInt8 | None]:
     """Decode pictures of the first round of which one can be read; of clips, the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
@@ -204,7 +207,7 @@ def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 
 
-def _first_rounds(facts: cards.FolderFacts, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
+def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     record = TouchSingleRound if kind == "single" else TouchSeqRound
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)

@@ -9,8 +9,8 @@ from typing import TypeVar
 from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import check_fields, choice, integer, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.units import PER_METRE, length_per_metre
-from tactile_toolkit.wording import listed
 
 T = TypeVar("T", str, tuple[str, ...])
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
@@ -73,13 +73,13 @@ class ImportColumns:
     position: tuple[str, ...] | None = text(
         name="--position-columns",
         metavar="X,Y",
-        read=listed,
+        read=comma_separated,
         help="Columns of the intended position, cell frame.",
     )
     pose: tuple[str, ...] | None = text(
         name="--pose-columns",
         metavar="X,Y,Z,QX,QY,QZ,QW",
-        read=listed,
+        read=comma_separated,
         help="Columns of the pose of the gel, cell frame; or one column of lists.",
     )
     split: str | None = text(name="--split-column", metavar="NAME", help="Column of the split.")

@@ -17,9 +17,10 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import counted, is_integer, plain_number
+from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from realtouch.touch_dataset import TouchDataset
@@ -245,7 +246,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(plain_number, read.flattened(wanted)))
+        numbers = list(map(to_builtin_number, read.flattened(wanted)))
         if not is_integer(*numbers):
             raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
@@ -375,7 +376,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     def _description(self) -> list[str]:
         of_rounds, *further = self.dataset._description()
-        return [f"{counted(len(self), self.things)} of {of_rounds}", *further]
+        return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
 
 
 def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
@@ -384,7 +385,7 @@ def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed:
     Raises InputError for a fraction, a seed or a mask that is none.
     """
     wanted, number, mask = (
-        plain_number(fraction, float),
+        to_builtin_number(fraction, float),
         checked_integer(seed, "the seed"),
         np.asarray(contact),
     )

@@ -168,7 +168,7 @@ def verify(
             counts = check_index(folder, manifest, findings, on_progress, decode=not quick)
             return TouchVerification(*counts, tuple(findings))
         try:
-            store.typed(operation, str, store.MANIFEST_FILE, "spec.operation")
+            store.convert_json(operation, str, store.MANIFEST_FILE, "spec.operation")
         except IntegrityError as error:
             findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     place.require_complete(split)

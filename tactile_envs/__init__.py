@@ -1,4 +1,4 @@
-"""Environments of touch, a hundred times as fast as the published ones, with the same episodes.
+"""Fast environments of touch with the episodes of the published ones; needs no OpenGL.
 
 Importing the module registers them with gymnasium: ``gymnasium.make``, ``gymnasium.make_vec`` and
 ``ap_gym.make_vec`` take ids of `tactile-mnist` with ``tactile_envs:`` before them, such as

@@ -17,7 +17,7 @@ from numba import types
 from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
-from tactile_toolkit.mesh import compiled
+from tactile_toolkit.compiled import compiled
 
 LANES = 8
 

@@ -9,5 +9,7 @@ from .pressing import pose as pose
 from .pressing import Pressable as Pressable, Pressed as Pressed, render_touch as render_touch
 from .pressing import Sensor as Sensor, center_view as center_view, full_view as full_view
 from .spec import TouchPlan as TouchPlan
+from .generation import TouchMaking as TouchMaking, look as look
+from .pairs import PairsMaking as PairsMaking
 
 __version__: str

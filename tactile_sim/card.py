@@ -122,7 +122,7 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
     ]
 
 
-def _touches_sheet(facts: cards.FolderFacts) -> bytes | None:
+def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds, a round a row, as PNG."""
     rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
@@ -130,7 +130,7 @@ def _touches_sheet(facts: cards.FolderFacts) -> bytes | None:
     return sheet_png(rows) if rows else None
 
 
-def _pairs_sheet(facts: cards.FolderFacts) -> bytes | None:
+def _pairs_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first rows of both splits, one above the other, as PNG."""
     rows = []
     for split in facts.splits:

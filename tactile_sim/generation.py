@@ -27,7 +27,7 @@ from tactile_sim.pressing import (
     render_touch,
 )
 from tactile_sim.spec import WINDOWS, PictureOptions, TouchPlan
-from tactile_toolkit import catalog, making, store
+from tactile_toolkit import catalog, generation, store
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.checked_fields import check_fields, choice, integer
 from tactile_toolkit.errors import InputError
@@ -170,7 +170,7 @@ class GenerateSpec:
 
 
 @dataclass(frozen=True)
-class TouchMaking(making.Making):
+class TouchMaking(generation.Generator):
     """How rounds of touches are made: for each object a plan of where it lies and is touched, then pictures.
 
     ``rows`` are those of the objects that are touched. The items are numbers of rounds, object after object.
@@ -197,7 +197,7 @@ class TouchMaking(making.Making):
     def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
         """Refuse to write into the source, as it is called (InputError)."""
         shards = (shard for each in self.source.values() for shard in each._table.files)
-        catalog.refuse_source(store.DataFolder(os.fspath(out)), os.fspath(source), shards)
+        catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), shards)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and source, each split for itself: a folder can be filled split by split."""
@@ -210,7 +210,7 @@ class TouchMaking(making.Making):
         """Return the rounds of each split."""
         return {split: range(self.spec.plan.rounds * len(each)) for split, each in self.rows.items()}
 
-    def layout(self) -> making.Layout:
+    def layout(self) -> generation.StorageLayout:
         """Return how rows are stored: pictures and drawn numbers have no dictionary."""
         drawn = (f"{name}.list.element.list.element" for name in DRAWN)
         has_small_rounds = self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE
@@ -220,7 +220,7 @@ class TouchMaking(making.Making):
             encodings=tuple((path, "PLAIN") for path in (_IMAGE_BYTES, *drawn)),
             values_per_page=_ROUNDS_PER_PAGE * self.spec.plan.touches if has_small_rounds else None,
         )
-        return making.Layout(
+        return generation.StorageLayout(
             style,
             libraries=("numpy", "pillow", "pyarrow", *(["torch"] if self.spec.optics == "cyclegan" else [])),
             smallest=self._rounds_for(_SMALLEST_SHARD_BYTES),
@@ -339,7 +339,7 @@ def generate(
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
 
@@ -359,7 +359,7 @@ def generate(
     splits : sequence of str, optional
         Splits of the source; all by default.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------
@@ -379,7 +379,7 @@ def generate(
     """
     touches = TouchMaking.of(source, spec)
     require = partial(touches.refuse_sources, source, out)
-    return making.generate(touches, out, splits, require=require, **run)
+    return generation.generate(touches, out, splits, require=require, **run)
 
 
 # On a surface as large as the cell they are two millimetres apart.

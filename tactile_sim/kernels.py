@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
-from tactile_toolkit.mesh import compiled
+from tactile_toolkit.compiled import compiled
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
 

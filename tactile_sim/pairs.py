@@ -22,7 +22,7 @@ from tactile_sim.optics import scaled
 from tactile_sim.plan import content_fingerprint, key_of, open_split, plan_round
 from tactile_sim.pressing import Pressable, Sensor, center_view, full_view, render_touch
 from tactile_sim.spec import WINDOWS, PairsSpec, TouchPlan
-from tactile_toolkit import catalog, making, mesh, places, read, store
+from tactile_toolkit import catalog, generation, mesh, places, read, store
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.kind import lazy
@@ -203,7 +203,7 @@ def _sensor(window: str, size_px: tuple[int, int]) -> Sensor:
 
 
 @dataclass(frozen=True)
-class PairsMaking(making.Making):
+class PairsMaking(generation.Generator):
     """How a training set is made: objects are pressed for the split ``depth``, touches drawn for ``real``.
 
     The items are numbers of depth images, and numbers of touches with whether they met their object.
@@ -229,7 +229,7 @@ class PairsMaking(making.Making):
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; ``objects`` is what that of the depth is called (InputError)."""
-        folder = store.DataFolder(os.fspath(out))
+        folder = store.open_folder(os.fspath(out))
         catalog.refuse_source(folder, objects, self.objects._table.files)
         catalog.refuse_source(folder, self.real, self.touches._table.files)
 
@@ -252,9 +252,9 @@ class PairsMaking(making.Making):
         """
         return {"depth": range(self.spec.count), "real": _draw(self.touches, self.spec, self.real)}
 
-    def layout(self) -> making.Layout:
+    def layout(self) -> generation.StorageLayout:
         """Return how rows are stored: pictures do not compress again."""
-        return making.Layout(
+        return generation.StorageLayout(
             store.ParquetStyle(100, compression_level=3, encodings=(("sensor_image.bytes", "PLAIN"),)),
             libraries=("numpy", "pillow", "pyarrow"),
             smallest=_ROWS_PER_SHARD,
@@ -360,7 +360,7 @@ def make_pairs(
     split: str,
     spec: PairsSpec,
     out: str | os.PathLike[str],
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make the training set of a CycleGAN: depth images of objects, and real touches, not paired.
 
@@ -378,7 +378,7 @@ def make_pairs(
     out : str or path-like
         Folder to write: splits ``depth`` and ``real``.
     **run
-        ``workers``, ``overwrite`` and ``on_progress``: see :class:`~tactile_toolkit.store.RunOptions`.
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------
@@ -396,4 +396,4 @@ def make_pairs(
     """
     pairs = PairsMaking.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
-    return making.generate(pairs, out, require=require, **run)
+    return generation.generate(pairs, out, require=require, **run)

@@ -23,12 +23,12 @@ import numpy as np
 
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
+from tactile_toolkit.builtin_values import is_integer, to_builtin, to_builtin_number
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, PRESS_DEPTH_M
-from tactile_toolkit.wording import is_integer, plain, plain_number
 
 CELL_M = (0.12, 0.12)
 """Width and depth of the plate that objects lie on, metres (`tactile-mnist` 0.13.0, ``CELL_SIZE``)."""
@@ -71,7 +71,7 @@ class Sensor:
     sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
 
     def __post_init__(self) -> None:
-        size = plain(self.size_px)
+        size = to_builtin(self.size_px)
         if not (isinstance(size, tuple) and len(size) == 2 and is_integer(*size) and min(size) >= 1):
             raise InputError(
                 f"size of the image is {self.size_px!r}; expected width and height in whole pixels"
@@ -227,7 +227,7 @@ _LEVEL = 1e-9  # least slope: the outline of a level face is far away, and still
 
 def checked_layer_m(layer_m: Any) -> float:
     """Return the height of layers as Python's own number, metres; 0 for none. InputError for any other."""
-    found = plain_number(layer_m, float)
+    found = to_builtin_number(layer_m, float)
     if isinstance(found, float) and (found == 0 or _LEAST_M <= found <= _MOST_M):
         return found
     raise InputError(

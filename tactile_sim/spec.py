@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from tactile_toolkit.builtin_values import to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import contact_height_option, size_option
-from tactile_toolkit.wording import plain
 
 if TYPE_CHECKING:
     from tactile_sim.noise import SensorNoise
@@ -375,7 +375,7 @@ class PairsSpec:
     seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "size_px", plain(self.size_px))
+        object.__setattr__(self, "size_px", to_builtin(self.size_px))
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(

@@ -12,8 +12,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
 from typing import Any, TypedDict, Unpack
 
+from tactile_toolkit.builtin_values import is_integer, to_builtin, to_builtin_pairs
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count, is_integer, plain, plain_pairs
+from tactile_toolkit.parsed_text import is_count
 
 _RULE = "rule"
 _MOST_INTEGER = (1 << 63) - 1
@@ -137,7 +138,7 @@ def metavar_of(name: str, rule: Rule) -> str:
 
 def check_value(rule: Rule, value: Any, name: str) -> Any:
     """Return the one spelling of a value; InputError, which begins with ``name``, where it does not fit."""
-    spelled = plain(value, rule.kind)
+    spelled = to_builtin(value, rule.kind)
     if not rule.fits(spelled):
         raise InputError(f"{name} is {value!r}; expected {rule.expected}")
     return spelled
@@ -166,7 +167,7 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
 
 def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
     """Return how many of something each split has, of a mapping or of pairs; InputError for anything else."""
-    pairs = plain_pairs(value)
+    pairs = to_builtin_pairs(value)
     fits = isinstance(pairs, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
         for pair in pairs

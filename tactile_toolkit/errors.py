@@ -24,7 +24,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from tactile_toolkit.redaction import public_address, redact
-from tactile_toolkit.wording import printable
+from tactile_toolkit.shown_text import printable
 
 
 class ToolkitError(Exception):

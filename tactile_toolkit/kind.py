@@ -157,8 +157,8 @@ class DatasetKind:
     plan_previews, plan_gallery : callable
         Plan pictures, or a page, of a data set, where the command line offers that.
     recipe : callable
-        Takes a seed and a number per class, returns the :class:`tactile_toolkit.making.Recipe` of what needs
-        no input, if any does.
+        Takes a seed and a number per class, returns the :class:`tactile_toolkit.generation.Recipe` of
+        what needs no input, if any does.
     """
 
     name: str

@@ -1,39 +1,82 @@
-"""Rows of data sets, each column declared in one line.
+"""Rows of data sets, each column declared once.
 
-From a class of rows follow the Arrow schema and the table of a shard, and the tables of fields in cards and
-documentation.
+From a class of rows follow the Arrow schema and table of a shard, the tables of fields in cards and
+documentation, the filters and measures of a gallery, and what cards and commands state of a split.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import chain
-from typing import Any, TypeVar, dataclass_transform
+from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import read
+from tactile_toolkit.array_types import Int64
 
 T = TypeVar("T")
+Role: TypeAlias = Literal["plain", "facet", "measure", "sum", "hidden"]
+
 _COLUMN = "column"
 
 
 @dataclass(frozen=True, slots=True)
-class _Declared:
-    data_type: Any
-    unit: str
-    meaning: str
-    name: str | None
+class Column:
+    """Facts of a column.
 
-
-def column(data_type: Any, unit: str = "", meaning: str = "", *, name: str | None = None) -> Any:
-    """Declare a column: its Arrow type, its shape, unit and frame, and its meaning.
-
-    ``name`` is that of the stored column where the attribute cannot be called so (``mesh.vertices``).
+    Attributes
+    ----------
+    data_type : pyarrow.DataType
+        How it is stored.
+    unit : str
+        Shape, unit and frame.
+    meaning : str
+        What it holds, in a sentence.
+    name : str
+        Name of the stored column; that of the attribute by default.
+    role : str
+        What the toolkit does with it. Objects are filtered and counted by the values of a ``"facet"``, which
+        may be a list. A ``"measure"`` is a number that is shown with each object; least, median and most are
+        stated of a split. A ``"sum"`` is a number whose total is stated. A ``"hidden"`` column is not stored.
+    title : str
+        Heading in tables and galleries.
+    decimals : int
+        Decimals that are shown of a number.
+    values : tuple of str
+        Values of a facet in the order in which they are shown; others follow them.
     """
-    return field(metadata={_COLUMN: _Declared(data_type, unit, meaning, name)})
+
+    data_type: pa.DataType
+    unit: str = ""
+    meaning: str = ""
+    name: str = ""
+    role: Role = "plain"
+    title: str = ""
+    decimals: int = 0
+    values: tuple[str, ...] = ()
+
+    @property
+    def heading(self) -> str:
+        """Title and unit, for the head of a table."""
+        return f"{self.title}, {self.unit}" if self.unit else self.title
+
+    def text(self, number: float) -> str:
+        """Write a value with its decimals; NaN, which is unknown, as a dash."""
+        return "-" if math.isnan(number) else f"{number:,.{self.decimals}f}"
+
+
+def column(
+    data_type: pa.DataType, unit: str = "", meaning: str = "", *, default: object = MISSING, **facts: Any
+) -> Any:
+    """Declare an attribute of a row as a column; ``facts`` are further ones of :class:`Column`.
+
+    ``name`` is needed where the attribute cannot be called so (``mesh.vertices``).
+    """
+    return field(default=default, metadata={_COLUMN: Column(data_type, unit, meaning, **facts)})
 
 
 @dataclass_transform(frozen_default=True, eq_default=False, field_specifiers=(column, field))
@@ -42,30 +85,41 @@ def row(declared: type[T]) -> type[T]:
     return dataclass(frozen=True, slots=True, eq=False)(declared)
 
 
-def _columns(row_type: Any) -> list[tuple[str, str, _Declared]]:
-    """List attribute, name and declaration of each column; other attributes are not stored in shards."""
-    found = [(each.name, each.metadata.get(_COLUMN)) for each in fields(row_type)]
-    return [(attribute, each.name or attribute, each) for attribute, each in found if each is not None]
+def columns(row_type: Any) -> dict[str, Column]:
+    """Return the columns of a class of rows by attribute, each with its name; others are not stored."""
+    found = {each.name: each.metadata.get(_COLUMN) for each in fields(row_type)}
+    return {
+        attribute: replace(each, name=each.name or attribute)
+        for attribute, each in found.items()
+        if each is not None
+    }
+
+
+def with_role(row_type: type, *roles: Role) -> tuple[Column, ...]:
+    """Return the columns that have one of some roles."""
+    return tuple(each for each in columns(row_type).values() if each.role in roles)
 
 
 def meanings(row_type: type) -> dict[str, tuple[str, str]]:
     """Return shape, unit and frame of each column, and its meaning, by name."""
-    return {name: (declared.unit, declared.meaning) for _, name, declared in _columns(row_type)}
+    return {each.name: (each.unit, each.meaning) for each in columns(row_type).values()}
 
 
 def plain_schema(row_type: type) -> pa.Schema:
     """Return the Arrow schema of such rows, without metadata."""
-    return pa.schema([(name, declared.data_type) for _, name, declared in _columns(row_type)])
+    return pa.schema(
+        [(each.name, each.data_type) for each in columns(row_type).values() if each.role != "hidden"]
+    )
 
 
 def table_of(rows: Sequence[Any], schema: pa.Schema) -> pa.Table:
     """Pack rows of one class into a table; ``schema`` has their columns and any metadata."""
     if not rows:
         return schema.empty_table()
-    attributes = [attribute for attribute, _, _ in _columns(type(rows[0]))]
+    stored = [attribute for attribute, each in columns(type(rows[0])).items() if each.role != "hidden"]
     arrays = [
         _array([getattr(each, attribute) for each in rows], data_type)
-        for attribute, data_type in zip(attributes, schema.types, strict=True)
+        for attribute, data_type in zip(stored, schema.types, strict=True)
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
@@ -74,9 +128,8 @@ def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
     """Pack the values of a column: arrays of shape (n, w) as lists of vectors, tuples as lists of structs."""
     inner = data_type.value_type if pa.types.is_list(data_type) else None
     if inner is not None and pa.types.is_fixed_size_list(inner):
-        return read.ragged_array(
-            read.RaggedColumn(np.concatenate(values), _offsets(values)), inner.value_type
-        )
+        vectors = read.RaggedColumn(np.concatenate(values), _offsets(values))
+        return read.ragged_array(vectors, inner.value_type)
     if inner is not None and pa.types.is_struct(inner):
         # Much faster than from a dict for each struct.
         parts = list(zip(*chain.from_iterable(values), strict=True))
@@ -88,5 +141,5 @@ def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
     return pa.array(values, data_type)
 
 
-def _offsets(values: list[Any]) -> Any:
+def _offsets(values: list[Any]) -> Int64:
     return np.cumsum([0, *map(len, values)])

@@ -44,9 +44,12 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
 def table_lines(content: bytes, path: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the columns and lines of a table; InputError, which names ``path``, where it cannot be read."""
     text, separator = table_text(content, path)
-    lines = csv.DictReader(io.StringIO(text, newline=""), delimiter=separator, strict=True)
+    # Blanks behind a separator are not of the value.
+    stream = io.StringIO(text, newline="")
+    lines = csv.DictReader(stream, delimiter=separator, strict=True, skipinitialspace=True)
     try:
-        return list(lines.fieldnames or ()), list(lines)
+        lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
+        return list(lines.fieldnames), list(lines)
     except csv.Error as error:
         # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
         raise InputError(

@@ -1,33 +1,32 @@
-"""Units that names of columns state: ``x_mm`` is in millimetres, ``turn_deg`` in degrees."""
+"""Units of lengths and angles, and those that names of columns state: ``x_mm`` is in millimetres."""
 
 from __future__ import annotations
 
 import math
-from typing import Literal
 
 from tactile_toolkit.errors import InputError
 
-LengthUnit = Literal["mm", "cm", "m"]
+MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}
 
-PER_METRE: dict[str, float] = {"mm": 1000.0, "cm": 100.0, "m": 1.0}
-"""How many of each unit make a metre."""
+PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm", "m")}
+"""How many of each unit that columns may have make a metre."""
 
 PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
 """How many of each unit make a radian."""
 
 
 def stated_unit(name: str) -> str | None:
-    """Return the unit in which the name of a column ends, such as ``mm`` or ``deg``; None if in none."""
+    """Return the unit that the name of a column ends with, such as ``mm`` or ``deg``; None without one."""
     _, _, ending = name.rpartition("_")
     unit = ending.lower()
     return unit if "_" in name and (unit in PER_METRE or unit in PER_RADIAN) else None
 
 
 def length_per_metre(name: str, given: str | None = None) -> float:
-    """Return by what the lengths of a column are divided to be metres.
+    """Return how many units of a column make a metre.
 
-    The name of the column states the unit, or ``given`` does; metres where none does. InputError where both
-    do and differ, and for an angle.
+    The name of the column states the unit, or ``given`` does; the default is metres. InputError: both state
+    one and differ, or the column states an angle.
     """
     stated = stated_unit(name)
     if stated in PER_RADIAN or (stated and given and stated != given):

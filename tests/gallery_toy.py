@@ -9,21 +9,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import pyarrow as pa
 
-from tactile_toolkit.gallery import Facet, Gallery, Item, Measure, packed_mesh, thumbnail
+from tactile_toolkit.gallery import Gallery, GalleryItem, packed_mesh, thumbnail
+from tactile_toolkit.rows import Column
 
 _OWN = "document.title='owned'"
 HOSTILE = f"""<script>{_OWN}</script>"><img src=x onerror="{_OWN}">'`${{1}}&amp;\u2028"""
 CORNERS_M = np.array([[0, 0, 0], [0.03, 0, 0], [0, 0.02, 0], [0, 0, 0.01]])
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 # No toy has a hat: what nothing has any value of is no filter.
-FACETS = (
-    Facet("label", "Class"),
-    Facet("parity", "Parity", ("odd", "even")),
-    Facet("writer", "Writer"),
-    Facet("hats", "Hats"),
+COLUMNS = (
+    Column(pa.string(), name="label", role="facet", title="Class"),
+    Column(pa.string(), name="parity", role="facet", title="Parity", values=("odd", "even")),
+    Column(pa.string(), name="writer", role="facet", title="Writer"),
+    Column(pa.string(), name="hats", role="facet", title="Hats"),
+    Column(pa.float64(), "mm³", name="volume", role="measure", title="Volume", decimals=1),
+    Column(pa.float64(), name="unknown", role="measure", title="Never measured"),
 )
-MEASURES = (Measure("volume", "Volume", "mm³", 1), Measure("unknown", "Never measured"))
 
 
 @dataclass(frozen=True)
@@ -43,7 +46,7 @@ class ToyTask:
     def size(self) -> int:
         return self.stop - self.start
 
-    def make(self) -> list[Item]:
+    def make(self) -> list[GalleryItem]:
         if self.alive is not None:
             Path(self.alive).touch()
         if self.error is not None:
@@ -53,19 +56,19 @@ class ToyTask:
         time.sleep(self.pause_s)
         return [self._item(number) for number in range(self.start, self.stop)]
 
-    def _item(self, number: int) -> Item:
+    def _item(self, number: int) -> GalleryItem:
         evil = HOSTILE if self.hostile else ""
         shade = np.full((12, 12), 255, np.uint8)
         shade[3:9, 3:9] = 40 + number % 160
-        return Item(
+        return GalleryItem(
             id=f"{number}{evil}",
             title=f"toy {number % 10}{evil}",
-            facets={
-                "label": (f"{number % 10}{evil}",),
-                "parity": ("even" if number % 2 == 0 else "odd",),
-                "writer": (str(number % 31),),
+            values={
+                "label": f"{number % 10}{evil}",
+                "parity": "even" if number % 2 == 0 else "odd",
+                "writer": number % 31,
+                "volume": (number * 37 % 1000) / 10 if number % 7 else None,
             },
-            measures={"volume": (number * 37 % 1000) / 10 if number % 7 else None},
             thumbnail=thumbnail(shade, opaque_from=1),
             content={
                 "notes": [(f"Note{evil}", f"of {number}{evil}")],
@@ -80,4 +83,4 @@ def toy_gallery(count: int = 20, portion: int = 8, **options: object) -> Gallery
     starts = range(0, count, portion)
     tasks = tuple(ToyTask(start, min(start + portion, count), **options) for start in starts)  # type: ignore[arg-type]
     title = f"Toys {HOSTILE}" if options.get("hostile") else "Toys"
-    return Gallery("toy", title, ("toy", "toys"), FACETS, MEASURES, tasks, {"train": count})
+    return Gallery("toy", title, ("toy", "toys"), COLUMNS, tasks, {"train": count})

@@ -15,12 +15,13 @@ import typer.main
 import mnist3d
 from tactile_toolkit.errors import MissingExtraError
 from tests.pages import expression
-from tests.unchanged.record import COMMAND_LINES, PACKAGES
+from tests.unchanged.record import PACKAGES
 
 __all__ = ["fault"]
 
 _ROOTS = (*(package for package in PACKAGES if "." not in package), "tactile_toolkit")
-_EXAMPLES = {"digits": mnist3d.MeshDataset, "digit": mnist3d.MeshRecord}
+_COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
+_EXAMPLES = {"digits": mnist3d.DigitDataset, "digit": mnist3d.DigitRecord}
 """What pages call so."""
 
 
@@ -34,7 +35,7 @@ def _commands() -> dict[str, dict[str, set[str]]]:
     """Return the options of each command of each command line."""
     groups: dict[str, Any] = {
         name.replace("_", "-"): typer.main.get_command(import_module(f"cli.{name}").app)
-        for name in COMMAND_LINES
+        for name in _COMMAND_LINES
     }
     return {
         line: {

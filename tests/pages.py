@@ -38,7 +38,12 @@ _STREAMS = ("stdout", "stderr")
 _READY = multiprocessing.get_context("forkserver")
 _IMPORTED_BEFORE = [
     *(f"cli.{name}" for name in ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")),
-    *("mnist3d.make", "starstruck_gen.make", "realtouch.opening", "tactile_sim.generation"),
+    *(
+        "mnist3d.digit_generation",
+        "starstruck_gen.scene_generation",
+        "realtouch.opening",
+        "tactile_sim.generation",
+    ),
     *("datasets", "numba", "pyarrow.parquet", "scipy.ndimage", "skimage.measure", "trimesh"),
 ]
 

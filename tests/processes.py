@@ -16,9 +16,9 @@ PATIENCE_S = 3_600
 _HELD = """
 import importlib, sys, time
 from pathlib import Path
-from cli import making
+from cli import runs
 name, shards, marker = sys.argv[1], int(sys.argv[2]), Path(sys.argv[3])
-make_with_progress = making.make_with_progress
+make_with_progress = runs.make_with_progress
 
 def held(sink, what, nouns, make, *others):
     finished = []
@@ -33,7 +33,7 @@ def held(sink, what, nouns, make, *others):
         return make(on_progress=hold, **options)
     return make_with_progress(sink, what, nouns, stand_still, *others)
 
-making.make_with_progress = held
+runs.make_with_progress = held
 sys.argv = [name, *sys.argv[4:]]
 importlib.import_module(f"cli.{name}").main()
 """
@@ -69,11 +69,6 @@ def start_held(command_line: str, shards: int, marker: Path, *words: object) -> 
         assert process.poll() is None, process.communicate()[1].decode()
         time.sleep(0.01)
     return process
-
-
-def wait_for_death(pid: int) -> None:
-    """Wait until a child has ended, and leave it a zombie."""
-    os.waitid(os.P_PID, pid, os.WEXITED | os.WNOWAIT)
 
 
 def children(pid: int) -> list[int]:

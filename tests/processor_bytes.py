@@ -9,15 +9,15 @@ from pathlib import Path
 import mnist3d
 import realtouch
 import starstruck_gen
-from mnist3d.sources.canvas import enlarge
+from mnist3d.ink.sheet import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.tactile_sim.sets import touch_sets
 
 
 def main(folder: Path, touches: Path) -> None:
     source = SyntheticSource(seed=1)
-    mnist3d.generate(mnist3d.GenerateSpec(source, limit=12), folder / "digits", splits=("test",))
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30),))
+    mnist3d.generate(mnist3d.DigitSetSpec(source, limit=12), folder / "digits", splits=("test",))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 30),))
     starstruck_gen.generate(scenes, folder / "scenes")
     realtouch.clips_to_images(touches / "clips", folder / "to-single", frame="peak")
     realtouch.resize(touches / "images", folder / "resized", width=48, height=36)

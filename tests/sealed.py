@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from tactile_toolkit.store.names import seal
+from tactile_toolkit.store.sealed_json import seal
 
 
 def sealed(values: Any) -> str:

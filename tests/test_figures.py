@@ -42,33 +42,3 @@ def test_code_changes_mark_and_comments_do_not(tmp_path: Path, monkeypatch: pyte
     assert figures.fingerprint(("code.py",)) == before
     code.write_text("def f():\n    return 2\n")
     assert figures.fingerprint(("code.py",)) != before
-
-
-@pytest.mark.parametrize(
-    ("value", "unit", "words"),
-    [
-        (0.0000299, "s", "29.9 µs"),
-        (0.03274, "s", "32.7 ms"),
-        (14.2, "s", "14.2 s"),
-        (713, "bytes", "713 bytes"),
-        (53_200, "bytes", "53.2 kB"),
-        (1001.4, "times", "1,001 times"),
-        (0.5, "%", "0.5 %"),
-    ],
-)
-def test_units_suit_their_size(value: float, unit: str, words: str) -> None:
-    assert figures.in_words(value, unit) == words
-
-
-@pytest.mark.parametrize(
-    ("figure", "met"),
-    [
-        ({"value": 3.0, "target": "at most 5"}, True),
-        ({"value": 6.0, "target": "at most 5"}, False),
-        ({"value": 1e-5, "ratio": 29.0, "target": "at least 30"}, False),
-        ({"value": 1e-5, "ratio": 30.0, "target": "at least 30"}, True),
-        ({"value": 1.0}, True),
-    ],
-)
-def test_targets_are_of_the_ratio_where_there_is_one(figure: dict[str, Any], met: bool) -> None:
-    assert figures.is_met(figure) is met

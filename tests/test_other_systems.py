@@ -73,7 +73,7 @@ for package in {PACKAGES!r}:
 print(json.dumps(imported))
 """
     imported = json.loads(hidden(tmp_path, code, functions=False).splitlines()[-1])
-    assert {"tactile_toolkit.store.files", "cli.application", "mnist3d.make"} <= set(imported)
+    assert {"tactile_toolkit.store.files", "cli.application", "mnist3d.digit_generation"} <= set(imported)
     assert set(PACKAGES) <= set(imported)
 
 
@@ -86,14 +86,14 @@ import tactile_toolkit.store.locks as system
 
 def main():
     import env_assets, starstruck_gen
-    from tactile_toolkit.store.folder import DataFolder
+    from tactile_toolkit.store import open_folder
     from tactile_toolkit.store.verification import verify
 
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", 8), ("test", 2)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 8), ("test", 2)))
     starstruck_gen.generate(spec, "scenes", workers=2)
     scenes = starstruck_gen.load("scenes", "train")
     assert len(scenes) == 8 and scenes[3].mesh.is_watertight
-    assert verify(DataFolder("scenes")).ok
+    assert verify(open_folder("scenes")).ok
     provider = env_assets.AssetProvider("assets", generate=True, per_class=1)
     assert provider.meshes("wrench", "train")[0].mesh.is_watertight
     with system.locked(Path("a.lock")), system.locked(Path("scenes")):

@@ -2,8 +2,8 @@
 From ink to a solid
 ===================
 
-An image of a digit becomes a closed, printable mesh. The height map shows it from above: its shoulders are
-round, because each layer is drawn in a little more than the one below it.
+An image of a digit becomes a closed, printable mesh. The height map shows the mesh from above. Its shoulders
+are round, because each layer is a little smaller than the one below it.
 """
 
 import matplotlib.pyplot as plt
@@ -25,7 +25,7 @@ figure.colorbar(drawn, label="height over the plate, mm")
 plt.show()
 
 # %%
-# What a printer needs to know of it:
+# Properties that matter for printing:
 
 report = mnist3d.inspect(mesh)
 print(f"{report.volume_mm3:,.0f} mm³, thinnest wall {report.thinnest_wall_mm:.1f} mm")

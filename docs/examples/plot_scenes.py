@@ -2,7 +2,7 @@
 Starstruck scenes
 =================
 
-Scenes are made when they are asked for: nothing is written, and a seed gives the same scenes anywhere.
+Scenes are computed on request. No file is written, and a seed gives the same scenes on every machine.
 """
 
 import matplotlib.pyplot as plt
@@ -18,7 +18,7 @@ for each, number in zip(axes, (0, 1, 123_456, 999_999), strict=True):
 plt.show()
 
 # %%
-# Other shapes, more of them, placed by their true outlines instead of circles around them:
+# More objects and other shapes, placed by their outlines instead of their circumscribed circles:
 
 spec = starstruck_gen.SceneSpec(
     stars=(3, 4, 5),

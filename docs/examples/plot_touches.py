@@ -2,8 +2,8 @@
 Touch a digit
 =============
 
-A simulated GelSight Mini goes to four places of a digit. Depth is what the gel is pressed by; Taxim turns it
-into the colours that the camera behind the gel would see.
+A simulated GelSight Mini is pressed onto four places of a digit. The depth images show how far the gel is
+pressed in. Taxim turns depth into the colours that the camera behind the gel would see.
 """
 
 import matplotlib.pyplot as plt

@@ -13,7 +13,7 @@ import pyarrow as pa
 from env_assets.wrench.kind import KIND
 from env_assets.wrench.solid import wrench_mesh
 from env_assets.wrench.spec import WrenchSpec
-from tactile_toolkit import cards, making, pictures, store
+from tactile_toolkit import cards, generation, pictures, store
 from tactile_toolkit.mesh import MeshRow, mesh_schema, write_mesh
 from tactile_toolkit.rows import column, meanings, row
 
@@ -47,7 +47,7 @@ def wrench_schema() -> pa.Schema:
 
 
 @dataclass(frozen=True)
-class WrenchMaking(making.Making):
+class WrenchMaking(generation.Generator):
     """How a wrench is made."""
 
     spec: WrenchSpec
@@ -57,10 +57,10 @@ class WrenchMaking(making.Making):
         """Return one item, in a split that is called as that of the published wrench."""
         return {"train": range(1)}
 
-    def layout(self) -> making.Layout:
+    def layout(self) -> generation.StorageLayout:
         """Return how the row is stored."""
         style = store.ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
-        return making.Layout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
+        return generation.StorageLayout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of the shard."""
@@ -120,12 +120,12 @@ def write_wrench(
     mesh = wrench_mesh(spec)
     if mesh_file is not None:
         write_mesh(store.expanded(mesh_file), mesh)
-    return making.generate(WrenchMaking(spec), out, overwrite=overwrite)
+    return generation.generate(WrenchMaking(spec), out, overwrite=overwrite)
 
 
-def wrench_recipe(seed: int, per_class: int | None) -> making.Recipe:
+def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how the usual wrench is made, which has neither a seed nor classes."""
-    return making.Recipe(WrenchMaking(WrenchSpec.for_size()))
+    return generation.Recipe(WrenchMaking(WrenchSpec.for_size()))
 
 
 def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:

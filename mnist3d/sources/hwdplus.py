@@ -11,8 +11,9 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
-from mnist3d.sources.canvas import as_grey, fit
+import mnist3d.ink
+from mnist3d.ink.grey_levels import as_grey
+from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
 
@@ -77,7 +78,7 @@ class HwdPlusSource:
         where = f"{self.images}, row {digit_id}"
         require_known(digit_id, min(len(stack), len(labels)), self.images)
         full_scale = _full_scale(self.images, _stamp(self.images))
-        pixels = fit(as_grey(np.array(stack[digit_id]), full_scale, where))
+        pixels = mnist3d.ink.fit(as_grey(np.array(stack[digit_id]), full_scale, where))
         return DigitImage(digit_id, int(labels[digit_id]), pixels, int(writers[digit_id]))
 
     def fingerprint(self) -> dict[str, object]:

@@ -18,8 +18,8 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.sources import NO_WRITER, DigitCatalog, DigitImage, require_known
-from mnist3d.sources.canvas import SIDE_PX, enlarge
+import mnist3d.ink
+from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit import store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.bounds import require_unpackable
@@ -85,7 +85,7 @@ class MnistSource:
         while index >= len(parts[0][0]):
             index -= len(parts.pop(0)[0])
         images, labels = parts[0]
-        pixels = enlarge(255 - images[index], (SIDE_PX, SIDE_PX))
+        pixels = mnist3d.ink.fit(255 - images[index])
         return DigitImage(digit_id, int(labels[index]), pixels)
 
     def fingerprint(self) -> dict[str, object]:
@@ -179,17 +179,21 @@ def read_idx(path: Path, magic: int) -> UInt8:
     """
     start = 4 + 4 * (magic & 0xFF)
     try:
-        with path.open("rb") as file:
+        with store.open_regular(path) as file:
             is_packed = file.read(len(_GZIP)) == _GZIP
             file.seek(0)
             stream = gzip.GzipFile(fileobj=file) if is_packed else file
-            found, *shape = struct.unpack(f">{start // 4}I", stream.read(start))
+            header = stream.read(start)
+            if len(header) < start:
+                raise EOFError
+            found, *shape = struct.unpack(f">{start // 4}I", header)
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)
             require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
-    except (EOFError, OSError, zlib.error, struct.error) as error:
-        raise _unusable(path, f"a file that cannot be read ({error})", "an intact IDX file") from error
+    except (EOFError, OSError, zlib.error) as error:
+        problem = getattr(error, "strerror", None) or "damaged or cut off"
+        raise _unusable(path, f"a file that cannot be read ({problem})", "an intact IDX file") from error
     if len(data) != prod(shape):
         raise _unusable(
             path, f"{len(data)} bytes or more of numbers", f"{prod(shape)} for an array of shape {shape}"

@@ -8,20 +8,20 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.sources import DigitCatalog, DigitImage, require_known
-from mnist3d.sources.digits import ALLOGRAPHS
-from mnist3d.sources.pen import (
+from mnist3d.handwriting.allographs import ALLOGRAPHS
+from mnist3d.handwriting.inking import ink_paths
+from mnist3d.handwriting.keyed_random import KeyedRng
+from mnist3d.handwriting.page_layout import on_page
+from mnist3d.handwriting.writer_style import (
     DIGIT_STYLES,
-    KeyedRng,
     WriterStyle,
     choose_allograph,
-    draw,
     draw_style,
-    on_page,
     style_for_digit,
     variation,
 )
-from mnist3d.spec import MOST_DIGITS
+from mnist3d.published_splits import MOST_DIGITS
+from mnist3d.sources.digit_source import DigitCatalog, DigitImage, require_known
 from tactile_toolkit.checked_fields import check_fields, integer
 
 DRAWING_VERSION = 2
@@ -32,8 +32,10 @@ HWD_PLUS_COUNT = 13_580
 
 _PER_CLASS = 14
 _PER_WRITER = 10 * _PER_CLASS
+
 _HAND, _CLASS_NOISE, _WRITER_NOISE, _DIGIT, _INK = range(5)
 """First words of the keys of the random streams."""
+
 # Relative deviation of height and pen width between the digits of a writer whose jitter is 1.
 _SIZE_JITTER = 0.06
 
@@ -123,5 +125,5 @@ class SyntheticSource:
         strokes = shape(vary, pen_px / (height_px - pen_px) / min(style.aspect, 1.0))
         paths = on_page(strokes, style, height_px, pen_px, vary, rng)
         # Ink has a stream of its own: how it flows does not depend on how many numbers the shape took.
-        pixels = draw(paths, pen_px, style, KeyedRng(_INK, self.seed, digit_id))
+        pixels = ink_paths(paths, pen_px, style, KeyedRng(_INK, self.seed, digit_id))
         return DigitImage(digit_id, label, pixels, writer)

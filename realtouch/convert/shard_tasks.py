@@ -142,7 +142,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     )
 
 
-class JobOptions(store.RunOptions, total=False):
+class JobOptions(store.RunKeywords, total=False):
     """How any conversion is done; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
@@ -156,13 +156,13 @@ def write_conversion(
     *,
     split: str | None = None,
     limit: int | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write a conversion as a data set folder with a card; an interrupted one continues where it stopped.
 
     ``plan`` takes the source and the number of rounds of each split to take at most.
     """
-    opened, folder = Source.open(source, split=split), store.DataFolder(fspath(out))
+    opened, folder = Source.open(source, split=split), store.open_folder(fspath(out))
     conversion = plan(opened, require_limit(limit))
     catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
     origin = origin_of(opened.schema, opened.manifest())

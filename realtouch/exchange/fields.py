@@ -47,6 +47,10 @@ def integer_text(text: str) -> str:
 
 def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]) -> int:
     """Return the number of the class, -1 where it is not known; ItemError for another one."""
+    if isinstance(values.get(column or NUMBERED), (list, dict)):
+        raise ItemError(
+            "label", f"the label {shown(values[column or NUMBERED])}; expected a name or a number"
+        )
     label = text_of(values, column) or text_of(values, NUMBERED)
     if not names or label in UNKNOWN:
         return -1
@@ -122,6 +126,9 @@ def _numbers(
 
 def _number(value: Any) -> float:
     """Return a number; a comma inside is the decimal mark, as spreadsheets of some countries write it."""
-    if isinstance(value, str) and _DECIMAL_COMMA.fullmatch(value):
-        value = value.replace(",", ".")
+    if isinstance(value, str):
+        if "_" in value:  # which Python passes over
+            raise ValueError
+        if _DECIMAL_COMMA.fullmatch(value):
+            value = value.replace(",", ".")
     return float(value)

@@ -141,7 +141,7 @@ def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
     unreadable = ItemError("image", "the file cannot be read")
     try:
-        with store.open_inside(store.DataFolder(items[0].home), items[0].path) as stream:
+        with store.open_inside(store.open_folder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))

@@ -22,8 +22,8 @@ from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError, ItemError
+from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE, is_jpeg, with_features
-from tactile_toolkit.wording import printable
 
 NOT_IMPORTED = "not_imported"
 """What the statistics call the fields of the source that were not imported: touches that had one, by name."""
@@ -57,7 +57,7 @@ def touch_schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
 def version_of(file: tuple[str, str]) -> tuple[object, ...] | None:
     """Return what changes whenever a file, by folder and path, is replaced."""
     folder, path = file
-    return store.DataFolder(folder).version(path)
+    return store.open_folder(folder).version(path)
 
 
 def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:

@@ -49,7 +49,7 @@ def import_images(
     table: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
@@ -88,7 +88,7 @@ def import_images(
     IntegrityError, SpecMismatchError, StorageError
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
-    home, folder = store.DataFolder(fspath(source)), store.DataFolder(fspath(out))
+    home, folder = store.open_folder(fspath(source)), store.open_folder(fspath(out))
     require_layout(layout, IMPORTS)
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
@@ -110,11 +110,11 @@ def _items(
     """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
     folders = [home]
     if layout in home.entries():
-        folders = [store.DataFolder(home.address(layout))]
+        folders = [store.open_folder(home.address(layout))]
     found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
     splits = [name for name, size in found.items() if size is None]
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
-        folders = [store.DataFolder(folders[0].address(split)) for split in splits]
+        folders = [store.open_folder(folders[0].address(split)) for split in splits]
     every = chain.from_iterable(IMPORTS[layout].find(folder, columns, table) for folder in folders)
     items = [item.used(number, columns) for number, item in enumerate(every)]
     if not items:

@@ -124,7 +124,7 @@ def describe_conversion(items: Sequence[FoundTouch]) -> str:
 def _pictures(item: FoundTouch) -> PictureArray:
     """Open the pictures that an item is one of."""
     divisor, _, name = item.part.partition(" ")
-    return PictureArray(ZarrGroup(store.DataFolder(item.home), item.path).array(name), float(divisor))
+    return PictureArray(ZarrGroup(store.open_folder(item.home), item.path).array(name), float(divisor))
 
 
 def _images(shards: Sequence[read.Shard]) -> Any:

@@ -72,20 +72,25 @@ def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
 
 def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
     """Yield place and size of each image in a pickled list; executes nothing of it."""
+    lists = 0
     try:
         for opcode, content, position in pickletools.genops(stream):
+            lists += opcode.name == "EMPTY_LIST"
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 if len(content) < _LEAST_IMAGE_BYTES:
                     raise InputError(
                         f"{name!r} holds {len(content)} bytes at {position:,}; expected an encoded image"
                     )
                 yield position + _HEADER_BYTES[opcode.name], len(content)
-            elif opcode.name not in _OF_LISTS:
+            elif opcode.name not in _OF_LISTS or lists > 1:
                 raise InputError(
-                    f"{name!r} holds something else than a list of encoded images ({opcode.name})"
+                    f"{name!r} holds something else than a list of encoded images ({opcode.name})",
+                    next="write one list of `bytes` with pickle protocol 3 or higher",
                 )
     except (ValueError, OverflowError, MemoryError) as error:
         raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
+    if stream.read(1):
+        raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
 
 
 def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:

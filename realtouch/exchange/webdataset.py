@@ -31,6 +31,8 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
 _FOLDER = "webdataset"
+# How files of gzip, bzip2, xz and Zstandard begin.
+_PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
 
 
@@ -98,6 +100,9 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
         with open_source(folder, name) as stream:
+            if stream.read(4).startswith(_PACKED):
+                raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
+            stream.seek(0)
             for member in files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, path_of(member.name)
                 if store.is_hidden(path):  # as archives of a Mac have, one for each file
@@ -134,6 +139,9 @@ def _sample(
     if not images:
         expected = wanted or ", ".join(IMAGE_ENDINGS)
         problems.append(ItemError("missing", f"no image; expected one of {expected}"))
+    if len(images) > 1:
+        found = ", ".join(each.ending for each in images)
+        problems.append(ItemError("images", f"the images {found}; expected one (--image-column names it)"))
     values: dict[str, Any] = {}
     for member in members:
         if member.ending == "json":
@@ -142,7 +150,8 @@ def _sample(
             except ItemError as error:
                 problems.append(error)
         elif not _is_image(member.ending):
-            values.setdefault(member.ending, member.content.decode(errors="replace").strip())
+            # What is not Unicode is named where it is used.
+            values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
     image, problem = next(iter(images), _NO_FILE), next(iter(problems), None)
     return FoundTouch(key, folder.address(), name, image.start, image.size, values, problem)
 

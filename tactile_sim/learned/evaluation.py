@@ -126,7 +126,7 @@ class Evaluation:
 
     def write(self, out: str | os.PathLike[str]) -> None:
         """Write ``evaluation.md``, ``evaluation.json`` and ``evaluation.png`` into a folder."""
-        folder = store.DataFolder(os.fspath(out))
+        folder = store.open_folder(os.fspath(out))
         folder.require_folder()
         folder.write_bytes("evaluation.md", self.to_markdown().encode())
         folder.write_bytes("evaluation.json", (json.dumps(self.to_dict(), indent=1) + "\n").encode())

@@ -49,7 +49,7 @@ from tactile_toolkit.errors import (
     SpecMismatchError,
     ToolkitError,
 )
-from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden
+from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden, open_folder
 from tactile_toolkit.touch import decode_image
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
@@ -129,7 +129,7 @@ def train(
         The folder holds a training with other settings; checkpoint or training set are damaged; the folder
         cannot be written; the losses are not finite any more. The last checkpoint stays.
     """
-    config, data, folder = config or TrainConfig(), Pairs.open(pairs), DataFolder(os.fspath(out))
+    config, data, folder = config or TrainConfig(), Pairs.open(pairs), open_folder(os.fspath(out))
     _require_trainable(pairs, data, config)
     if tensorboard:
         _require_tensorboard(folder)

@@ -13,9 +13,9 @@ from .locate import (
     specification_read as specification_read,
 )
 from .spec import (
-    ALL_ROWS as ALL_ROWS,
+    NO_FILTER as NO_FILTER,
     CONFIG as CONFIG,
-    Chosen as Chosen,
+    RowFilter as RowFilter,
     IDS as IDS,
     INCOMPLETE as INCOMPLETE,
     IdChoice as IdChoice,

@@ -17,7 +17,7 @@ def specification_read(where: str) -> Iterator[None]:
         yield
     except (KeyError, TypeError, AttributeError) as error:
         problem = f"its specification is not that of this kind of data set ({type(error).__name__}: {error})"
-        raise store.damaged(where, problem) from error
+        raise store.damaged_error(where, problem) from error
 
 
 def manifest_beside(shard: read.Shard) -> store.Manifest | None:

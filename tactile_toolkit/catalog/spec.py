@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 
 from tactile_toolkit.checked_fields import check_fields, integer, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import listed
+from tactile_toolkit.parsed_text import comma_separated
 
 _IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
 
@@ -65,13 +65,13 @@ REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")
 CONFIG = text(metavar="NAME", help="Configuration, of a data set whose card has several.")
 INCOMPLETE = switch(False, help="Take the finished shards of a data set whose run is not finished.")
 IDS = text(name="--ids", metavar="3,17,40-60", read=parse_ids, help="Only the objects with these ids.")
-LABELS = text(metavar="3,7", read=listed, help="Only the objects of these classes.")
+LABELS = text(metavar="3,7", read=comma_separated, help="Only the objects of these classes.")
 LIMIT = integer(None, 1, optional=True, help="Only the first N rows of each split.")
 PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class, in each split.")
 
 
 @dataclass(frozen=True, slots=True)
-class Chosen:
+class RowFilter:
     """Options of all commands that take some of the objects of a data set."""
 
     split: str | None = SPLIT
@@ -82,15 +82,15 @@ class Chosen:
 
     def given(self) -> dict[str, Any]:
         """Return what was asked for, by name; a split only where it is not ``all``."""
-        named = {each.name: getattr(self, each.name) for each in fields(Chosen)}
+        named = {each.name: getattr(self, each.name) for each in fields(RowFilter)}
         return {**named, "split": None if self.split == "all" else self.split}
 
 
-ALL_ROWS = Chosen()
+NO_FILTER = RowFilter()
 
 
 @dataclass(frozen=True, slots=True)
-class PreviewSpec(Chosen):
+class PreviewSpec(RowFilter):
     """Which pictures of a data set of meshes to draw.
 
     Without kinds a sheet; without a split all of them; without ids the first ``per_class`` rows of each class

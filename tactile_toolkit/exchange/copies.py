@@ -94,7 +94,7 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 
 
 def merge_sets(
-    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[store.RunOptions]
+    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[store.RunKeywords]
 ) -> store.Manifest:
     """Make one data set of several, whose shards are copied byte for byte; ``run`` are options of ``build``.
 
@@ -152,7 +152,7 @@ def write_part(
     rows: Mapping[str, Int64],
     options: Mapping[str, Any],
     out: str,
-    **run: Unpack[store.RunOptions],
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
@@ -165,9 +165,9 @@ def _build(
     operation: str,
     options: Mapping[str, Any],
     out: str,
-    run: store.RunOptions,
+    run: store.RunKeywords,
 ) -> store.Manifest:
-    folder, tasks, found = store.DataFolder(out), [], {}
+    folder, tasks, found = store.open_folder(out), [], {}
     for source in sources:
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
@@ -269,7 +269,7 @@ def plan_tables(
         **_unfinished([place]),
     }
     every = [shard for found in shards.values() for shard in found]
-    catalog.refuse_source(store.DataFolder(out), place.name, every)
+    catalog.refuse_source(store.open_folder(out), place.name, every)
     return _copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
 
 

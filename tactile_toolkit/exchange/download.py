@@ -107,7 +107,7 @@ def plan_download(
     place = places.repository_place(repository, repository.repo_id, config=config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
-    return _plan(repository, place.files, splits, None if out is None else store.DataFolder(out))
+    return _plan(repository, place.files, splits, None if out is None else store.open_folder(out))
 
 
 def _plan(
@@ -250,9 +250,9 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
-    if folder.is_local:  # refused before anything changes: a link leads to what is not of this folder
+    if isinstance(folder, store.LocalFolder):  # a link leads to what is not of this folder: refused first
         for path in (_STAGE_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
-            folder.place(path)
+            folder.local_path(path)
     folder.remove_temporaries()
     # What the folder is to become is written down first, so that a killed download is known for what it is.
     earlier = plan.earlier.files if plan.earlier else {}
@@ -266,7 +266,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
     store.write_record(folder, record)
-    if folder.is_local:
+    if isinstance(folder, store.LocalFolder):
         folder.remove_tree(_STAGE_FOLDER, _STAGED.fullmatch)
         folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))
 
@@ -303,7 +303,7 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     """
     # ``datasets.load_dataset(folder)`` fails over a split of the head that is not in the folder.
     held = {split: plan.held[split] for split in plan.splits}
-    here = cards.card_head(cards.folder_facts(folder, place=places.Place(folder.address(), folder, held)))
+    here = cards.card_head(cards.folder_summary(folder, place=places.Place(folder.address(), folder, held)))
     note = (
         f"\n> This folder holds {', '.join(f'`{split}`' for split in plan.splits)} of "
         f"`{plan.repository.repo_id}` (commit `{plan.record.commit[:12]}`); the text below describes "

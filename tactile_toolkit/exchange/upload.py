@@ -89,7 +89,7 @@ def _other_files(
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
     """List the paths of a verified folder that are sent: files of the manifest, card, pictures."""
-    place, found = store.DataFolder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
+    place, found = store.open_folder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
         # Names with a dot in front are of writers that have not finished; links may lead to anything.
@@ -127,6 +127,11 @@ class PreparedUpload:
     def page(self) -> str:
         """Address of the repository for people."""
         return hub.page_of(self.repo_id)
+
+    @property
+    def is_private(self) -> bool:
+        """Whether the repository is to be private where it does not exist yet."""
+        return self.options.private
 
 
 @dataclass(frozen=True)
@@ -169,7 +174,7 @@ def prepare_upload(
     """
     from huggingface_hub import HfApi
 
-    chosen, place = options or UploadOptions(), store.DataFolder(folder)
+    chosen, place = options or UploadOptions(), store.open_folder(folder)
     manifest = store.read_manifest(place)
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
@@ -242,7 +247,7 @@ def local_copy(folder: store.DataFolder, root: Path) -> store.DataFolder:
     paths = store.names_inside(visible, repr(folder.address()))
     for _ in run.in_threads(lambda path: folder.download(path, root / path), paths, _THREADS):
         pass
-    return store.DataFolder(str(root))
+    return store.open_folder(str(root))
 
 
 def _require_sound(findings: Iterable[store.Finding]) -> None:
@@ -270,7 +275,7 @@ def _files_to_send(
 
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
-    paths, facts = collect(root, manifest), cards.folder_facts(place, manifest)
+    paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
     # Where the pattern of a split would take one of the others for its own, its files are named one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)

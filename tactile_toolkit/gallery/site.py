@@ -9,24 +9,21 @@ data is written as scripts that call a function of the page.
 from __future__ import annotations
 
 import hashlib
-import html
-import json
 import os
 import re
 import shutil
 from collections import Counter
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
-from importlib import resources
 from itertools import accumulate
 from pathlib import Path
-from typing import Any, cast
+from typing import cast
 
-from tactile_toolkit import __version__, run, store
+from tactile_toolkit import run, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.gallery.items import SPLIT, Gallery, Item, RowsTask
-from tactile_toolkit.wording import natural_key
+from tactile_toolkit.gallery.items import Gallery, GalleryItem, RowsTask
+from tactile_toolkit.gallery.page import ASSETS, FOLDER_MARK, THREE, asset, index_of, page, script_json
 
 PAGE_FILE = "index.html"
 
@@ -38,7 +35,7 @@ MOST_BYTES = 2_000_000_000
 
 # In a folder of files: the page, before it is known how that folder is called.
 _TEMPLATE_FILE = "page.template"
-_FOLDER_PREFIX, _FOLDER_MARK = "files-", "{{files}}"
+_FOLDER_PREFIX = "files-"
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,7 +65,7 @@ def build_site(
     the site would be too large. StorageError: it cannot be written, or the disk is full.
     """
     path = site_folder(gallery, out, overwrite=overwrite)
-    written, shown = Counter[str](), dict[int, Item]()
+    written, shown = Counter[str](), dict[int, GalleryItem]()
     # Each with the number on the page of its first item.
     firsts = accumulate((task.size for task in gallery.tasks), initial=0)
     tasks = list(zip(firsts, gallery.tasks, strict=False))
@@ -84,7 +81,7 @@ def build_site(
         for name in (*ASSETS, THREE):
             write(folder / "assets" / name, asset(name))
         on_progress(0, gallery.size)
-        made = cast("Generator[tuple[int, list[Item]]]", run.runner_for(runner).run(_make, tasks))
+        made = cast("Generator[tuple[int, list[GalleryItem]]]", run.runner_for(runner).run(_make, tasks))
         # Closed, so that the workers end when an item is refused.
         with closing(made) as results:
             for first, items in results:
@@ -119,7 +116,7 @@ def build_site(
     return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
 
 
-def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[Item]]:
+def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[GalleryItem]]:
     first, task = numbered
     return first, task.make()
 
@@ -166,13 +163,13 @@ def _name_of(folder: Path) -> str:
 
 
 def _page_of(files: Path) -> bytes:
-    return (files / _TEMPLATE_FILE).read_bytes().replace(_FOLDER_MARK.encode(), files.name.encode())
+    return (files / _TEMPLATE_FILE).read_bytes().replace(FOLDER_MARK.encode(), files.name.encode())
 
 
 def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
     """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
     # Where a symbolic link leads: the link itself is not ours to replace.
-    path = Path(os.path.realpath(store.local_folder(out)))
+    path = Path(os.path.realpath(store.local_folder_path(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
     one, many = gallery.nouns
@@ -215,68 +212,3 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
                 next="choose an empty or new folder with --out",
             )
     return former
-
-
-_SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
-
-ASSETS = ("page.css", "theme.js", *_SCRIPTS)
-"""Our own files of the page, as they lie in the folder ``assets`` next to this module."""
-
-THREE = "three.js"
-"""The library that draws meshes, next to them; its licence states its version and digest."""
-
-
-def asset(name: str) -> str:
-    """Read a file of the page."""
-    return (resources.files("tactile_toolkit.gallery") / "assets" / name).read_text(encoding="utf-8")
-
-
-def page(title: str) -> str:
-    """Return the page, but for the name of the folder of its files."""
-    scripts = "\n".join(f'<script src="{_FOLDER_MARK}/assets/{name}" defer></script>' for name in _SCRIPTS)
-    filled = asset("page.html").replace("<!-- scripts -->", scripts)
-    return filled.replace("{{title}}", html.escape(title))
-
-
-def script_json(value: Any) -> str:
-    """Write JSON that is harmless in a script and in a page: no ``<``, ``>`` or ``&``, ASCII only."""
-    text = json.dumps(value, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
-    return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
-
-
-def index_of(gallery: Gallery, items: Sequence[Item]) -> dict[str, Any]:
-    """Return what the page filters and sorts items by, as JSON values: columns, one entry per item."""
-    facets = []
-    for facet in gallery.facets:
-        rows = [tuple(item.facets.get(facet.name, ())) for item in items]
-        found = {value for row in rows for value in row}
-        known = [
-            value for value in (gallery.splits if facet.name == SPLIT else facet.values) if value in found
-        ]
-        values = known + sorted(found.difference(known), key=natural_key)
-        numbers = {value: number for number, value in enumerate(values)}
-        chosen = [[numbers[value] for value in row] for row in rows]
-        facets.append({"title": facet.title, "values": values, "rows": chosen})
-    return {
-        "kind": gallery.kind,
-        "title": gallery.title,
-        "nouns": list(gallery.nouns),
-        "version": __version__,
-        "ids": [item.id for item in items],
-        "titles": [item.title for item in items],
-        "facets": facets,
-        "measures": [
-            {
-                "title": measure.title,
-                "unit": measure.unit,
-                "decimals": measure.decimals,
-                "values": [_rounded(item.measures.get(measure.name), measure.decimals) for item in items],
-            }
-            for measure in gallery.measures
-        ],
-    }
-
-
-def _rounded(value: float | None, decimals: int) -> float | None:
-    # NaN stands for "not measured" in reports, and JSON has no NaN.
-    return None if value is None or value != value else round(float(value), decimals or None)

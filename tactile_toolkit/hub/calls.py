@@ -154,7 +154,7 @@ def not_cached(repo_id: str, what: str) -> HubError:
 
 def failure_of(
     error: Exception, repo_id: str, doing: str = "reading", *, is_answer: bool = False
-) -> store.Failure | None:
+) -> store.CallFailure | None:
     """Return the failure for what the client raised; None for an error of another origin.
 
     Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
@@ -186,7 +186,7 @@ def failure_of(
             what, then = (redact(part.format(**values), get_token()) for part in sentence)
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
-            return store.Failure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
+            return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
     return None
 
 

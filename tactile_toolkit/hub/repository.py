@@ -137,7 +137,7 @@ class HubRepository:
     @property
     def folder(self) -> store.DataFolder:
         """Where the cache has files of the commit, as links to their contents where the system has links."""
-        return store.DataFolder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
+        return store.open_folder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
 
     @cached_property
     def manifest(self) -> store.Manifest | None:

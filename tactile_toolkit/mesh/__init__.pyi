@@ -17,17 +17,19 @@ from .mesh import (
     joined as joined,
 )
 from .nearness import (
-    compiled as compiled,
     connected as connected,
 )
-from .printability import (
+from .print_profile import (
     PrintProfile as PrintProfile,
+)
+from .print_report import (
     PrintReport as PrintReport,
-    REPORT_COLUMNS as REPORT_COLUMNS,
     UNREADABLE as UNREADABLE,
     WARNINGS as WARNINGS,
-    inspect as inspect,
     unreadable as unreadable,
+)
+from .printability import (
+    inspect as inspect,
 )
 from .raster import (
     MOST_PIXELS as MOST_PIXELS,
@@ -35,33 +37,41 @@ from .raster import (
     highest_values as highest_values,
     positions_in_runs as positions_in_runs,
 )
-from .records import (
+from .mesh_columns import (
     FACES as FACES,
-    MESH as MESH,
     MeshRow as MeshRow,
-    RecordStream as RecordStream,
+    VERTICES as VERTICES,
+    mesh_schema as mesh_schema,
+    require_mesh_columns as require_mesh_columns,
+)
+from .mesh_tables import (
+    MESH as MESH,
     SIZES as SIZES,
+    flat_table as flat_table,
+)
+from .records import (
+    RecordStream as RecordStream,
     SolidDataset as SolidDataset,
     SolidRecord as SolidRecord,
-    VERTICES as VERTICES,
-    flat_table as flat_table,
-    mesh_schema as mesh_schema,
     open_solids as open_solids,
-    require_mesh_columns as require_mesh_columns,
+)
+from .crossings import (
+    self_crossing as self_crossing,
 )
 from .solid_check import (
     ManifoldCheck as ManifoldCheck,
     array_problem as array_problem,
     check_manifold as check_manifold,
     require_solid as require_solid,
-    self_crossing as self_crossing,
 )
 from .threemf import (
-    BuildItem as BuildItem,
     read_build as read_build,
+)
+from .threemf_writing import (
+    BuildItem as BuildItem,
     write_build as write_build,
 )
-from .torch import (
+from .solid_tensors import (
     MeshBatch as MeshBatch,
     MeshItem as MeshItem,
     REPRESENTATIONS as REPRESENTATIONS,
@@ -69,7 +79,7 @@ from .torch import (
     TARGETS as TARGETS,
     collate_meshes as collate_meshes,
 )
-from .units import (
+from .file_units import (
     UNIT as UNIT,
     refuse_unit as refuse_unit,
     require_unit as require_unit,

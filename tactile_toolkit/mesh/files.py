@@ -14,12 +14,16 @@ import numpy as np
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int32, Integers
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.mesh.file_units import require_likely_size, require_unit
 from tactile_toolkit.mesh.gltf import pack_glb, read_glb
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
-from tactile_toolkit.mesh.readers import read_obj, read_ply, read_stl
-from tactile_toolkit.mesh.threemf import BuildItem, read_build, write_build
-from tactile_toolkit.mesh.units import MM_PER_UNIT, require_likely_size, require_unit
-from tactile_toolkit.wording import counted
+from tactile_toolkit.mesh.obj import read_obj
+from tactile_toolkit.mesh.ply import read_ply
+from tactile_toolkit.mesh.stl import read_stl
+from tactile_toolkit.mesh.threemf import read_build
+from tactile_toolkit.mesh.threemf_writing import BuildItem, write_build
+from tactile_toolkit.units import MM_PER_UNIT
+from tactile_toolkit.wording import with_count
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
@@ -31,6 +35,9 @@ _PLAIN: dict[str, Callable[[bytes], Surface]] = {".stl": read_stl, ".ply": read_
 _WELDED = 1e-5
 # More of them in one place are not rounding; this bounds memory.
 _NEIGHBOURS = 16
+
+# How files of some formats begin, and the ending that they should have; few others begin so.
+_MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb"), b"\x1f\x8b": ("gzip", "")}
 
 # Errors of parsers whose words state where a file is damaged.
 _TELLING = (zipfile.BadZipFile, expat.ExpatError, json.JSONDecodeError)
@@ -77,7 +84,7 @@ def _content(path: Path, below: Path | None) -> bytes:
     try:
         if below is not None:
             with store.open_inside(
-                store.DataFolder(str(below)), path.relative_to(below).as_posix()
+                store.open_folder(str(below)), path.relative_to(below).as_posix()
             ) as stream:
                 return stream.read()
         with store.open_regular(path) as stream:
@@ -97,6 +104,12 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
     """Return the mesh of a file, and the unit that the file states."""
     if not data:
         raise InputError("the file is empty; expected a mesh", next="export or copy it again")
+    for mark, (content, right_ending) in _MARKS.items():
+        if data.startswith(mark) and ending != right_ending:
+            raise InputError(
+                f"its content is {content}; expected {ending[1:].upper()}",
+                next="unpack it, or give it the ending of its format",
+            )
     stated: str | None = None
     try:
         if ending == ".3mf":
@@ -165,7 +178,7 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
     # trimesh would merge within a tolerance, and numpy's unique rows take three times as long.
     rows = vertices + 0.0  # -0.0 and 0.0 are the same place
     order = np.lexsort(rows.T)
-    in_order = rows[order]
+    in_order = rows.take(order, axis=0)
     is_new = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])[: len(rows)]
     group = np.empty(len(rows), np.int64)
     group[order] = np.cumsum(is_new) - 1
@@ -173,7 +186,7 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
     by_appearance = np.argsort(first)
     number = np.empty(len(first), np.int32)
     number[by_appearance] = np.arange(len(first), dtype=np.int32)
-    return vertices[first[by_appearance]], number[group][faces]
+    return vertices.take(first[by_appearance], axis=0), number[group].take(faces)
 
 
 def file_ending(path: Path) -> str:
@@ -214,17 +227,17 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
     if not len(corners) or not _is_closed(corners, len(vertices)):
         return Mesh(vertices, faces)
     used, corners_used = np.unique(corners, return_inverse=True)
+    # One corner far away makes others near: what closes then is another object.
+    if (np.abs(np.ptp(vertices[used], axis=0) - np.ptp(vertices, axis=0)) > 2 * reach_m).any():
+        return Mesh(vertices, faces)
     welded = int((moved != np.arange(len(vertices))).sum())
     kept = corners_used.reshape(-1, 3).astype(np.int32)
-    return Mesh(vertices[used], kept, (f"{counted(welded, 'corners')} welded",))
+    return Mesh(vertices[used], kept, (f"{with_count(welded, 'corners')} welded",))
 
 
 def _is_closed(faces: Integers, count: int) -> bool:
     """Return whether each edge leads back as often as there, but for one chance in 2^64."""
-    one, other = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
-    there = back = np.zeros(len(faces), np.uint64)
-    for start, end in ((0, 1), (1, 2), (2, 0)):
-        starts, ends = faces[:, start], faces[:, end]
-        there = there + one[starts] * other[ends]
-        back = back + one[ends] * other[starts]
-    return bool(there.sum() == back.sum())
+    corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
+    random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
+    one, other = (numbers.take(corners) for numbers in random)
+    return bool((one * other[following]).sum() == (other * one[following]).sum())

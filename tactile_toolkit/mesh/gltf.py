@@ -7,6 +7,7 @@ in every viewer. Read here and not by trimesh: that takes what it does not know 
 from __future__ import annotations
 
 import json
+import math
 import struct
 from collections.abc import Iterator
 from typing import Any
@@ -32,6 +33,9 @@ _APPEARANCE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_
 _Y_UP = (1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
 _Z_UP = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])
 _PER_BYTE = 4
+# What places a node, in place of a matrix.
+_PARTS = {"translation", "rotation", "scale"}
+_LENGTH_TOLERANCE = 1e-3
 
 
 def read_glb(data: bytes) -> Surface:
@@ -63,6 +67,9 @@ class _Document:
     def __init__(self, tree: Any, content: bytes, file_bytes: int) -> None:
         self._tree, self._content, self._file_bytes = tree, content, file_bytes
         self._placed_bytes = 0
+        needed = str(tree["asset"].get("minVersion", tree["asset"]["version"]))
+        if needed.partition(".")[0] != "2" or ("minVersion" in tree["asset"] and needed != "2.0"):
+            raise InputError(f"the file needs glTF {needed[:40]}; expected 2.0")
         for name in tree.get("extensionsRequired", ()):
             if name != _QUANTIZATION and not name.startswith(_APPEARANCE):
                 raise InputError(
@@ -175,12 +182,18 @@ class _Document:
 
 def _matrix(node: Any) -> Float64:
     """Return how a node places what it holds, shape (4, 4), for columns."""
-    if "matrix" in node:
-        return np.array(node["matrix"], np.float64).reshape(4, 4).T
     found = np.eye(4)
+    if "matrix" in node:
+        found = np.array(node["matrix"], np.float64).reshape(4, 4).T
+        if _PARTS & node.keys() or (found[3] != (0, 0, 0, 1)).any():
+            raise InputError("a node has a matrix that distorts, or that stands next to parts of one")
+        return found
     if "rotation" in node:
         from scipy.spatial.transform import Rotation
 
+        length = math.hypot(*node["rotation"])
+        if not abs(length - 1) <= _LENGTH_TOLERANCE:
+            raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
         found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
     found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     found[:3, 3] = node.get("translation", (0, 0, 0))

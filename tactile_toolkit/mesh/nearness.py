@@ -10,28 +10,22 @@ of which one lies wholly behind the plane of the other, or in it.
 A solid has the same thinnest wall however its faces are divided into triangles. Of a round surface the flat
 faces are measured: a rod of 32 sides comes out 3 % thinner than the cylinder around it, one of 64 sides 2 %.
 
-numba compiles the loops, and takes half a second to import: this module is imported by the functions that
-call it. All kernels lie in one file, because numba's cache on disk looks at the file of a kernel only.
-Without fastmath every operation is an IEEE one, in the order in which it stands: values do not depend on the
-processor.
+The tree of boxes stays in this file: numba's cache on disk looks at the file of a kernel only.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias, TypeVar
+from typing import TypeAlias
 
-import numba
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.compiled import compiled
+from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, sub
 
-Vector: TypeAlias = tuple[float, float, float]
 Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
 """Points, faces, and what :func:`_surface` finds of them."""
-
-F = TypeVar("F", bound=Callable[..., Any])
 
 FACING = 0.95
 """Least cosine between the way across a wall and the direction into the solid: 18 degrees."""
@@ -61,19 +55,6 @@ _ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
 # Pairs of nodes that wait: three more for each level of the trees, of which none has more than 63.
 _DEEPEST = 256
-
-
-def compiled(function: F) -> F:
-    """Compile on first use; kept next to the file or in the user's cache folder, where one can be written."""
-    jit: Any = numba.njit
-    result: F
-    try:
-        # nogil: threads may work side by side. numpy's error model: a division by 0 is an infinity, not an
-        # exception that every loop has to look for.
-        result = jit(cache=True, nogil=True, error_model="numpy")(function)
-    except RuntimeError:  # numba finds no folder for its cache
-        result = jit(nogil=True, error_model="numpy")(function)
-    return result
 
 
 def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
@@ -121,9 +102,6 @@ def _numbered(points: Float64, low: Float64, scale: float) -> Int64:
                 cell = (cell | (cell << shift)) & mask
             numbered[point] |= cell << (32 + axis)
     return numbered
-
-
-# --- a tree of boxes ------------------------------------------------------------------------------
 
 
 @compiled
@@ -204,153 +182,6 @@ def connected(ends: Int64, others: Int64, count: int) -> Int64:
     return least
 
 
-# --- vectors -----------------------------------------------------------------------------------------
-
-
-@compiled
-def _row(array: Float64, place: int) -> Vector:
-    return array[place, 0], array[place, 1], array[place, 2]
-
-
-@compiled
-def _sub(u: Vector, v: Vector) -> Vector:
-    return u[0] - v[0], u[1] - v[1], u[2] - v[2]
-
-
-@compiled
-def _dot(u: Vector, v: Vector) -> float:
-    return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]
-
-
-@compiled
-def _cross(u: Vector, v: Vector) -> Vector:
-    return u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
-
-
-@compiled
-def _unit(u: Vector) -> Vector:
-    length = max(math.sqrt(_dot(u, u)), 1e-300)
-    return u[0] / length, u[1] / length, u[2] / length
-
-
-# --- two halves back to back ----------------------------------------------------------------------
-
-
-@compiled
-def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
-    """Return whether a level plane splits triangles into two halves, and what a proof by them has to look at.
-
-    That are the triangles that do not look away from the plane, and the edges in it of those above, (N, 2).
-    """
-    odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
-    reaches, odds, count = False, 0, 0
-    for face in range(len(faces)):
-        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
-        least, most = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
-        # It passes through the plane, or lies in it.
-        if (least < level < most) or least == most == level:
-            return False, odd[:0], edges[:0]
-        reaches |= least == level or most == level
-        upwards = _cross(_sub(b, a), _sub(c, a))[2]
-        if (upwards if most > level else -upwards) <= 0:
-            odd[odds] = face
-            odds += 1
-        if least == level:
-            for k, (at, beyond) in enumerate(((a[2], b[2]), (b[2], c[2]), (c[2], a[2]))):
-                if at == level and beyond == level:
-                    edges[count, 0], edges[count, 1] = faces[face, k], faces[face, (k + 1) % 3]
-                    count += 1
-    return reaches, odd[:odds], edges[:count]
-
-
-# --- triangles that pass through one another ------------------------------------------------------
-
-
-@compiled
-def passages(
-    points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float
-) -> tuple[bool, Float64]:
-    """Return whether a triangle of a pair certainly passes through the other or is folded onto it, and where.
-
-    If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
-    """
-    doubtful, count = np.empty((6 * pairs.shape[1], 3)), 0
-    for pair in range(pairs.shape[1]):
-        one, other = pairs[0, pair], pairs[1, pair]
-        # Within 8 degrees of opposite: by the angle alone a fold is like a thin edge; the gap differs.
-        opposed = _dot(_row(normal, one), _row(normal, other)) < -0.99
-        for target, passing in ((one, other), (other, one)):
-            for k in range(3):
-                found, place = _passage(
-                    points, triangles, _row(normal, target), target, passing, k, tolerance
-                )
-                if opposed and _is_fold(points, triangles, target, passing, k, tolerance):
-                    found = 2
-                if found:
-                    doubtful[count, 0], doubtful[count, 1], doubtful[count, 2] = place
-                    count += 1
-                if found == 2:
-                    return True, doubtful[count - 1 : count]
-    return False, doubtful[:count]
-
-
-@compiled
-def _passage(
-    points: Float64, triangles: Int64, into: Vector, target: int, passing: int, k: int, tolerance: float
-) -> tuple[int, Vector]:
-    """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
-    start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
-    p, q = _row(points, start), _row(points, end)
-    base = _row(points, triangles[target, 0])
-    at_p, at_q = _dot(_sub(p, base), into), _dot(_sub(q, base), into)
-    if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
-        return 0, p
-    share = 0.5 if at_p == at_q else min(max(at_p / (at_p - at_q), 0.0), 1.0)
-    place = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
-    inside = np.inf
-    for side in range(3):
-        corner = triangles[target, side]
-        if corner in (start, end):
-            return 0, p
-        here = _row(points, corner)
-        along = _sub(_row(points, triangles[target, (side + 1) % 3]), here)
-        inward = _cross(into, along)
-        inside = min(inside, _dot(_sub(place, here), inward) / math.sqrt(_dot(along, along)))
-    through = min(at_p, at_q) < -tolerance and max(at_p, at_q) > tolerance
-    return (0 if inside < -tolerance else 2 if through and inside > tolerance else 1), place
-
-
-@compiled
-def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
-    """Return whether triangles that share edge k of the one lie on one another instead of side by side."""
-    start, end = triangles[one, k], triangles[one, (k + 1) % 3]
-    apex, far, shared = _row(points, triangles[one, (k + 2) % 3]), _row(points, start), 0
-    for corner in triangles[other]:
-        if corner in (start, end):
-            shared += 1
-        else:
-            far = _row(points, corner)
-    if shared != 2:
-        return False
-    p = _row(points, start)
-    along = _unit(_sub(_row(points, end), p))
-    first, second = _across(_sub(apex, p), along), _across(_sub(far, p), along)
-    between = _sub(_unit(first), _unit(second))
-    # How far the shorter one stands off the longer.
-    shorter = min(_dot(first, first), _dot(second, second))
-    return math.sqrt(shorter * _dot(between, between)) <= tolerance
-
-
-@compiled
-def _across(u: Vector, along: Vector) -> Vector:
-    """Return what of a way does not lead along a direction."""
-    part = _dot(u, along)
-    return u[0] - part * along[0], u[1] - part * along[1], u[2] - part * along[2]
-
-
-# --- the thinnest wall ----------------------------------------------------------------------------
-
-
 @compiled
 def _thinnest_wall(points: Float64, faces: Int64, numbered: Int64, reach: float) -> float:
     """Return the least distance below the reach at which two triangles face each other, or infinity.
@@ -414,9 +245,9 @@ def _surface(points: Float64, faces: Int64) -> Solid:
     begun = np.zeros(len(points) + 1, np.int64)
     following = (1, 2, 0)
     for face in range(len(faces)):
-        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
-        doubled = _cross(_sub(c, a), _sub(b, a))
-        unit = _unit(doubled)
+        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        doubled = cross(sub(c, a), sub(b, a))
+        unit = normalized(doubled)
         for k in range(3):
             begun[faces[face, k] + 1] += 1
             for axis in range(3):
@@ -424,7 +255,7 @@ def _surface(points: Float64, faces: Int64) -> Solid:
                 at_corner[faces[face, k], axis] += doubled[axis]
     for corner in range(len(points)):
         begun[corner + 1] += begun[corner]
-        unit = _unit(_row(at_corner, corner))
+        unit = normalized(row(at_corner, corner))
         for axis in range(3):
             at_corner[corner, axis] = unit[axis]
     # The half-edges so far that leave each corner, and where they lead.
@@ -450,12 +281,12 @@ def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
     points, faces, inward, at_corner, twin = solid
     low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
     for face in range(len(faces)):
-        own = _row(inward, face)
+        own = row(inward, face)
         for k in range(3):
-            corner, beyond = faces[face, k], _row(inward, twin[3 * face + k] // 3)
+            corner, beyond = faces[face, k], row(inward, twin[3 * face + k] // 3)
             # The two and this one hold the arc between them, where the tangents at its ends meet; but for
             # the ends of arcs beyond 90 degrees, which no way at a notch turns to, as it sinks into both.
-            turn = max(1 + _dot(own, beyond), 1e-12)
+            turn = max(1 + dot(own, beyond), 1e-12)
             outside = max(turn, math.sqrt(turn))
             for axis in range(3):
                 place, most = points[corner, axis], at_corner[corner, axis]
@@ -477,14 +308,14 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
     for k in range(3):
         corner = faces[one, k]
         is_joined |= corner == faces[other, 0] or corner == faces[other, 1] or corner == faces[other, 2]
-    if is_joined and _dot(_row(inward, one), _row(inward, other)) > -_FACED:
+    if is_joined and dot(row(inward, one), row(inward, other)) > -_FACED:
         return best
     # Each has to have something of the other before it.
     for here, there in ((one, other), (other, one)):
-        into, base = _row(inward, here), _row(points, faces[here, 0])
+        into, base = row(inward, here), row(points, faces[here, 0])
         least, most = np.inf, -np.inf
         for k in range(3):
-            depth = _dot(_sub(_row(points, faces[there, k]), base), into)
+            depth = dot(sub(row(points, faces[there, k]), base), into)
             least, most = min(least, depth), max(most, depth)
         if most <= _LEVEL or least >= best:
             return best
@@ -502,23 +333,23 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
 def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance from a corner of the one triangle straight to the inside of the other."""
     points, faces, inward, at_corner, _ = solid
-    into, base = _row(inward, other), _row(points, faces[other, 0])
-    opposed = -_dot(_row(inward, one), into)
+    into, base = row(inward, other), row(points, faces[other, 0])
+    opposed = -dot(row(inward, one), into)
     for k in range(3):
-        point = _row(points, faces[one, k])
-        depth = _dot(_sub(point, base), into)
-        round_into = _row(at_corner, faces[one, k])
+        point = row(points, faces[one, k])
+        depth = dot(sub(point, base), into)
+        round_into = row(at_corner, faces[one, k])
         cosine = opposed
-        if _dot(round_into, _row(inward, one)) >= _ROUND_CORNER:
-            cosine = -_dot(round_into, into)
+        if dot(round_into, row(inward, one)) >= _ROUND_CORNER:
+            cosine = -dot(round_into, into)
         # The ball that touches there, and this plane, is wider than the way where that is aslant.
         width = 2 * depth / (1 + cosine)
         inside = depth > 0 and cosine >= FACING and width < best
         for start in range(3):
-            corner = _row(points, faces[other, start])
-            along = _sub(_row(points, faces[other, (start + 1) % 3]), corner)
-            side = _dot(_cross(along, into), _sub(point, corner))
-            inside = inside and side >= -1e-9 * _dot(along, along)
+            corner = row(points, faces[other, start])
+            along = sub(row(points, faces[other, (start + 1) % 3]), corner)
+            side = dot(cross(along, into), sub(point, corner))
+            inside = inside and side >= -1e-9 * dot(along, along)
         if inside:
             best = width
     return best
@@ -528,17 +359,17 @@ def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
 def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance between two half-edges that face each other."""
     points, faces, _, _, _ = solid
-    p, q = _row(points, faces[one // 3, one % 3]), _row(points, faces[other // 3, other % 3])
-    u = _sub(_row(points, faces[one // 3, (one + 1) % 3]), p)
-    v = _sub(_row(points, faces[other // 3, (other + 1) % 3]), q)
-    r = _sub(p, q)
-    uu, vv, uv, ur, vr = _dot(u, u), _dot(v, v), _dot(u, v), _dot(u, r), _dot(v, r)
+    p, q = row(points, faces[one // 3, one % 3]), row(points, faces[other // 3, other % 3])
+    u = sub(row(points, faces[one // 3, (one + 1) % 3]), p)
+    v = sub(row(points, faces[other // 3, (other + 1) % 3]), q)
+    r = sub(p, q)
+    uu, vv, uv, ur, vr = dot(u, u), dot(v, v), dot(u, v), dot(u, r), dot(v, r)
     slant = uu * vv - uv * uv
     s = min(max((uv * vr - ur * vv) / slant, 0.0), 1.0) if slant > 1e-12 * uu * vv else 0.5
     t = min(max((uv * s + vr) / vv, 0.0), 1.0)
     s = min(max((uv * t - ur) / uu, 0.0), 1.0)
     way = t * v[0] - s * u[0] - r[0], t * v[1] - s * u[1] - r[1], t * v[2] - s * u[2] - r[2]
-    distance = math.sqrt(_dot(way, way))
+    distance = math.sqrt(dot(way, way))
     if not 0 < distance < best:
         return best
     there = way[0] / distance, way[1] / distance, way[2] / distance
@@ -551,91 +382,20 @@ def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
 def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
     """Return how straight a way that starts at an edge leads into the solid; 1 at an edge that is a notch."""
     points, faces, inward, _, twin = solid
-    start, end = _row(points, faces[half // 3, half % 3]), _row(points, faces[half // 3, (half + 1) % 3])
-    along = _unit(_sub(end, start))
+    start, end = row(points, faces[half // 3, half % 3]), row(points, faces[half // 3, (half + 1) % 3])
+    along = normalized(sub(end, start))
     most, least, nearest = -1.0, 1.0, -1.0
-    ours, theirs = _row(inward, half // 3), _row(inward, twin[half] // 3)
+    ours, theirs = row(inward, half // 3), row(inward, twin[half] // 3)
     for side, turned in ((half, 1.0), (twin[half], -1.0)):
-        into = _row(inward, side // 3)
-        cosine = _dot(into, way)
+        into = row(inward, side // 3)
+        cosine = dot(into, way)
         most, least = max(most, cosine), min(least, cosine)
         # Away from the edge along the surface.
-        nearest = max(nearest, turned * _dot(_cross(along, into), way))
-    lengthwise = _dot(along, way)
+        nearest = max(nearest, turned * dot(cross(along, into), way))
+    lengthwise = dot(along, way)
     is_notch = nearest <= _ALONG and least > _LEVEL and lengthwise * lengthwise <= 1 - FACING * FACING
     if not is_notch:
         return most
     # At a flat edge the ball touches faces, and may not lie aslant to them.
-    is_hollow = _dot(ours, _cross(theirs, along)) < -_LEVEL
+    is_hollow = dot(ours, cross(theirs, along)) < -_LEVEL
     return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)
-
-
-# --- what leans out -------------------------------------------------------------------------------
-
-
-@compiled
-def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
-    """Return twice the areas of the triangles that reach above a bed and look down by more than a sine."""
-    doubled, count = np.empty(len(faces)), 0
-    for face in range(len(faces)):
-        a, b, c = _row(points, faces[face, 0]), _row(points, faces[face, 1]), _row(points, faces[face, 2])
-        normal = _cross(_sub(b, a), _sub(c, a))
-        size = math.sqrt(_dot(normal, normal))
-        if normal[2] < 0 and normal[2] < -sine * size and max(a[2], b[2], c[2]) > bed:
-            doubled[count] = size
-            count += 1
-    return doubled[:count]
-
-
-# --- the largest discs in a section ---------------------------------------------------------------
-
-_BLOCK = 16
-# The point itself, at distance 0, must not decide its own disc.
-_LEAST_SQUARED_MM2 = np.float32(1e-3)
-# More than single precision rounds.
-_NEARLY = np.float32(1 - 1e-5)
-
-
-@compiled
-def largest_discs(points: Any, inward: Any) -> tuple[Any, Any]:
-    """Return the radius of the disc inside at every point of outlines, and how far away it touches again.
-
-    A disc that touches here and passes through a point at distance d and depth h has the curvature
-    2 h / d^2. Points side by side that are all further away than the best disc so far is wide bend none more.
-    """
-    count = len(points)
-    radii, contacts = np.empty(count, np.float32), np.empty(count, np.float32)
-    blocks = (count + _BLOCK - 1) // _BLOCK
-    middles, spans = np.empty((blocks, 2), np.float32), np.zeros(blocks, np.float32)
-    for block in range(blocks):
-        first, last = block * _BLOCK, min((block + 1) * _BLOCK, count)
-        middles[block, 0], middles[block, 1] = points[(first + last) // 2]
-        for point in range(first, last):
-            spans[block] = max(spans[block], _apart(points[point], middles[block]))
-    sharpest = 0
-    for point in range(count):
-        # What decided the disc before lies near to what decides this one: nearly all blocks are left out.
-        before = _bend(points, inward, point, sharpest)[0]
-        best, contact = max(before, np.float32(0)) * _NEARLY - np.float32(1e-30), np.float32(0)
-        for block in range(blocks):
-            away = _apart(points[point], middles[block]) - spans[block]
-            if away * best > 1 / _NEARLY:
-                continue
-            for other in range(block * _BLOCK, min((block + 1) * _BLOCK, count)):
-                bend, squared = _bend(points, inward, point, other)
-                if bend > best:
-                    best, contact, sharpest = bend, squared, other
-        radii[point], contacts[point] = np.float32(0.5) / max(best, np.float32(1e-9)), np.sqrt(contact)
-    return radii, contacts
-
-
-@compiled
-def _apart(one: Any, other: Any) -> Any:
-    return np.sqrt((one[0] - other[0]) ** 2 + (one[1] - other[1]) ** 2)
-
-
-@compiled
-def _bend(points: Any, inward: Any, here: int, there: int) -> tuple[Any, Any]:
-    away_x, away_y = points[there, 0] - points[here, 0], points[there, 1] - points[here, 1]
-    squared = max(away_x * away_x + away_y * away_y, _LEAST_SQUARED_MM2)
-    return (inward[here, 0] * away_x + inward[here, 1] * away_y) / squared, squared

@@ -11,11 +11,10 @@ import io
 import zipfile
 from array import array
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 from xml.parsers import expat
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -24,8 +23,17 @@ from tactile_toolkit.array_types import Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
-from tactile_toolkit.mesh.units import MM_PER_UNIT
-from tactile_toolkit.wording import counted
+from tactile_toolkit.mesh.text import numbers_of
+from tactile_toolkit.mesh.threemf_writing import (
+    CORE,
+    MODEL_PATH,
+    MODEL_RELATION,
+    RELATIONS_PATH,
+    SCHEMAS,
+    BuildItem,
+)
+from tactile_toolkit.units import MM_PER_UNIT
+from tactile_toolkit.wording import with_count
 
 _UNITS = {
     "micron": "um",
@@ -35,17 +43,12 @@ _UNITS = {
     "foot": "ft",
     "meter": "m",
 }
-_SCHEMAS = "http://schemas.microsoft.com/3dmanufacturing"
-_CORE = f"{_SCHEMAS}/core/2015/02"
-_PRODUCTION = f"{_SCHEMAS}/production/2015/06"
+_PRODUCTION = f"{SCHEMAS}/production/2015/06"
 _PATH = f"{_PRODUCTION} path"
 # Extensions that can be required: paths between models, and what adds no shape.
-_KNOWN = (_CORE, _PRODUCTION, f"{_SCHEMAS}/material/2015/02", f"{_SCHEMAS}/trianglesets/2021/07")
+_KNOWN = (CORE, _PRODUCTION, f"{SCHEMAS}/material/2015/02", f"{SCHEMAS}/trianglesets/2021/07")
 # Shapes of other extensions, which a file need not require.
 _SHAPES = ("beamlattice", "booleanshape", "displacementmesh", "levelset", "slicestack")
-_MODEL_PATH = "3D/3dmodel.model"
-_RELATIONS_PATH = "_rels/.rels"
-_MODEL_RELATION = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
 # What slicers state of the volumes of an object: PrusaSlicer as ranges of triangles, Bambu Studio and
 # OrcaSlicer as parts that it is composed of.
 _VOLUMES_PATHS = ("metadata/slic3r_pe_model.config", "metadata/model_settings.config")
@@ -59,18 +62,6 @@ _MOST_PARTS = 20_000
 _PER_BYTE, _PER_ELEMENT = 4, 160
 _PIECE_BYTES = 1 << 20
 _UNMOVED = "1 0 0 0 1 0 0 0 1 0 0 0"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class BuildItem:
-    """One thing to build, by the name that slicers list.
-
-    ``offset_mm`` is where the origin of its vertices lies on the plate: x right, y back, z up.
-    """
-
-    name: str
-    mesh: Mesh
-    offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
 
 class Build(NamedTuple):
@@ -121,12 +112,12 @@ class _Package:
         models = [path for path in entries if path.endswith(".model")]
         if not models:
             raise InputError("the archive holds no .model file")
-        known = [path for path in (_RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
+        known = [path for path in (RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
         size = sum(entries[path].file_size for path in (*models, *known))
         require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
         for path in known:
             self._read(archive, entries[path], self._begin_other)
-        self._root = self._target or (_MODEL_PATH.lower() if _MODEL_PATH.lower() in models else models[0])
+        self._root = self._target or (MODEL_PATH.lower() if MODEL_PATH.lower() in models else models[0])
         if self._root not in models:
             raise InputError(f"the archive holds no model /{self._root}, which it names as its root")
         for self._path in models:
@@ -153,7 +144,7 @@ class _Package:
     def _begin_other(self, tag: str, given: Mapping[str, str]) -> None:
         """Read what names the root model, or says what volumes are for."""
         match tag.rpartition(" ")[2]:
-            case "Relationship" if given.get("Type") == _MODEL_RELATION:
+            case "Relationship" if given.get("Type") == MODEL_RELATION:
                 self._target = _plain(given["Target"])
             case "object":
                 self._number = given["id"]
@@ -174,20 +165,22 @@ class _Package:
     def _begin(self, tag: str, given: Mapping[str, str]) -> None:
         # The parser keeps all names that it has met, of which those that it need not know are many.
         cost = 1
-        match tag.removeprefix(f"{_CORE} "):
+        match tag.removeprefix(f"{CORE} "):
             case "vertex":
-                self._points.extend([float(given[axis]) for axis in "xyz"])
+                self._points.extend(numbers_of([given["x"], given["y"], given["z"]], float))
             case "triangle":
-                self._corners.extend([int(given[corner]) for corner in ("v1", "v2", "v3")])
+                self._corners.extend(numbers_of([given["v1"], given["v2"], given["v3"]], int))
             case "object":
-                kind = given.get("type", "model")
-                self._last = self._objects[self._path, given["id"]] = _Object(given.get("name", ""), kind)
+                named = self._path, given["id"]
+                if named in self._objects:
+                    raise InputError(f"/{self._path} has several objects {given['id'][:40]!r}; expected one")
+                self._last = self._objects[named] = _Object(given.get("name", ""), given.get("type", "model"))
             case "build":
                 self._last = self._objects[self._path, ""]
             case "item" if given.get("printable") in ("0", "false"):
                 self._left_out["objects", "not to be printed"] += self._path == self._root
             case "component" | "item":
-                numbers = [float(number) for number in given.get("transform", _UNMOVED).split()]
+                numbers = numbers_of(given.get("transform", _UNMOVED).split(), float)
                 # Each model has a unit of its own.
                 matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
                 self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
@@ -223,7 +216,7 @@ class _Package:
             require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
 
     def _end(self, tag: str) -> None:
-        if tag == f"{_CORE} mesh":
+        if tag == f"{CORE} mesh":
             vertices = np.array(self._points, np.float64).reshape(-1, 3) * self._mm_per_unit
             self._last.surface = (vertices, np.array(self._corners, np.int32).reshape(-1, 3))
             self._points, self._corners = array("d"), array("i")
@@ -241,12 +234,12 @@ class _Package:
                 vertices_mm, faces = joined(surfaces)
                 items.append(BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces)))
         left_out = tuple(
-            f"left out: {counted(count, things)} {kind}"
+            f"left out: {with_count(count, things)} {kind}"
             for (things, kind), count in self._left_out.items()
             if count
         )
-        if left_out and not items:
-            raise InputError(f"the file holds nothing to build; {', '.join(left_out)}")
+        if not items:
+            raise InputError("; ".join(["the file holds nothing to build", *left_out]))
         return Build(items, left_out, self._units[self._root])
 
     def _placed(self, named: tuple[str, str], matrix: Float64, depth: int = 0) -> Iterator[Surface]:
@@ -254,6 +247,11 @@ class _Package:
         if named not in self._objects:
             raise InputError(f"the archive holds no object {named[1]!r} of /{named[0]}")
         thing = self._objects[named]
+        if self._units[named[0]] != self._units[self._root]:
+            raise InputError(  # which of them counts is read in two ways
+                f"/{named[0]} is in {self._units[named[0]]}, and /{self._root} in {self._units[self._root]}; "
+                "expected one unit"
+            )
         if thing.type != "model":
             self._left_out["objects", f"of type {thing.type[:40]!r}"] += 1
             return
@@ -312,53 +310,3 @@ def read_build(data: bytes) -> Build:
         except ValueError as error:
             raise InputError(str(error)) from error
         return _Package(archive, len(data)).build()
-
-
-_CONTENT_TYPES = (
-    '<?xml version="1.0" encoding="UTF-8"?>'
-    '<Types xmlns="http://schemas.openxmlformats.org/package/2006/content-types">'
-    '<Default Extension="rels" ContentType="application/vnd.openxmlformats-package.relationships+xml"/>'
-    '<Default Extension="model" ContentType="application/vnd.ms-package.3dmanufacturing-3dmodel+xml"/>'
-    "</Types>"
-)
-_RELATIONS = (
-    '<?xml version="1.0" encoding="UTF-8"?>'
-    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
-    '<Relationship Target="/3D/3dmodel.model" Id="model" '
-    f'Type="{_MODEL_RELATION}"/></Relationships>'
-)
-# The first date that a zip archive can hold: with the time of writing, no two files would be the same.
-_EPOCH = (1980, 1, 1, 0, 0, 0)
-
-
-def write_build(items: Sequence[BuildItem]) -> bytes:
-    """Pack things, in the order in which slicers list them; the same things always give the same bytes."""
-    build = ""
-    for number, item in enumerate(items, 1):
-        x, y, z = (f"{value:.9g}" for value in item.offset_mm)
-        moved = f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"' if any(item.offset_mm) else ""
-        build += f'<item objectid="{number}"{moved}/>'
-    resources = "".join(_object(item, number) for number, item in enumerate(items, 1))
-    model = (
-        f'<?xml version="1.0" encoding="UTF-8"?><model unit="millimeter" xml:lang="en-US" xmlns="{_CORE}">'
-        f"<resources>{resources}</resources><build>{build}</build></model>"
-    )
-    files = {"[Content_Types].xml": _CONTENT_TYPES, _RELATIONS_PATH: _RELATIONS, _MODEL_PATH: model}
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        for name, text in files.items():
-            archive.writestr(zipfile.ZipInfo(name, _EPOCH), text, zipfile.ZIP_DEFLATED)
-    return buffer.getvalue()
-
-
-def _object(item: BuildItem, number: int) -> str:
-    # Nine digits give every float32 back exactly, and stored meshes are float32; -0 becomes 0.
-    places = (item.mesh.vertices_mm + 0.0).tolist()
-    corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
-    faces = item.mesh.faces.tolist()
-    triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
-    name = f" name={quoteattr(item.name)}" if item.name else ""
-    return (
-        f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
-        f"<triangles>{triangles}</triangles></mesh></object>"
-    )

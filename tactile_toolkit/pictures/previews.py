@@ -11,16 +11,9 @@ import numpy as np
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.pictures.sheets import (
-    PlannedPicture,
-    Tile,
-    bar_length_mm,
-    file_stem,
-    in_rows,
-    sheet,
-    with_scale_bar,
-)
-from tactile_toolkit.wording import counted
+from tactile_toolkit.pictures.picture_files import PlannedPicture, file_stem
+from tactile_toolkit.pictures.sheets import Tile, bar_length_mm, in_rows, sheet, with_scale_bar
+from tactile_toolkit.wording import with_count
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
 
@@ -50,7 +43,7 @@ class MeshPreviews(Generic[D]):
         for split, dataset, found in self.chosen:
             rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
             if len(rows):
-                what = f"{counted(len(rows), self.things)} of {split} from above"
+                what = f"{with_count(len(rows), self.things)} of {split} from above"
                 heading = f"{self.stem}: {split}"
                 if self.unfinished:
                     heading = f"{heading} (unfinished, {self.unfinished})"

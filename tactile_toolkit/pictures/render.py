@@ -11,7 +11,8 @@ import numpy as np
 from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
 from tactile_toolkit.mesh import Mesh, highest_faces, joined
-from tactile_toolkit.pictures.sheets import PAPER, TILE_STYLE, Colour, figure_html
+from tactile_toolkit.pictures.lettering import PAPER, Colour
+from tactile_toolkit.pictures.picture_files import TILE_STYLE, figure_html
 
 _PITCH_M = 0.0002
 _TILE_PX = 96
@@ -98,7 +99,7 @@ def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> UInt8:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Body:
+class DrawnBody:
     """A mesh to draw in a colour, red, green and blue; without ``lit`` in its plain colour."""
 
     mesh: Mesh
@@ -118,7 +119,7 @@ _COS_SHARP = math.cos(math.radians(40.0))
 
 
 def draw_bodies(
-    bodies: Sequence[Body],
+    bodies: Sequence[DrawnBody],
     size_px: tuple[int, int],
     px_per_m: float,
     view: View = OBLIQUE,

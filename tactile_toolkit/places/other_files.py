@@ -7,7 +7,7 @@ from pathlib import PurePosixPath
 
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 _PARQUET_MARK = b"PAR1"
 _PICTURES = (
@@ -81,7 +81,10 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
     sets = [name for name, size in entries.items() if size is None and _is_set(folder, name)]
     if sets:
         shown = ", ".join(sets[:_MOST_SHOWN])
-        return f"holds {counted(len(sets), 'data sets')} ({shown})", f"give one of them, such as {sets[0]!r}"
+        return (
+            f"holds {with_count(len(sets), 'data sets')} ({shown})",
+            f"give one of them, such as {sets[0]!r}",
+        )
     return _contents_in_words(folder)
 
 

@@ -31,8 +31,7 @@ def repository_named(name: str, revision: str | None = None) -> hub.HubName:
 
     Raises InputError for other names, and for a part of a repository.
     """
-    known = published_set(name)
-    named = named_on_hub(known.repo_id if known else name, revision)
+    named = named_on_hub(name, revision)
     if named.path:
         raise InputError(
             f"{name!r} is a part of a repository; expected all of it", next=f"leave {named.path!r} out"
@@ -41,8 +40,9 @@ def repository_named(name: str, revision: str | None = None) -> hub.HubName:
 
 
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
-    """Return the repository, or the path in one, that a name means; InputError for any other name."""
-    named = hub.hub_name(name, revision)
+    """Return the repository, or the path in one, that a name or short name means; InputError for others."""
+    known = published_set(name)
+    named = hub.hub_name(known.repo_id if known else name, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))

@@ -1,12 +1,12 @@
-"""From meshes to files that print: one per object, or packed on build plates.
+"""From meshes to files that print: one for each object, or build plates of several objects.
 
 ::
 
-    choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    objects.py
-       -> measure(), arrange(): what lies where on plates                packing.py
-       -> write_plates(): 3MF, map, table                                plates.py
+    choose() -> PrintObject -> export_files(): one STL, 3MF, ... each    objects.py, single_files.py
+       -> arrange(): what lies where on plates                           packing.py
+       -> write_plates(): 3MF, map, table                                plates.py, plate_map.py
 
-Whatever is written is read back from disk and has to be the same solid before it gets its name (objects.py).
+Each file is read back from disk and has to be the same solid before it gets its name (file_export.py).
 """
 
 from lazy_loader import attach_stub

@@ -1,13 +1,10 @@
 """Bodies for simulators: MJCF, URDF and USD with true mass and inertia, and convex parts for contacts.
 
-A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass. A
-digit is flat ink that was given a rim: where a part of the ink, seen from above, is convex, the solid over it
-nearly is. So a solid is cut by upright planes only, and where is decided on the flat outline.
+A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass.
 """
 
 from __future__ import annotations
 
-import math
 import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -20,27 +17,23 @@ from scipy.spatial.transform import Rotation
 
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh import Mesh, require_solid
-from tactile_toolkit.printing.spec import Physics
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.printing.convex import convex_parts
+from tactile_toolkit.printing.physics import Physics
 
-_DIRECTIONS = [
-    np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
-]
-_OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
-# Larger than any plate, and small enough for a half plane of doubles.
-_FAR_MM = 1e5
-_LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
 TOO_LIGHT = "too-light"
 """What is wrong with a body beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
 # MuJoCo refuses bodies with a moment below.
 _LEAST_MOMENT_KG_M2 = 1e-14
+
+_USD_INDENT = " " * 4
 
 # The moments of inertia, by their name in URDF, in the order of MJCF.
 _MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 
 
 @dataclass(frozen=True, slots=True)
-class Body:
+class RigidBody:
     """One rigid body, metres, kilograms, in the frame of its mesh.
 
     ``inertia_kg_m2``, shape (3, 3), is about the centre of mass ``center_m``, along the axes of the mesh.
@@ -55,7 +48,7 @@ class Body:
     friction: float
 
 
-def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
+def body_of(name: str, mesh: Mesh, physics: Physics) -> RigidBody:
     """Weigh an evenly filled solid and cut it into convex parts.
 
     Raises ItemError where it is none, or so light that MuJoCo refuses it.
@@ -73,7 +66,7 @@ def body_of(name: str, mesh: Mesh, physics: Physics) -> Body:
             f"its least moment of inertia is {least:.2g} kg m²; MuJoCo takes bodies from "
             f"{_LEAST_MOMENT_KG_M2:g} kg m² on; next: a larger --scale or --density-kg-m3",
         )
-    return Body(name, mesh, parts, float(properties.mass), center_m, inertia_kg_m2, physics.friction)
+    return RigidBody(name, mesh, parts, float(properties.mass), center_m, inertia_kg_m2, physics.friction)
 
 
 def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[str, bytes]:
@@ -84,7 +77,9 @@ def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[st
     return {f"{name}{ending}": pack_mjcf([(body, (0.0, 0.0))], name) if ending == ".xml" else _pack_usd(body)}
 
 
-def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, floor: bool = False) -> bytes:
+def pack_mjcf(
+    bodies: Sequence[tuple[RigidBody, tuple[float, float]]], model: str, floor: bool = False
+) -> bytes:
     """Write bodies, each with its place on the ground in metres, as one MJCF file that needs no other.
 
     ``floor`` adds a plane to lie on, and light. The same bodies give the same bytes.
@@ -120,7 +115,7 @@ def pack_mjcf(bodies: Sequence[tuple[Body, tuple[float, float]]], model: str, fl
     return _written(_tag("mujoco", _tag("asset", *assets), world, model=model))
 
 
-def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
+def _pack_urdf(body: RigidBody, folder: str) -> dict[str, bytes]:
     """Write a body as a URDF file and its meshes, OBJ in metres, by path; the URDF file is the last one."""
     meshes = {"visual": body.mesh} | {f"part-{number:02d}": part for number, part in enumerate(body.parts)}
     files = {
@@ -145,10 +140,7 @@ def _pack_urdf(body: Body, folder: str) -> dict[str, bytes]:
     return {**files, f"{folder}.urdf": _written(_tag("robot", paths, link, name=body.name))}
 
 
-_USD_INDENT = " " * 4
-
-
-def _pack_usd(body: Body) -> bytes:
+def _pack_usd(body: RigidBody) -> bytes:
     """Write a body as one USD file in words, metres and kilograms."""
     prim = re.sub(r"\W|^(?=\d)", "_", body.name, flags=re.ASCII)  # USD knows no other names
     moments, axes = np.linalg.eigh(body.inertia_kg_m2)
@@ -215,73 +207,3 @@ def _written(root: ElementTree.Element) -> bytes:
     ElementTree.indent(root)
     content: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     return content + b"\n"
-
-
-def convex_parts(
-    mesh: Mesh, *, excess: float = 1.08, most: int = 64, tolerance_mm: float = 0.1
-) -> list[Mesh]:
-    """Cut a solid into parts and return their convex hulls.
-
-    The part whose hull adds most is cut first, until all hulls together are ``excess`` times the solid, or
-    there are ``most`` of them or a few more. Hulls hold all of the solid but what ``tolerance_mm`` smooths
-    off their corners. The same mesh gives the same parts.
-
-    Raises ItemError where the mesh bounds no solid.
-    """
-    solid = require_solid(mesh).manifold
-    parts, whole_mm3 = _parts(solid), solid.volume()
-    for _ in range(most):  # of so many cuts: one may split off a chip that is not a part, time and again
-        if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
-            break
-        _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))
-        normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
-        for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
-            parts += _parts(half)
-    smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
-    # Of a chip thinner than the tolerance, smoothing leaves nothing.
-    return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
-
-
-def _parts(found: Any) -> list[tuple[float, Any, Any]]:
-    """Return the bodies of a solid: what the hull of each adds, the body, and its hull."""
-    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
-    return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
-
-
-def _best_cut(outline: Any) -> tuple[Float64, float]:
-    """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
-
-    It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
-    above the outline, as over a stroke that swells: it is halved across its length.
-    """
-    from manifold3d import CrossSection
-
-    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
-    depths_mm = _depths_mm(outline, corners)
-    deepest = corners[int(depths_mm.argmax())]
-    cuts = []
-    for number, normal in enumerate(_DIRECTIONS if depths_mm.max() > _OUTLINE_MM else ()):
-        far, along = normal * _FAR_MM, np.array([-normal[1], normal[0]]) * _FAR_MM
-        start = normal * float(normal @ deepest)
-        corner = start - along, start - along + far, start + along + far, start + along
-        half = CrossSection([np.array(corner)])
-        halves = (outline ^ half, outline - half)
-        if not any(each.is_empty() for each in halves):
-            area = sum(piece.hull().area() for each in halves for piece in each.decompose())
-            cuts.append((area, number))
-    if cuts:
-        normal = _DIRECTIONS[min(cuts)[1]]
-        return normal, float(normal @ deepest)
-    normal = max(_DIRECTIONS, key=lambda each: float(np.ptp(corners @ each)))
-    along = corners @ normal
-    return normal, float(along.min() + along.max()) / 2
-
-
-def _depths_mm(outline: Any, corners: Float64) -> Float64:
-    """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
-    hull = np.asarray(outline.hull().to_polygons()[0])
-    along = np.roll(hull, -1, axis=0) - hull
-    inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
-    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
-    depths: Float64 = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
-    return depths

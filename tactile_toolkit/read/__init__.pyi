@@ -1,31 +1,26 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .columns import (
+from .arrow_views import (
     BytesColumn as BytesColumn,
-    Expected as Expected,
     NestedColumn as NestedColumn,
     RaggedColumn as RaggedColumn,
-    RowGroup as RowGroup,
-    Rows as Rows,
+    ragged_array as ragged_array,
+    vectors_type as vectors_type,
+)
+from .chosen_groups import (
+    ChosenGroups as ChosenGroups,
+)
+from .dataset import (
+    RecordDataset as RecordDataset,
+)
+from .features import (
     class_names as class_names,
-    column_names as column_names,
-    column_types as column_types,
     dtype_name as dtype_name,
     feature_metadata as feature_metadata,
     label_feature as label_feature,
-    list_depth as list_depth,
-    null_fields as null_fields,
-    ragged_array as ragged_array,
     stored_features as stored_features,
-    vectors_type as vectors_type,
-    whole_number as whole_number,
-    whole_numbers as whole_numbers,
-    wrong_type as wrong_type,
 )
-from .dataset import (
-    Record as Record,
-    RecordDataset as RecordDataset,
-    Row as Row,
+from .indexing import (
     checked_index as checked_index,
     flattened as flattened,
     picks_several as picks_several,
@@ -34,9 +29,26 @@ from .dataset import (
 from .order import (
     StoredParts as StoredParts,
 )
-from .parquet import (
-    ChosenGroups as ChosenGroups,
+from .record import (
+    Record as Record,
+    Row as Row,
+)
+from .row_group import (
+    RowGroup as RowGroup,
+    Rows as Rows,
+    null_fields as null_fields,
+)
+from .schemas import (
+    Expected as Expected,
+    column_names as column_names,
+    column_types as column_types,
+    list_depth as list_depth,
+    wrong_type as wrong_type,
+)
+from .shard import (
     Shard as Shard,
+)
+from .sharded_table import (
     ShardedTable as ShardedTable,
 )
 from .source import (
@@ -48,7 +60,11 @@ from .stream import (
     Stream as Stream,
     loader_worker as loader_worker,
 )
-from .torch import (
+from .training_batches import (
     TrainingBatches as TrainingBatches,
     shared_zeros as shared_zeros,
+)
+from .whole_numbers import (
+    whole_number as whole_number,
+    whole_numbers as whole_numbers,
 )

@@ -11,196 +11,28 @@ from functools import reduce
 from typing import Any, ClassVar, Generic, Self, TypeVar, overload
 
 import numpy as np
-from numpy.typing import NDArray
+import pyarrow as pa
 
 from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.read.columns import (
-    RowGroup,
-    Rows,
-    column_types,
-    table_bytes,
-    whole_number,
-    whole_numbers,
-)
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.read.indexing import flattened, picks_several, positions
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.random_parts import random_order, random_parts
+from tactile_toolkit.read.record import Record, Row
+from tactile_toolkit.read.schemas import column_types
+from tactile_toolkit.read.sharded_table import ShardedTable
 from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.wording import class_name, counted, is_integer, plain_number, printable
+from tactile_toolkit.read.whole_numbers import whole_numbers
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import class_name, with_count
 
 T = TypeVar("T")
 
 _SHOWN_PICTURES = 8
 _MOST_NAMES = 10
 _SHOWN_IDS = 4
-# 0.7 + 0.2 + 0.1 is 0.9999999999999999.
-_ROUNDING = 1e-9
-
-
-class Row:
-    """One stored row, its fields read on demand: ``group`` is the rows it belongs to, ``index`` its own."""
-
-    __slots__ = ("group", "index")
-
-    def __init__(self, group: Rows, index: int) -> None:
-        self.group = group
-        self.index = index
-
-    def array(self, name: str) -> AnyArray:
-        """Return a field of shape (n, width) as a read-only view of the stored values."""
-        try:
-            return self.group.ragged(name)[self.index]
-        except IntegrityError:  # of another row, maybe: this one alone
-            alone = self.group.table.slice(self.index, 1)
-            return RowGroup(alone, self.path, self.number).ragged(name)[0]
-
-    def value(self, name: str) -> Any:
-        """Return a plain field as numpy's scalar or Python's object."""
-        return self.group.flat(name)[self.index]
-
-    def required(self, name: str) -> Any:
-        """Return a plain field as :meth:`value` does; IntegrityError where it is null."""
-        value = self.value(name)
-        # Of a column with nulls, numpy makes NaN of those of numbers.
-        missing = value is None or (isinstance(value, (float, np.floating)) and value != value)
-        if missing and not self.group.arrow(name)[self.index].is_valid:
-            raise self.group.damaged(name, self.index, "no value is stored")
-        return value
-
-    def integer(self, name: str) -> int:
-        """Return a plain field as an int; IntegrityError where its value is none, as 1.5, or null."""
-        value = self.value(name)
-        if isinstance(value, np.signedinteger):
-            return int(value)
-        # A null next to it made numpy's column inexact.
-        stored = self.group.arrow(name)[self.index].as_py()
-        number = whole_number(stored)
-        if number is None:
-            found = "no value is stored" if stored is None else f"the value is {stored!r}"
-            raise self.group.damaged(name, self.index, found, "an integer")
-        return number
-
-    def has(self, name: str) -> bool:
-        """Return whether the data set has a column."""
-        return name in self.group.names
-
-    @property
-    def path(self) -> str:
-        """File that it is stored in."""
-        return self.group.path
-
-    @property
-    def number(self) -> int:
-        """Its row number in that file."""
-        return self.group.first_row + self.index
-
-    def equals(self, other: Row) -> bool:
-        """Return whether two rows have the same columns and values, wherever they are stored."""
-        import pyarrow as pa
-
-        one, another = (
-            pa.table({name: row.group.arrow(name).slice(row.index, 1) for name in sorted(row.group.names)})
-            for row in (self, other)
-        )
-        if one.schema != another.schema:
-            return False
-        # To Arrow a NaN equals nothing; written it equals itself.
-        return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a table of this one row, not as its entire row group."""
-        content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
-        return _row_from_ipc, (content, self.path, self.number)
-
-
-def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
-    import pyarrow as pa
-
-    return Row(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
-
-
-class Record:
-    """Base of typed records of one row: frozen, each field loaded on first use, picklable."""
-
-    __slots__ = ("_loaded", "_row")
-    _row: Row
-    _loaded: dict[str, Any]
-
-    def __init__(self, row: Row) -> None:
-        object.__setattr__(self, "_row", row)
-        object.__setattr__(self, "_loaded", {})
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (type(self), (self._row,))
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether the other is a record of the same kind with the same stored values."""
-        if not isinstance(other, Record) or type(other) is not type(self):
-            return NotImplemented
-        return self._row.equals(other._row)
-
-    def __hash__(self) -> int:
-        # Of this row alone: a neighbour's damage must not make a record differ from its pickled copy.
-        try:
-            number = self._row.group.arrow("id")[self._row.index].as_py()
-        except (KeyError, ValueError):
-            number = None
-        return hash((type(self), number))
-
-    def _tile_html(self) -> str:
-        """Return what a notebook shows of the record among others: a small picture, where there is any."""
-        return ""
-
-    def _once(self, name: str, load: Callable[[], T]) -> T:
-        """Load a field on its first use and keep it."""
-        loaded = self._loaded
-        if name not in loaded:
-            loaded[name] = load()
-        value: T = loaded[name]
-        return value
-
-
-def checked_index(index: int, length: int, of: str, things: str) -> int:
-    """Turn an index that may count from the end into one from 0; IndexError, in these words, out of range."""
-    if not -length <= index < length:
-        raise IndexError(f"{of} {index} is out of range for {length} {things}")
-    return index + length if index < 0 else index
-
-
-def flattened(values: Iterable[Any]) -> Iterator[Any]:
-    """Yield values, and those of collections among them, at any depth."""
-    for value in values:
-        if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
-            yield from flattened(value)
-        else:
-            yield value
-
-
-def picks_several(index: Any) -> bool:
-    """Return whether an index stands for several items: a slice, or a list, array or tensor of them."""
-    if isinstance(index, (slice, list, tuple)):
-        return True
-    return hasattr(index, "__array__") and np.ndim(index) > 0
-
-
-def positions(index: Any, length: int) -> Int64:
-    """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
-
-    Raises IndexError for a mask of another length and for ints out of range, TypeError for anything else.
-    """
-    if isinstance(index, slice):
-        return np.arange(*index.indices(length))
-    chosen = np.asarray(index)
-    if chosen.ndim != 1 or (chosen.size and chosen.dtype.kind not in "iub"):
-        raise TypeError(
-            f"rows are chosen by a slice, ints or booleans, not {chosen.dtype} of shape {chosen.shape}"
-        )
-    found: Int64 = np.arange(length)[chosen if chosen.size else np.zeros(0, np.int64)]
-    return found
 
 
 class RecordDataset(Sequence[T], Generic[T]):
@@ -256,8 +88,6 @@ class RecordDataset(Sequence[T], Generic[T]):
     @property
     def _types(self) -> dict[str, Any]:
         """Arrow type of each column that joined sets store alike, by dotted name; structs are left out."""
-        import pyarrow as pa
-
         found, *others = [column_types(schema) for schema in self._table.schemas] or [{}]
         return {
             name: each
@@ -282,8 +112,6 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def _plain_columns(self) -> tuple[str, ...]:
-        import pyarrow as pa
-
         large = (pa.types.is_nested, pa.types.is_binary)
         return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
@@ -304,7 +132,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         IntegrityError
             A file is damaged.
         """
-        import pyarrow as pa
+        # `datasets` takes seconds to import.
         from datasets import Dataset
 
         rows = [self._row(int(number)) for number in self._rows]
@@ -389,7 +217,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         length = len(self._rows)
         # Not `checked_index`, which would cost a tenth of all that `touches[i]` does.
         if not -length <= position < length:
-            raise IndexError(f"index {position} is out of range for {counted(length, self.things)}")
+            raise IndexError(f"index {position} is out of range for {with_count(length, self.things)}")
         return self._stored(int(self._rows[position]))
 
     def _select(self, chosen: slice | Int64) -> Self:
@@ -440,7 +268,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             No item has it, or the items have no ids.
         """
-        number = plain_number(id)
+        number = to_builtin_number(id)
         places = np.flatnonzero(self.ids == number)
         if not len(places):
             # Those of items, for touches have others than the column of their rounds.
@@ -505,7 +333,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             The seed is not an integer from 0.
         """
-        return self._select(self._order(seed))
+        return self._select(random_order(seed, len(self)))
 
     def sample(self, n: int, seed: int) -> Self:
         """Return so many items, drawn at random without repetition.
@@ -524,7 +352,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             There are fewer items, or a number is not a whole one from 0.
         """
-        return self._select(self._order(seed)[: checked_integer(n, "n, the size of a sample,", 0, len(self))])
+        count = checked_integer(n, "n, the size of a sample,", 0, len(self))
+        return self._select(random_order(seed, len(self))[:count])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
         """Divide the items at random into parts that share none and leave none out.
@@ -559,22 +388,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         Touches of one round, or rounds of one object, may come into several parts. Divide the objects
         instead where that matters.
         """
-        ends = _part_ends([plain_number(part) for part in parts], len(self))
-        order = self._order(seed)
-        if not stratify:
-            return tuple(self._select(part) for part in np.split(order, ends)[: len(ends)])
-        # Each class is spread evenly over 0 to 1, from a start of its own: a cut anywhere divides all classes
-        # alike, up to one item of each.
-        labels = self.labels[order]
-        classes, counts = np.unique(labels, return_counts=True)
-        # Numbers behind those of the order, which is the same whether classes are asked for or not.
-        starts = _numbers(seed, len(order) + len(classes))[len(order) :] / 2.0**64
-        spread = np.empty(len(order))
-        for label, count, start in zip(classes, counts, starts, strict=True):
-            spread[labels == label] = (np.arange(count) + start) / count
-        part_of = np.empty(len(order), np.int64)
-        part_of[np.argsort(spread, kind="stable")] = np.searchsorted(ends, np.arange(len(order)), "right")
-        return tuple(self._select(order[part_of == part]) for part in range(len(ends)))
+        labels = self.labels if stratify else None
+        parts_of = random_parts([to_builtin_number(part) for part in parts], len(self), seed, labels)
+        return tuple(self._select(part) for part in parts_of)
 
     def to_pandas(self) -> Any:
         """Return the plain columns as a table with one row for each item.
@@ -586,6 +402,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         -------
         pandas.DataFrame
         """
+        # pandas takes half a second to import.
         import pandas as pd
 
         return pd.DataFrame({name: self.column(name) for name in self._plain_columns})
@@ -673,17 +490,14 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._table.row_groups(numbers)
 
     def _description(self) -> list[str]:
-        return with_origins(counted(len(self), self.things), self._table)
+        return self._table.described(with_count(len(self), self.things))
 
     def _each(self) -> Iterator[tuple[int, T]]:
         """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
         return enumerate(self)
 
-    def _order(self, seed: int) -> Int64:
-        return np.argsort(_numbers(seed, len(self)), kind="stable")
-
     def _label_number(self, label: Any) -> int:
-        known, number = self.label_names, plain_number(label)
+        known, number = self.label_names, to_builtin_number(label)
         if number in known:
             return known.index(number)
         if is_integer(number) and 0 <= number < len(known):
@@ -708,34 +522,3 @@ class RecordDataset(Sequence[T], Generic[T]):
         further = len(names) - _MOST_NAMES
         shown = names if further <= 0 else [*names[:_MOST_NAMES], f"{further:,} more"]
         return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
-
-
-def with_origins(things: str, table: ShardedTable) -> list[str]:
-    """Say of what data sets and splits some things are, such as ``20 rows``."""
-    origins = table.origins
-    names = dict.fromkeys(name for name, _ in origins)
-    splits = dict.fromkeys(f"split {split}" for _, split in origins if split)
-    return [f"{things} of {' and '.join(names)}" if names else things, *splits]
-
-
-def _numbers(seed: int, count: int) -> NDArray[np.uint64]:
-    """Return random bits: of the stream of PCG64, which numpy promises to keep, unlike its shuffles."""
-    return np.asarray(np.random.PCG64(checked_integer(seed, "seed")).random_raw(count), np.uint64)
-
-
-def _part_ends(parts: Sequence[Any], length: int) -> list[int]:
-    """Return where each part ends, the one that is left over included; InputError for impossible sizes."""
-    numbers, shares = is_integer(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
-    total, whole = (sum(parts), length) if numbers or shares else (0, 0)
-    whole = whole if numbers else 1
-    if not parts or not (numbers or shares) or total > whole + _ROUNDING or min(parts) < 0:
-        asked = ", ".join(map(repr, parts)) or "nothing"
-        raise InputError(
-            f"a split into {asked} was asked for; expected shares such as 0.8, 0.2 that add up to at most 1, "
-            f"or integers that add up to at most {counted(length, 'rows')}"
-        )
-    if numbers:
-        ends = np.cumsum(parts).tolist()
-    else:
-        ends = np.minimum(np.round(np.cumsum(parts) * length), length).astype(int).tolist()
-    return ends if total >= whole - _ROUNDING else [*ends, length]

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from typing import Any, Protocol, TypeVar
 
-from tactile_toolkit.read.columns import RowGroup, Rows
+from tactile_toolkit.read.row_group import RowGroup, Rows
 
 
 class RowSource(Protocol):

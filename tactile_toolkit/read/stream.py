@@ -7,10 +7,9 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
-from tactile_toolkit.read.dataset import with_origins
-from tactile_toolkit.read.parquet import ShardedTable
+from tactile_toolkit.read.sharded_table import ShardedTable
 from tactile_toolkit.read.source import RowSource, row_groups
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 
 S = TypeVar("S", bound=RowSource)
 
@@ -56,5 +55,5 @@ class Stream(Generic[S]):
         return islice(row_groups(self.shards), found.id, None, found.num_workers)
 
     def _described(self, items: str) -> str:
-        words = with_origins(counted(len(self.shards), "shards"), ShardedTable(self.shards))
+        words = ShardedTable(self.shards).described(with_count(len(self.shards), "shards"))
         return f"{type(self).__name__}({items}, {', '.join(words)})"

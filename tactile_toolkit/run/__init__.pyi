@@ -1,13 +1,13 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .processes import (
-    Check as Check,
-    Finish as Finish,
-    InlineRunner as InlineRunner,
+from .parts import (
     Part as Part,
+    parse_part as parse_part,
+)
+from .processes import (
+    InlineRunner as InlineRunner,
     ProcessRunner as ProcessRunner,
     Runner as Runner,
-    part_of as part_of,
     runner_for as runner_for,
 )
 from .ray import (

@@ -1,14 +1,28 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from . import remote as remote
+from .addresses import (
+    is_remote as is_remote,
+    normalize_uri as normalize_uri,
+    scheme_of as scheme_of,
+)
 from .building import (
-    Progress as Progress,
-    RunOptions as RunOptions,
     build as build,
-    refuse_overwriting_parts as refuse_overwriting_parts,
-    require_replaceable as require_replaceable,
     require_rows as require_rows,
-    resume_promotion as resume_promotion,
+)
+from .data_folder import (
+    DataFolder as DataFolder,
+    PENDING_FOLDER as PENDING_FOLDER,
+    VERSION_KEYS as VERSION_KEYS,
+)
+from .download_record import (
+    DIGEST as DIGEST,
+    DownloadRecord as DownloadRecord,
+    HubFile as HubFile,
+    digest_like as digest_like,
+    has_digest as has_digest,
+    read_record as read_record,
+    write_record as write_record,
 )
 from .files import (
     DRAFT as DRAFT,
@@ -23,24 +37,21 @@ from .files import (
     scratch_folder as scratch_folder,
     write_file as write_file,
 )
-from .folder import (
-    DataFolder as DataFolder,
-    PENDING_FOLDER as PENDING_FOLDER,
-    VERSION_KEYS as VERSION_KEYS,
-    local_folder as local_folder,
-    split_uri as split_uri,
-)
-from .inside import (
+from .foreign_files import (
     open_inside as open_inside,
     size_inside as size_inside,
 )
+from .fsspec_folder import (
+    FsspecFolder as FsspecFolder,
+)
 from .job import (
-    BuildPlan as BuildPlan,
-    Job as Job,
+    BuildJob as BuildJob,
     MissingPartsError as MissingPartsError,
     inspect_job as inspect_job,
-    manifest_so_far as manifest_so_far,
     refuse_unknown_files as refuse_unknown_files,
+)
+from .local_folder import (
+    LocalFolder as LocalFolder,
 )
 from .locks import (
     LOCK_FILE as LOCK_FILE,
@@ -54,44 +65,54 @@ from .manifest import (
     write_manifest as write_manifest,
 )
 from .names import (
-    Count as Count,
-    LARGEST as LARGEST,
-    damaged as damaged,
-    decode as decode,
     is_hidden as is_hidden,
-    is_remote as is_remote,
     names_inside as names_inside,
-    normalize_uri as normalize_uri,
     problem_of_name as problem_of_name,
-    scheme_of as scheme_of,
-    typed as typed,
 )
-from .origin import (
-    DIGEST as DIGEST,
-    DownloadRecord as DownloadRecord,
-    HubFile as HubFile,
-    digest_like as digest_like,
-    has_digest as has_digest,
-    read_record as read_record,
-    write_record as write_record,
+from .opening import (
+    local_folder_path as local_folder_path,
+    open_folder as open_folder,
+    split_uri as split_uri,
 )
 from .parquet import (
     ParquetStyle as ParquetStyle,
-    SOURCE_DIGEST as SOURCE_DIGEST,
     encode_parquet as encode_parquet,
     is_unchanged as is_unchanged,
     named_damage as named_damage,
     open_checked as open_checked,
     open_parquet as open_parquet,
-    read_report as read_report,
     sha256_hex as sha256_hex,
-    small_files as small_files,
+)
+from .pending import (
+    manifest_so_far as manifest_so_far,
+)
+from .plan import (
+    BuildPlan as BuildPlan,
 )
 from .remote import (
-    Failure as Failure,
+    CallFailure as CallFailure,
     cause_chain as cause_chain,
     in_time as in_time,
     with_retry as with_retry,
+)
+from .replacing import (
+    require_replaceable as require_replaceable,
+    resume_promotion as resume_promotion,
+)
+from .reports import (
+    read_report as read_report,
+)
+from .run_options import (
+    Progress as Progress,
+    RunKeywords as RunKeywords,
+    RunOptions as RunOptions,
+)
+from .sealed_json import (
+    Count as Count,
+    LARGEST as LARGEST,
+    convert_json as convert_json,
+    damaged_error as damaged_error,
+    decode as decode,
 )
 from .shards import (
     DAMAGED as DAMAGED,

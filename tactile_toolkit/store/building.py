@@ -2,9 +2,9 @@
 
 begin   creates the manifest (complete: false, no shards) if there is none, and reads it back
 work    makes a shard; then, under the shared lock: same job? rows, report rows, files, record
-finish  under the lock: every task has its record; report, small columns, further files, card, manifest
+finish  under the lock: every task has its record; report, further files, card, manifest
 
-The kinds of data bring a :class:`~tactile_toolkit.store.job.BuildPlan`. What is interrupted continues when
+The kinds of data bring a :class:`~tactile_toolkit.store.BuildPlan`. What is interrupted continues when
 the same is asked for again: a task whose record is intact is done.
 """
 
@@ -13,76 +13,28 @@ from __future__ import annotations
 import contextlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, TypedDict
+from typing import Unpack
 
-import msgspec
-
-from tactile_toolkit import run
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
-from tactile_toolkit.store.folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
-from tactile_toolkit.store.job import (
-    BuildPlan,
-    Job,
-    begin_job,
-    pending_records,
-    refuse_unknown_files,
-    remove_leftovers,
-    require_parts,
-    require_same_job,
-    write_record,
-)
+from tactile_toolkit.run import runner_for
+from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
+from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
-from tactile_toolkit.store.manifest import (
-    MANIFEST_FILE,
-    Manifest,
-    read_manifest,
-    write_manifest,
-)
-from tactile_toolkit.store.names import decode, is_hidden
-from tactile_toolkit.store.origin import RECORD_FILE
-from tactile_toolkit.store.ownership import PROMOTION_FILE, extra_files, is_ours, is_pending, remove_next
-from tactile_toolkit.store.parquet import (
-    REPORT_STYLE,
-    ParquetStyle,
-    encode_parquet,
-    merge_reports,
-    sha256_hex,
-    write_small_columns,
-)
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
+from tactile_toolkit.store.parquet import REPORT_STYLE, ParquetStyle, encode_parquet, sha256_hex
+from tactile_toolkit.store.pending import pending_records, remove_leftovers, remove_pending, write_record
+from tactile_toolkit.store.plan import BuildPlan
+from tactile_toolkit.store.replacing import prepare_next, promote, require_replaceable, resume_promotion
+from tactile_toolkit.store.reports import merge_reports
+from tactile_toolkit.store.run_options import Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
-from tactile_toolkit.store.task import ShardTask
+from tactile_toolkit.store.task import AnyTask
 
 _CAUSES_SHOWN = 3
 
 WriteCard = Callable[[DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Passed on once before the work and after each shard: items done and to do in this run."""
-
-    done: int
-    total: int
-    record: ShardRecord | None = None
-
-
-class RunOptions(TypedDict, total=False):
-    """How a data set is made, whatever it holds; none of it changes a row.
-
-    Attributes
-    ----------
-    workers : int or Runner
-        Number of local processes, 1 by default, or a runner of another kind.
-    overwrite : bool
-        Replace another data set of this toolkit in the folder.
-    on_progress : callable
-        Called with the :class:`Progress` before the work and after each shard.
-    """
-
-    workers: int | run.Runner
-    overwrite: bool
-    on_progress: Callable[[Progress], None]
 
 
 @dataclass(frozen=True)
@@ -94,7 +46,7 @@ class _WriteShard:
     style: ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
 
-    def __call__(self, task: ShardTask[Any]) -> ShardRecord:
+    def __call__(self, task: AnyTask) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves them all."""
         folder, shard = self.folder, task.shard
         content = task.make()
@@ -126,18 +78,15 @@ class _WriteShard:
 def build(
     folder: DataFolder,
     plan: BuildPlan,
-    workers: int | run.Runner = 1,
     *,
-    overwrite: bool = False,
-    on_progress: Callable[[Progress], None] = lambda _: None,
     write_card: WriteCard | None = None,
+    **run: Unpack[RunKeywords],
 ) -> Manifest:
     """Make what is missing in the folder of the plan and return the manifest.
 
     A run that fails keeps the shards that it finished; one that finished none leaves the folder as it was.
-    With ``overwrite``, the former data set stays until all of the new one is finished. What a
-    :class:`~tactile_toolkit.run.processes.Part`, ``Finish`` or ``Check`` in place of a runner does is
-    described there.
+    With ``overwrite``, the former data set stays until all of the new one is finished. ``run`` are fields of
+    :class:`RunOptions`.
 
     Raises
     ------
@@ -148,64 +97,77 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
-    runner = run.runner_for(workers)
-    kind = runner.workers if isinstance(runner, run.Check) else runner
-    is_part = isinstance(kind, run.Part)
-    if overwrite:
-        refuse_overwriting_parts(folder, kind)
-    existed = folder.exists()
-    folder.require_folder()
-    target, had_manifest, held = folder, True, contextlib.ExitStack()
-    try:
-        resume_promotion(folder)
-        # Parts begin as they write shards: of many at once, one would never find the folder free.
-        with folder.locked(shared=is_part):
-            if overwrite and require_replaceable(folder, plan):
-                target, existed = prepare_next(folder, plan), False
-                held.enter_context(locked(folder.place(NEXT_FOLDER), shared=True, patience_s=0.0))
-            had_manifest = target.exists(MANIFEST_FILE)
-            job = begin_job(target, plan, runner)
-        # By names and sizes alone; manifests are written last.
-        is_finished = not job.remaining and job.manifest.complete and not folder.names(PENDING_FOLDER)
-        if is_finished and not folder.is_local and not isinstance(runner, run.Check):
+    options = RunOptions(**run)
+    with _begun(folder, plan, options) as (job, hold):
+        if _needs_no_lock(job, options):
             return job.manifest
-        records = [*job.finished, *_work(job, runner, on_progress)]
-        if is_part:
-            return _end_part(job, records)
+        records = [*job.finished, *_work(job, options)]
+        if options.part is not None:
+            return _finish_partial_run(job, records)
         with folder.locked(is_patient=True):
             manifest = _finish(job, records, write_card)
-            if target is not folder:
-                held.close()
+            if job.folder is not folder and isinstance(folder, LocalFolder):
+                hold.close()
                 promote(folder)
         return manifest
-    except BaseException as error:
-        # Who has waited in vain does not wait again.
-        patience_s = 0.0 if isinstance(error, BusyError) else None
-        # What ended the run is what is reported, even where the disk does not let us remove anything.
-        with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
-            if not isinstance(kind, (run.Part, run.Finish)):
-                _undo(target, plan, had_manifest)
-            held.close()
-            if not existed:
-                target.remove_empty("")
-        raise
-    finally:
-        held.close()
 
 
-def _work(job: Job, runner: run.Runner, on_progress: Callable[[Progress], None]) -> Iterator[ShardRecord]:
+@contextlib.contextmanager
+def _begun(
+    folder: DataFolder, plan: BuildPlan, options: RunOptions
+) -> Iterator[tuple[BuildJob, contextlib.ExitStack]]:
+    """Begin a job, in ``.next`` where it replaces a data set, and roll it back if it fails without a row.
+
+    Yields the job and what holds ``.next`` for this run.
+    """
+    existed = folder.exists()
+    folder.require_folder()
+    target, had_manifest = folder, True
+    with contextlib.ExitStack() as hold:
+        try:
+            resume_promotion(folder)
+            # Parts begin as they write shards: of many at once, one would never find the folder free.
+            with folder.locked(shared=options.part is not None):
+                is_replaced = options.overwrite and require_replaceable(folder, plan)
+                if is_replaced and isinstance(folder, LocalFolder):
+                    target, existed = prepare_next(folder, plan), False
+                    hold.enter_context(locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0))
+                had_manifest = target.exists(MANIFEST_FILE)
+                job = begin_job(target, plan, options)
+            yield job, hold
+        except BaseException as error:
+            # Who has waited in vain does not wait again.
+            patience_s = 0.0 if isinstance(error, BusyError) else None
+            # The first error is the one to report, even if the disk does not let us remove anything.
+            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
+                if options.is_whole:
+                    _roll_back(target, plan, had_manifest)
+                hold.close()
+                if not existed:
+                    target.remove_empty("")
+            raise
+
+
+def _needs_no_lock(job: BuildJob, options: RunOptions) -> bool:
+    """Return whether a set in a store is finished, by names and sizes alone; manifests are written last."""
+    if job.folder.is_local or options.check or job.remaining:
+        return False
+    return job.manifest.complete and not job.folder.names(PENDING_FOLDER)
+
+
+def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
     done, total = 0, sum(sizes.values())
-    on_progress(Progress(done, total))
+    options.on_progress(Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
-    for record in runner.run(work, tasks):
+    for record in runner_for(options.workers).run(work, tasks):
         done += sizes[record.shard]
-        on_progress(Progress(done, total, record))
+        options.on_progress(Progress(done, total, record))
         yield record
 
 
-def _end_part(job: Job, records: Sequence[ShardRecord]) -> Manifest:
+def _finish_partial_run(job: BuildJob, records: Sequence[ShardRecord]) -> Manifest:
     """Return what the manifest would hold of a part, or that of a set that other runs have finished."""
     if job.remaining:
         current = require_same_job(job.folder, job.manifest.identity)
@@ -218,7 +180,7 @@ def _end_part(job: Job, records: Sequence[ShardRecord]) -> Manifest:
     return replace(job.manifest.with_shards(records), complete=False)
 
 
-def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | None) -> Manifest:
+def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard | None) -> Manifest:
     """Write what follows from all shards, and the manifest last; the caller holds the lock."""
     folder, plan = job.folder, job.plan
     current = require_same_job(folder, job.manifest.identity)
@@ -234,7 +196,6 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
     if plan.report_file is not None:
         checksum = merge_reports(folder, plan.report_file, manifest)
         files |= {plan.report_file: checksum} if checksum is not None else {}
-    files |= write_small_columns(folder, manifest)
     files |= plan.write_files(folder, manifest)
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:
@@ -251,8 +212,8 @@ def _finish(job: Job, records: Sequence[ShardRecord], write_card: WriteCard | No
     return finished
 
 
-def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
-    """Undo a run that failed before any row was written.
+def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
+    """Roll back a run that failed before any row was written.
 
     A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
     folder that holds nothing and refuses every other specification.
@@ -273,11 +234,11 @@ def _undo(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     folder.remove_empty(DATA_FOLDER)
     if not had_manifest and not folder.names(DATA_FOLDER):
         folder.remove(MANIFEST_FILE)
-        folder.remove_tree(PENDING_FOLDER, is_pending)
+        remove_pending(folder)
     folder.remove_empty(PENDING_FOLDER)
 
 
-def _require_records(job: Job, records: Sequence[ShardRecord]) -> None:
+def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:
     """Refuse to continue where a task has no record, or this machine does not see the file of a record."""
     job.folder.refresh(DATA_FOLDER)
     sizes = job.folder.sizes(DATA_FOLDER)
@@ -298,127 +259,3 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
             f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
             next="correct the source, or choose another one",
         )
-
-
-def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
-    """Return the files of the data set that a run may replace, none where there is none; changes nothing.
-
-    All files of a data set are known by their names; other hidden files stay. What a run of the plan has left
-    is not replaced but continued. Raises InputError for any other file, a symbolic link above all, and for a
-    set in an object store, which moves no file.
-    """
-    if not folder.exists(MANIFEST_FILE):
-        refuse_unknown_files(folder, plan)
-        return []
-    if not folder.is_local:
-        raise InputError(
-            f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
-            "it could not be put back if the new run fails; nothing was changed",
-            next="choose another folder (--out or OUT), or remove that one with the store's own tools",
-        )
-    manifest = _manifest(folder)
-    # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
-    named = () if manifest is None else manifest.trees
-    further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
-    names = set(folder.names())
-    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
-    found = [path for path in folder.walk() if path.partition("/")[0] in shown]
-    strange = [path for path in found if folder.place(path) and not is_ours(path, further)]
-    # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
-    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
-        strange = [MANIFEST_FILE]
-    if strange:
-        raise InputError(
-            f"{folder.address()!r} holds more than a data set of this toolkit (found {strange[0]!r}); "
-            "nothing was changed",
-            next="move that file away, or choose an empty or new folder (--out or OUT)",
-        )
-    return found
-
-
-def refuse_overwriting_parts(folder: DataFolder, runner: run.Runner | int) -> None:
-    """Raise InputError for what makes or ends parts: one must not remove what the others made."""
-    if isinstance(runner, (run.Part, run.Finish)):
-        raise InputError(
-            "--overwrite was given with --part or --finish: each part would remove what the others made; "
-            "nothing was changed",
-            next=f"remove {folder.address()!r} first, or choose another folder (--out or OUT)",
-        )
-
-
-def _manifest(folder: DataFolder) -> Manifest | None:
-    try:
-        return read_manifest(folder)
-    except IntegrityError:
-        return None
-
-
-def prepare_next(folder: DataFolder, plan: BuildPlan) -> DataFolder:
-    """Return the folder in which the next data set is made, without files of any other one.
-
-    Who makes a data set there holds that folder, shared with other runs of the same. Raises BusyError where
-    another one is being made.
-    """
-    place, after = folder.place(NEXT_FOLDER), DataFolder(folder.address(NEXT_FOLDER))
-    after.require_folder()
-    begun = _manifest(after)
-    if begun is None or begun.identity != plan.new_manifest().identity:
-        with locked(place, patience_s=0.0):
-            folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
-            remove_next(folder)
-        after.require_folder()
-    return after
-
-
-def resume_promotion(folder: DataFolder) -> None:
-    """Complete a replacement that was begun; raises BusyError while another run does so."""
-    if folder.is_local and folder.exists(PROMOTION_FILE):
-        with folder.locked():
-            if folder.exists(PROMOTION_FILE):
-                _move_files(folder)
-
-
-def promote(folder: DataFolder) -> None:
-    """Put the finished data set in ``.next`` in place of that around it; the caller holds the lock.
-
-    Raises InputError where the folder holds more than a data set by now, and nothing was touched.
-    """
-    leave = require_replaceable(folder)
-    former = sorted({*leave}.difference(_arriving(folder)))
-    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))  # from here on it can only be completed
-    _move_files(folder)
-
-
-def _arriving(folder: DataFolder) -> list[str]:
-    """Return the files of the next data set that were not moved yet."""
-    return [path for path in DataFolder(folder.address(NEXT_FOLDER)).walk() if not is_hidden(path)]
-
-
-def _move_files(folder: DataFolder) -> None:
-    leave = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
-    after = DataFolder(folder.address(NEXT_FOLDER))
-    manifest = read_manifest(after)
-    if manifest is not None:  # it is the last file to move
-        write_manifest(folder, replace(manifest, complete=False))
-        # The list may be any user's, of a folder that was given to us.
-        every = extra_files()
-        for path in leave:
-            if is_ours(path, every):
-                folder.remove(path)
-        for path in _arriving(folder):
-            if path != MANIFEST_FILE:
-                folder.move(f"{NEXT_FOLDER}/{path}", path)
-        sizes = folder.sizes(DATA_FOLDER)
-        missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
-        if missing:
-            remove_next(folder)  # the same run makes them again where they are to be
-            raise IntegrityError(
-                f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
-                "the place of a former file",
-                next="run the same command again without --overwrite",
-            )
-        folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
-    for path in leave:
-        while path := path.rpartition("/")[0]:
-            folder.remove_empty(path)
-    remove_next(folder)

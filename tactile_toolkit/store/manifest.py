@@ -16,10 +16,12 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.names import Count, Sha256, damaged, decode, names_inside, require_seal, seal
+from tactile_toolkit.shown_text import printable_json
+from tactile_toolkit.store.data_folder import DataFolder
+from tactile_toolkit.store.names import names_inside
+from tactile_toolkit.store.sealed_json import Count, Sha256, damaged_error, decode, require_seal, seal
 from tactile_toolkit.store.shards import ShardRecord, add_up
-from tactile_toolkit.wording import counted, printable_json
+from tactile_toolkit.wording import with_count
 
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 3
@@ -76,7 +78,7 @@ class Manifest:
     def progress(self) -> str:
         """How many shards are finished, such as ``"3 of 8 shards"``."""
         planned = sum(self.shards_planned().values())
-        return f"{len(self.shards):,} of {counted(planned, 'shards')}"
+        return f"{len(self.shards):,} of {with_count(planned, 'shards')}"
 
     def split_table(self) -> dict[str, dict[str, int]]:
         """Rows, shards, bytes and skipped items of each split."""
@@ -152,7 +154,7 @@ class Manifest:
             shards = {record.shard for record in manifest.shards}
             manifest.sums()  # of statistics that add up
         except (ValueError, TypeError, AttributeError) as error:
-            raise damaged(where, f"shards: {error}") from error
+            raise damaged_error(where, f"shards: {error}") from error
         names_inside(
             (
                 *{each.split: each.file for each in manifest.shards}.values(),
@@ -163,7 +165,7 @@ class Manifest:
         )
         splits = {shard.split for shard in shards}
         if len(shards) < len(manifest.shards) or splits - {*manifest.split_order}:
-            raise damaged(where, "shards: one is listed twice, or of no split in 'split_order'")
+            raise damaged_error(where, "shards: one is listed twice, or of no split in 'split_order'")
         return manifest
 
 

@@ -1,29 +1,12 @@
-"""What comes from outside: places as users write them, names of files, JSON documents.
-
-Whoever wrote them may be anyone, and a name decides what is read, overwritten or deleted. Names are parsed in
-one place.
-"""
+"""Names of files that come from outside: a name decides what is read, overwritten or deleted."""
 
 from __future__ import annotations
 
-import hashlib
 import re
 import unicodedata
 from collections.abc import Iterable
-from functools import cache
-from typing import Annotated, Any, TypeVar, cast
 
-import msgspec
-
-from tactile_toolkit.errors import InputError, IntegrityError, require_public
-
-T = TypeVar("T")
-
-_SCHEME = re.compile(r"(?P<scheme>[A-Za-z][A-Za-z0-9+.-]*)://(?P<rest>.*)", re.DOTALL)
-_LOST_SLASH = re.compile(r"(?:s3a?|gs|gcs|hf|abfs|az):/(?!/)")
-_LOCAL_SCHEMES = ("file", "local")
-_WEB_SCHEMES = ("http", "https")
-_OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
+from tactile_toolkit.errors import IntegrityError
 
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, its name has a prefix.
@@ -32,6 +15,7 @@ _DRIVE = re.compile("[A-Za-z]:")
 _PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³")
 _WINDOWS_DEVICES = _PORTS | {"con", "prn", "aux", "nul", "conin$", "conout$"}
 _SHOWN = 80
+_STEPS = frozenset({".", ".."})
 # What systems leave in folders and archives, in lower case; names that begin with a dot are hidden anyway.
 _LEFT_BY_SYSTEMS = frozenset(
     {
@@ -46,56 +30,16 @@ _LEFT_BY_SYSTEMS = frozenset(
     }
 )
 
-_FIRST_LINE = "{\n"
-
-LARGEST = (1 << 63) - 1
-Count = Annotated[int, msgspec.Meta(ge=0, le=LARGEST)]
-Sha256 = Annotated[str, msgspec.Meta(pattern=r"\A[0-9a-f]{64}\Z")]
-
-
-def scheme_of(place: str) -> str:
-    """Return the scheme of an address, such as ``s3``; empty for a local path, also in the form ``file://``."""
-    match = _SCHEME.fullmatch(place)
-    scheme = match["scheme"].lower() if match else ""
-    return "" if scheme in _LOCAL_SCHEMES else _OTHER_NAMES.get(scheme, scheme)
-
-
-def is_remote(place: str) -> bool:
-    """Return whether a place is not on a local file system."""
-    return bool(scheme_of(place))
-
-
-def normalize_uri(place: str) -> str:
-    """Return a local path without ``file://``, or an address in its one form, without a slash at its end.
-
-    Raises InputError for an address that names no bucket, is of the web, or may hold a key or a signature.
-    """
-    require_public(place)
-    match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
-    if match is None and not _LOST_SLASH.match(place):
-        return place
-    rest = match["rest"].rstrip("/") if match else ""
-    if match and not scheme and match["rest"].startswith("/"):
-        return rest or "/"
-    bucket, *parts = rest.split("/")
-    is_plain = rest.isprintable() and not {".", ".."} & {bucket, *parts}
-    if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
-        raise InputError(
-            f"{place!r} is not the address of a data set; expected a folder, file:///FOLDER, "
-            "s3://BUCKET/FOLDER or the like, of plain names ('.', '..' and control characters are none), "
-            "and not of the web",
-            next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
-        )
-    return f"{scheme}://{rest}"
-
 
 def is_hidden(path: str) -> bool:
     """Return whether a listing passes over a relative path, with slashes.
 
     It does where a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
-    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...).
+    leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...). A path that
+    leads elsewhere (``../a.png``) is not hidden, but wrong.
     """
-    return any(part[:1] == "." or part.lower() in _LEFT_BY_SYSTEMS for part in path.split("/"))
+    parts = path.split("/")
+    return any((part[:1] == "." and part not in _STEPS) or part.lower() in _LEFT_BY_SYSTEMS for part in parts)
 
 
 def problem_of_name(name: object) -> str:
@@ -142,56 +86,3 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
                 next="do not use this data set, or ask who made it",
             )
     return tuple(seen.values())
-
-
-@cache
-def _decoder(kind: Any) -> msgspec.json.Decoder[Any]:
-    return msgspec.json.Decoder(kind)
-
-
-def decode(content: str | bytes, kind: type[T], where: str) -> T:
-    """Return a JSON document as a value of a type; IntegrityError, naming ``where`` it is from, otherwise."""
-    try:
-        decoded: T = _decoder(cast(Any, kind)).decode(content)
-    except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
-        raise damaged(where, error) from error
-    return decoded
-
-
-def seal(text: str) -> str:
-    """Return the text of a JSON object, one line a field, with a digest of all that follows as its first."""
-    fields = text.removeprefix(_FIRST_LINE)
-    return f"{_head(fields.encode())}{fields}"
-
-
-def _head(fields: bytes) -> str:
-    digest = hashlib.sha256(fields.removesuffix(b"\n")).hexdigest()  # editors add or drop that one
-    return f'{_FIRST_LINE} "sha256_of_all_below": "{digest}",\n'
-
-
-_HEAD_BYTES = len(_head(b""))
-
-
-def require_seal(content: str | bytes, where: str) -> None:
-    """Raise IntegrityError, naming ``where`` a document is from, unless it is as :func:`seal` returned it."""
-    found = content.encode(errors="surrogatepass") if isinstance(content, str) else content
-    # Lines may end as git writes them on Windows; within a line JSON has no such character.
-    found = found.replace(b"\r\n", b"\n")
-    if found[:_HEAD_BYTES] != _head(found[_HEAD_BYTES:]).encode():
-        raise damaged(where, "it was changed since it was written")
-
-
-def damaged(where: str, problem: object) -> IntegrityError:
-    """Return the error for a document in which a value cannot be right."""
-    return IntegrityError(
-        f"{where!r} is damaged: {problem}",
-        next="download the data set again, or generate it again with --overwrite",
-    )
-
-
-def typed(values: Any, kind: type[T], where: str, field: str) -> T:
-    """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
-    try:
-        return msgspec.convert(values, kind)
-    except msgspec.ValidationError as error:
-        raise damaged(where, f"{field}: {error}") from error

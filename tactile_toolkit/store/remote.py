@@ -20,7 +20,7 @@ from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
 from tactile_toolkit.redaction import redact
-from tactile_toolkit.store.names import scheme_of
+from tactile_toolkit.store.addresses import scheme_of
 
 ASKED_WAIT_S = 120.0
 """Longest time to wait in all because a server asks for it, seconds."""
@@ -44,7 +44,7 @@ T = TypeVar("T")
 
 
 @dataclass(frozen=True)
-class Failure:
+class CallFailure:
     """The error for what a client raised, and whether the same call may succeed soon.
 
     ``asked_wait_s`` is for how long the server asks to wait.
@@ -57,7 +57,7 @@ class Failure:
 
 def with_retry(
     action: Callable[[], T],
-    failure_of: Callable[[Exception], Failure | None],
+    failure_of: Callable[[Exception], CallFailure | None],
     waits_s: Sequence[float],
     *,
     patience_s: float = float("inf"),
@@ -258,7 +258,7 @@ _SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
 )
 
 
-def _store_failure(error: Exception, doing: str, address: str) -> Failure | None:
+def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | None:
     """Return the failure for what the client of a store raised; None for an error of another origin."""
     chain = cause_chain(error)
     if isinstance(error, (FileNotFoundError, FileExistsError)) or any(
@@ -280,7 +280,7 @@ def _store_failure(error: Exception, doing: str, address: str) -> Failure | None
         is_of_store = pattern or status is not None or of_client or isinstance(error, OSError)
         if is_of_store and re.search(pattern, causes):
             is_transient = is_silent or bool(_TRANSIENT.match(status or ""))
-            return Failure(kind(what.format(**values), next=then), is_transient)
+            return CallFailure(kind(what.format(**values), next=then), is_transient)
     return None
 
 

@@ -11,9 +11,9 @@ from typing import Annotated, Any
 
 import msgspec
 
-from tactile_toolkit.store.folder import PENDING_FOLDER
-from tactile_toolkit.store.names import LARGEST, Count, Sha256
-from tactile_toolkit.wording import printable
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.store.data_folder import PENDING_FOLDER
+from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
 
 DAMAGED = "damaged"
 """Reason to leave an item out whose stored data is damaged."""

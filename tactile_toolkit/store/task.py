@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, TypeAlias, TypeVar
 
 from tactile_toolkit.store.shards import ShardName, Skipped
 
@@ -65,3 +65,7 @@ class ShardTask(Generic[T]):
     def source_digest(self) -> str | None:
         """Read what the rows would be made of now; None where the specification says it all."""
         return None if self.digest is None else self.digest(self.items)
+
+
+AnyTask: TypeAlias = ShardTask[Any]
+"""A task of any kind of items."""

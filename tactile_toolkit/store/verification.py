@@ -14,18 +14,18 @@ from typing import IO, Any, NamedTuple
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import manifest_so_far
-from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.origin import (
+from tactile_toolkit.store.data_folder import DataFolder
+from tactile_toolkit.store.download_record import (
     RECORD_FILE,
     HubFile,
     digest_algorithm,
     digest_like,
     read_record,
 )
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
+from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import named_damage, open_checked
+from tactile_toolkit.store.pending import manifest_so_far
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
 
 
@@ -71,7 +71,7 @@ def verify(
     on_file : callable
         Called with each path before it is read.
     check_card : callable, optional
-        Compares the data card with the data, such as :func:`tactile_toolkit.cards.card.check_card`.
+        Compares the data card with the data, such as :func:`tactile_toolkit.cards.card_check.check_card`.
     workers : int
         Number of threads that read and hash; what is found does not depend on it.
 

@@ -6,7 +6,7 @@ from typing import Any
 
 from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import is_count
+from tactile_toolkit.parsed_text import is_count
 
 PRESS_DEPTH_M = 0.002125
 """How far the highest point under the gel is pressed into it where touches are rendered, metres (package

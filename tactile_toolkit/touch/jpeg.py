@@ -51,7 +51,7 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
 
     Raises ValueError when the data is not such an image, or exceeds the limits above.
     """
-    mode = ""
+    mode, pictures = "", 1
     if is_jpeg(data):
         require_bounded_jpeg(data)
     try:
@@ -60,8 +60,11 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
         else:
             image = _opened(data)
             height, width, mode = image.height, image.width, image.mode
+            pictures = getattr(image, "n_frames", 1)
     except Exception as error:
         raise _undecodable(data) from error
+    if pictures > 1:
+        raise ValueError(f"an image of {pictures:,} pictures, one after the other; expected one")
     if mode in _DEEP:
         raise ValueError(f"an image of 16 bits ({mode}), most of which 8 would lose; expected 8")
     if height * width > MAX_IMAGE_PIXELS:

@@ -131,6 +131,7 @@ def test_rows_of_any_kind_are_shown(sets, program, capsys):
     assert "note: " in capsys.readouterr().err, "an unfinished set is called so"
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", PROGRAMS)
 def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsys, program):
     place = str(sets / "unfinished")
@@ -198,6 +199,7 @@ STRANGERS = {
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("stranger", STRANGERS)
 def test_what_is_no_data_set_is_called_what_it_is(tmp_path, capsys, stranger):
     make, words = STRANGERS[stranger]

@@ -31,25 +31,6 @@ def test_a_wrench_is_made_as_data_set_and_file(tmp_path):
     assert run("wrench", "--out", tmp_path / "wrench", "--overwrite").exit_code == 0
 
 
-def test_a_dry_run_says_the_same_and_writes_nothing(tmp_path):
-    words = ("wrench", "--size", 13, "--out", tmp_path / "wrench", "--stl", tmp_path / "wrench.stl", "--json")
-    tried = run(*words, "--dry-run")
-    assert tried.exit_code == 0, tried.output
-    assert list(tmp_path.iterdir()) == []
-    made = run(*words)
-    before, after = json.loads(tried.stdout), json.loads(made.stdout)
-    assert (before.pop("written"), after.pop("written")) == (False, True)
-    assert before == after
-    assert after["spec"]["second_opening_mm"] == 10
-    assert after["warnings"] == []
-    report = mnist3d.inspect(mnist3d.read_mesh(tmp_path / "wrench.stl"))
-    assert after["size_mm"] == [round(side, 3) for side in report.size_mm]
-    for name in ("volume_mm3", "mass_g", "thinnest_wall_mm", "vertices", "faces"):
-        assert after[name] == round(getattr(report, name), 3), name
-    card = (tmp_path / "wrench" / "README.md").read_text()
-    assert f"{after['size_mm'][0]:.1f} mm\nlong" in card, "the card is longer than the solid"
-
-
 def test_every_length_reaches_the_wrench():
     made = run(
         *("wrench", "--size", "M8", "--second-size", 11, "--length-mm", 140, "--thickness-mm", 7),
@@ -104,7 +85,7 @@ def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
 def test_info_lists_what_a_provider_would_give(tmp_path):
     assert run("info", tmp_path).stdout == f"{tmp_path} holds no data sets\n"
     run("wrench", "--out", tmp_path / "wrench")
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 6), ("test", 3)))
     starstruck_gen.generate(scenes, str(tmp_path / "stars"))
     (tmp_path / "notes").mkdir()
     (tmp_path / "damaged").mkdir()
@@ -123,6 +104,7 @@ def test_info_lists_what_a_provider_would_give(tmp_path):
     assert run("info", tmp_path / "nowhere").exit_code == 2
 
 
+@pytest.mark.thorough
 def test_a_wrench_is_exported_for_printers_and_simulators(tmp_path):
     """Through the export of all data sets of meshes; the simulator weighs it as the report says."""
     made = run("wrench", "--size", 10, "--out", tmp_path / "wrench", "--json")

@@ -7,11 +7,13 @@ import io
 import json
 from functools import partial
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 import trimesh
 
+import mnist3d
 from tactile_toolkit.mesh import check_manifold, read_mesh
 from tests import command_line
 from tests.tactile_toolkit.toy import folder_bytes
@@ -39,6 +41,7 @@ def test_one_file_per_object(folder: Path, tmp_path: Path, capsys: pytest.Captur
     assert all(check_manifold(read_mesh(path)).problem is None for path in files)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["3mf", "ply", "obj", "glb"])
 def test_other_formats_and_scales(kind: str, folder: Path, tmp_path: Path) -> None:
     choice = ("--split", "printed_test", "--labels", "3", "--quiet")
@@ -49,6 +52,27 @@ def test_other_formats_and_scales(kind: str, folder: Path, tmp_path: Path) -> No
     assert other.suffix == f".{kind}"
     sizes = [np.ptp(read_mesh(path).bounds_m, axis=0) for path in (one, other)]
     assert sizes[1] == pytest.approx(sizes[0] * 1.5, rel=1e-4)
+
+
+def test_bodies_have_the_density_and_the_friction_asked_for(folder: Path, tmp_path: Path) -> None:
+    digits = mnist3d.load(folder, "printed_test")
+    (digit,) = digits[digits.labels == 3]
+    material = ("--density-kg-m3", 500, "--friction", 0.25)
+    found = {}
+    for ending, suffix in (("mjcf", "xml"), ("urdf", "urdf")):
+        out = tmp_path / ending
+        assert (
+            call("export", folder, "--ids", digit.id, *material, "-q", "--format", ending, "--out", out) == 0
+        )
+        (file,) = out.rglob(f"*.{suffix}")
+        found[ending] = ElementTree.parse(file)
+    for each in ("inertial", "mass"):
+        (body,) = found["mjcf" if each == "inertial" else "urdf"].iter(each)
+        mass_kg = float(body.attrib["mass" if each == "inertial" else "value"])
+        assert mass_kg == pytest.approx(digit.mesh.volume * 500, rel=1e-3)
+    frictions = [geom.attrib["friction"] for geom in found["mjcf"].iter("geom") if "friction" in geom.attrib]
+    assert frictions
+    assert {float(friction.split()[0]) for friction in frictions} == {0.25}
 
 
 def test_all_splits_ids_and_json(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -68,9 +92,8 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert call("export", folder, *options) == 0
     printed = capsys.readouterr()
     assert "wrote 10 objects on" in printed.out
-    assert "no packing needs fewer than" in printed.out
-    assert "plates.csv lists which object lies where" in printed.out
-    for stage in ("measuring: 10 of 10", "packing:", "writing:"):
+    assert "plates.csv lists where each object lies" in printed.out
+    for stage in ("measuring: 10 of 10", "writing:"):
         assert stage in printed.err
     with (tmp_path / "plates.csv").open(newline="") as stream:
         rows = list(csv.DictReader(stream))
@@ -84,6 +107,7 @@ def test_plates(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     assert folder_bytes(tmp_path) == before
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
 def test_dry_run_writes_nothing(
     plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
@@ -94,12 +118,6 @@ def test_dry_run_writes_nothing(
     assert "would write 4" in printed
     assert "nothing was written" in printed
     assert not out.exists()
-
-
-def test_quiet_says_nothing(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call("export", folder, "--limit", "1", "--out", tmp_path, "--quiet") == 0
-    assert call("export", folder, "--limit", "1", "--plate", "90x90", "--out", tmp_path, "-q") == 0
-    assert capsys.readouterr() == ("", "")
 
 
 @pytest.mark.parametrize(
@@ -148,36 +166,7 @@ def test_other_files_are_refused_unless_overwritten(
     assert folder_bytes(tmp_path) != before
 
 
-def test_ranges_of_ids_may_have_holes(folder: Path, tmp_path: Path) -> None:
-    options = ("--split", "printed_test", "--ids", "0-99999999999", "--out", tmp_path, "--quiet")
-    assert call("export", folder, *options) == 0
-    assert len(list(tmp_path.iterdir())) == 10
-
-
-@pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
-def test_dry_run_ends_as_the_run_would(
-    plate: tuple[str, ...], folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    options = ("export", folder, *plate, "--split", "printed_test", "--limit", "1", "--out", tmp_path)
-    assert call(*options) == 0
-    before = folder_bytes(tmp_path)
-    capsys.readouterr()
-    assert call(*options, "--scale", "2", "--dry-run") == 2
-    assert "--overwrite" in capsys.readouterr().err
-    assert call(*options, "--scale", "2", "--dry-run", "--overwrite") == 0
-    assert f"would write 1 {'object' if plate else 'stl file'} " in capsys.readouterr().out
-    assert folder_bytes(tmp_path) == before
-
-
-@pytest.mark.parametrize("plate", [(), ("--plate", "200x200")])
-def test_remote_folders_are_refused(
-    plate: tuple[str, ...], folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert call("export", folder, *plate, "--limit", "1", "--out", "s3://a/b") == 2
-    assert list(tmp_path.iterdir()) == []
-
-
+@pytest.mark.thorough
 def test_what_is_no_solid_is_named_and_the_rest_is_written(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -201,38 +190,6 @@ def test_what_is_no_solid_is_named_and_the_rest_is_written(
         assert "not-manifold" in printed.err
         assert "9 files" in printed.out if not plate else "wrote 9 objects" in printed.out
         assert f"failed: {name}" in printed.err
-
-
-def test_choices_of_nothing_and_ids_that_stand_twice_are_refused(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import pyarrow as pa
-    from pyarrow import parquet
-
-    (source,) = (folder / "data").glob("printed_test-*.parquet")
-    table = parquet.ParquetFile(source).read(use_threads=False)
-    other = str((table["label"][0].as_py() + 1) % 10)
-    parquet.write_table(pa.concat_tables([table, table]), tmp_path / "twice.parquet")
-    for place, choice, words in (
-        (source, ("--ids", table["id"][0].as_py(), "--labels", other), "no object is chosen"),
-        (tmp_path / "twice.parquet", (), "an id stands twice in a split"),
-    ):
-        assert call("export", place, *choice, "--out", tmp_path / "out") == 2
-        assert words in " ".join(capsys.readouterr().err.split())
-        assert not (tmp_path / "out").exists()
-
-
-def test_starstruck_exports_alike(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = ("--scenes", "test=2,train=0", "--split", "test", "--workers", "1", "--quiet")
-    assert command_line.call("starstruck", "generate", *options, "--out", tmp_path / "scenes") == 0
-    out = tmp_path / "out"
-    assert command_line.call("starstruck", "export", tmp_path / "scenes", "--out", out) == 0
-    files = sorted(out.iterdir())
-    assert [path.name for path in files] == ["test-1-1000000000.stl", "test-2-1000000001.stl"]
-    assert all(check_manifold(read_mesh(path)).problem is None for path in files)
-    plate = ("--plate", "130x250", "--out", tmp_path / "plates")
-    assert command_line.call("starstruck", "export", tmp_path / "scenes", *plate) == 0
-    assert "wrote 2 objects" in capsys.readouterr().out
 
 
 def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -281,7 +238,7 @@ def test_tables_are_a_data_set_folder(
     assert '"operation": "export"' in capsys.readouterr().out
     card = before["README.md"].decode()
     assert "license: mit" in card, "as drawn digits are"
-    assert "MIT, as the toolkit: no one's handwriting is in it." in card
+    assert "MIT, as the toolkit: the data set contains no one's handwriting." in card
     table = out / "data" / "printed_train-00000-of-00001.parquet"
     table.write_bytes(table.read_bytes()[:-9])
     assert call("verify", out) == 3
@@ -292,36 +249,7 @@ def test_tables_are_a_data_set_folder(
     assert "column 'mesh.vertices' is missing" in capsys.readouterr().err
 
 
-def test_tables_are_kept_and_nothing_of_others_is_touched(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    out = tmp_path / "flat"
-    words = ("export", folder, "--format", "flat", "--out", out, "--workers", "1", "-q")
-    assert call(*words) == 0
-    before = folder_bytes(out)
-    some = ("--split", "printed_test", "--limit", "3")
-    for further in (some, (*some, "--dry-run")):
-        assert call(*words, *further) == 2
-        assert "options.limit is None there, 3 was asked for" in capsys.readouterr().err
-        assert folder_bytes(out) == before
-    assert call(*words, *some, "--overwrite") == 0
-    assert [path for path in folder_bytes(out) if path.startswith("data/")] == [
-        "data/printed_test-00000-of-00001.parquet"
-    ]
-    whole = folder_bytes(folder)
-    assert call(*words, "--overwrite", "--out", folder) == 2
-    assert "holds the source" in capsys.readouterr().err
-    assert folder_bytes(folder) == whole
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "notes.txt").write_text("mine")
-    assert call(*words, "--overwrite", "--out", tmp_path / "mine") == 2
-    assert list(folder_bytes(tmp_path / "mine")) == ["notes.txt"]
-    assert call(*words, "--scale", "2") == 2
-    assert "--scale is about files" in capsys.readouterr().err
-    assert call(*words, "--dry-run", "--out", tmp_path / "none") == 0
-    assert not (tmp_path / "none").exists()
-
-
+@pytest.mark.thorough
 def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     import datasets
 
@@ -345,31 +273,3 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
-
-
-@pytest.mark.parametrize(
-    ("plate", "words"), [((), "; 2 were there already"), (("--plate", "130x130"), "; 1 was there already")]
-)
-def test_what_was_there_already_is_counted(
-    plate: tuple[str, ...], words: str, folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    arguments = ("export", folder, "--split", "printed_test", "--limit", "2", *plate, "--out", tmp_path)
-    assert call(*arguments) == 0
-    assert "there already" not in capsys.readouterr().out
-    assert call(*arguments) == 0
-    assert words in capsys.readouterr().out
-
-
-def test_tables_of_some_of_each_class_are_not_taken_for_others(
-    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    words = ("export", folder, "--split", "printed_test", "--format", "flat", "--workers", "1", "-q")
-    assert call(*words, "--out", tmp_path / "all") == 0
-    options = json.loads((tmp_path / "all" / "manifest.json").read_text())["spec"]["options"]
-    assert options == {"layout": "flat", "ids": None, "labels": None, "limit": None}
-    some = (*words, "--out", tmp_path / "some", "--labels", "3,5")
-    assert call(*some, "--per-class", "1") == 0
-    options = json.loads((tmp_path / "some" / "manifest.json").read_text())["spec"]["options"]
-    assert options == {"layout": "flat", "ids": None, "labels": "3,5", "limit": None, "per_class": 1}
-    assert call(*some, "--per-class", "2") == 2
-    assert "options.per_class is 1 there, 2 was asked for" in capsys.readouterr().err

@@ -1,16 +1,11 @@
 from __future__ import annotations
 
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.wording import counted
+from tactile_toolkit.wording import with_count
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.tactile_toolkit.toy import folder_bytes
@@ -32,18 +27,20 @@ def folders(tmp_path_factory) -> dict[str, Path]:
 ITEMS = {"mnist3d": (10, "digits"), "starstruck": (6, "scenes"), "realtouch": (1, "rounds")}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ITEMS)
 def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, capsys):
     count, nouns = ITEMS[program]
     out = tmp_path / "site"
     assert call(program, "gallery", folders[program], "--out", out, "--workers", 1) == 0
     printed = capsys.readouterr()
-    assert f": {counted(count, nouns)}, " in printed.out
+    assert f": {with_count(count, nouns)}, " in printed.out
     assert f"next: open {out / 'index.html'} in a browser" in printed.out
     assert f"making the gallery: {count} of {count}" in printed.err
     assert (out / "index.html").is_file()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ITEMS)
 def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, folders, tmp_path, capsys):
     out = tmp_path / "site"
@@ -52,7 +49,7 @@ def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, fold
     view = json.loads(capsys.readouterr().out)
     assert not out.exists()
     assert call(program, *arguments, "--dry-run") == 0
-    assert f"would make {out}: {counted(*ITEMS[program])}; nothing was written" in capsys.readouterr().out
+    assert f"would make {out}: {with_count(*ITEMS[program])}; nothing was written" in capsys.readouterr().out
     assert call(program, *arguments, "--json", "--quiet") == 0
     printed = capsys.readouterr()
     made = json.loads(printed.out)
@@ -66,11 +63,6 @@ def test_dry_run_counts_the_items_of_each_split_and_writes_nothing(program, fold
     assert call(program, *arguments, "--dry-run", "--overwrite") == 0
     assert f"would replace the gallery in {out}" in capsys.readouterr().out
     assert folder_bytes(out) == files
-
-
-def test_quiet_says_nothing(folders, tmp_path, capsys):
-    assert call("starstruck", "gallery", folders["starstruck"], "-o", tmp_path / "site", "-q", "-w", "1") == 0
-    assert capsys.readouterr() == ("", "")
 
 
 def test_refusals_and_overwrite(folders, tmp_path, capsys):
@@ -95,36 +87,3 @@ def test_refusals_and_overwrite(folders, tmp_path, capsys):
     assert call("mnist3d", "gallery", folders["mnist3d"], "--out", "s3://bucket/site") == 2
     assert "is a remote address" in capsys.readouterr().err
     assert not (tmp_path / "new").exists()
-
-
-def test_ctrl_c_leaves_nothing_and_says_so(folders, tmp_path):
-    code = (
-        "import pathlib, sys, time\n"
-        "from tactile_toolkit.gallery.items import RowsTask\n"
-        "from cli.starstruck import main\n"
-        "alive = sys.argv.pop()\n"
-        "def wait(task):\n"
-        "    pathlib.Path(alive).touch()\n"
-        "    time.sleep(600)\n"
-        "RowsTask.make = wait\n"
-        "main()\n"
-    )
-    alive, place = tmp_path / "alive", tmp_path / "place"
-    place.mkdir()
-    command = [sys.executable, "-c", code, "gallery", str(folders["starstruck"])]
-    options = ["--out", str(place / "site"), "--workers", "1", str(alive)]
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
-    with subprocess.Popen(
-        [*command, *options], stderr=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=environment
-    ) as process:
-        deadline = time.monotonic() + 120
-        while not alive.exists():
-            assert process.poll() is None
-            assert time.monotonic() < deadline
-            time.sleep(0.02)
-        process.send_signal(signal.SIGINT)
-        _, words = process.communicate()
-    assert process.returncode == 130
-    assert "interrupted; nothing was left behind" in words
-    assert "Traceback" not in words
-    assert list(place.iterdir()) == []

@@ -13,12 +13,10 @@ from pathlib import Path
 
 import pytest
 
-import realtouch
-from starstruck_gen.make import GenerateSpec, generate
+from starstruck_gen.scene_generation import SceneSetSpec, generate
 from tests.command_line import call, program
 from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
-from tests.realtouch import factories
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 
@@ -42,7 +40,7 @@ def run(command: str, *arguments: object, environment: dict[str, str]) -> subpro
 def folder(tmp_path_factory) -> Path:
     """Two splits of scenes."""
     place = tmp_path_factory.mktemp("upload") / "stars"
-    generate(GenerateSpec(scenes=(("train", 30), ("test", 9))), str(place))
+    generate(SceneSetSpec(scenes=(("train", 30), ("test", 9))), str(place))
     return place
 
 
@@ -111,6 +109,7 @@ def test_the_whole_way_of_digits(tmp_path):
         assert ways[0].startswith("10 ")
 
 
+@pytest.mark.thorough
 def test_the_whole_way_of_scenes(server, folder, tmp_path):
     logging.getLogger("huggingface_hub").setLevel(logging.INFO)
     assert call("starstruck", "upload", folder, NAME, "--yes", "--quiet") == 0
@@ -124,29 +123,6 @@ def test_the_whole_way_of_scenes(server, folder, tmp_path):
     assert ways[0].startswith("30 ")
     assert first
     assert second
-
-
-def test_touches_and_plain_pictures_go_the_same_way(server, tmp_path, capsys):
-    truth = [factories.make_round(index, 3, (64, 48)) for index in range(2)]
-    source = factories.write_set(tmp_path / "source", {"train": factories.single_rows(truth)}, "single")
-    realtouch.select(str(source), str(tmp_path / "touches"))
-    realtouch.frames(str(source), str(tmp_path / "pictures"), "jpeg")
-    assert call("realtouch", "upload", tmp_path / "touches", "someone/touches", "--yes") == 0
-    printed = capsys.readouterr()
-    assert 'realtouch.load("someone/touches", split="train")' in printed.out
-    assert f"checking {tmp_path / 'touches'}" in printed.err, "which may take minutes"
-    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes") == 0
-    assert 'data = datasets.load_dataset("someone/pictures", split="train")' in capsys.readouterr().out
-    held = server.repository("someone/pictures").head.files
-    stored = {f.relative_to(tmp_path / "pictures").as_posix() for f in (tmp_path / "pictures").rglob("*.jpg")}
-    assert stored
-    assert {"index.csv", *stored} <= set(held)
-    picture = next(iter((tmp_path / "pictures").rglob("*.jpg")))
-    picture.write_bytes(picture.read_bytes()[:-9])
-    assert call("realtouch", "upload", tmp_path / "pictures", "someone/pictures", "--yes") == 3
-    assert picture.name in capsys.readouterr().err
-    assert call("realtouch", "upload", source, "someone/source", "--yes") == 2
-    assert "no manifest.json" in capsys.readouterr().err
 
 
 def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
@@ -189,37 +165,8 @@ def test_dry_run_sends_nothing_and_needs_no_login(server, folder, capsys, monkey
     assert {request.method for request in server.requests} == {"GET"}
 
 
-def test_json_is_one_document(server, folder, capsys):
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--json", "--private") == 0
-    told = json.loads(capsys.readouterr().out)
-    assert told["commit"] == server.repository(NAME).head.sha
-    assert sorted(told["sent"]) == sorted(server.repository(NAME).head.files)
-    assert (told["private"], told["exists"], told["tags"]) == (True, False, [])
-    assert told["python"] == ["import starstruck_gen", f'data = starstruck_gen.load("{NAME}", split="train")']
-
-
-def test_branches_and_pull_requests_say_where_they_are(server, folder, capsys):
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--revision", "next") == 0
-    printed = capsys.readouterr().out
-    assert f"{server.endpoint}/datasets/{NAME}/tree/next" in printed
-    assert 'split="train", revision="next")' in printed
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--create-pr", "--message", "Please") == 0
-    printed = capsys.readouterr().out
-    assert f"{server.endpoint}/datasets/{NAME}/discussions/1" in printed
-    assert 'revision="refs/pr/1")' in printed
-    assert server.repository(NAME).find("refs/pr/1").title == "Please"
-    assert call("starstruck", "upload", folder, NAME, "--yes", "--revision", "refs/pr/1") == 0
-    assert "someone/stars (refs/pr/1) holds all of it already" in capsys.readouterr().out
-
-
-def test_without_a_terminal_it_does_not_send_unasked(server, folder, capsys):
-    assert call("starstruck", "upload", folder, NAME) == 2
-    printed = capsys.readouterr().err
-    assert "not a terminal; nothing was sent; next: add --yes, or look first with --dry-run" in printed
-    assert server.repositories == {}
-
-
-@pytest.mark.parametrize(("answer", "code"), [pytest.param("y", 0, marks=pytest.mark.thorough), ("n", 2)])
+@pytest.mark.thorough
+@pytest.mark.parametrize(("answer", "code"), [("y", 0), ("n", 2)])
 def test_on_a_terminal_it_asks(server, folder, tmp_path, answer, code):
     environment = settings(server, tmp_path, next(iter(server.accounts)), PYTHONPATH=str(Path.cwd()))
     ours, theirs = pty.openpty()
@@ -268,14 +215,6 @@ def test_refusals_are_told_in_one_line(server, folder, capsys, monkeypatch, acco
     assert words in line
     assert not token or token not in printed.out + printed.err
     assert not any(request.method == "PUT" for request in server.requests)
-
-
-def test_an_unknown_token_is_named_and_not_shown(server, folder, capsys, monkeypatch):
-    monkeypatch.setenv("HF_TOKEN", "hf_oldoldoldold")
-    assert call("starstruck", "upload", folder, NAME, "--yes") == 4
-    printed = capsys.readouterr()
-    assert "needs a token that the Hub knows" in printed.err
-    assert "oldold" not in printed.out + printed.err
 
 
 def test_no_network_is_told(folder, tmp_path):

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 import starstruck_gen
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.realtouch.factories import make_round, single_rows, write_set
 
@@ -53,9 +53,9 @@ sys.exit(getattr(import_module(module), function)())
 @pytest.fixture(scope="module")
 def sets(tmp_path_factory) -> dict[str, str]:
     root = tmp_path_factory.mktemp("sets")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(root / "mnist3d"), ("test",))
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), str(root / "starstruck"))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), str(root / "starstruck"))
     write_set(root / "realtouch", {"train": single_rows([make_round(0, 4, (64, 64))])}, "single")
     return {room: str(root / room) for room in ("mnist3d", "starstruck", "realtouch")}
 
@@ -85,11 +85,9 @@ def commands() -> dict[str, str]:
     return project["project"]["scripts"]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("module", ["typer", "cli.output", "pyarrow"])
-@pytest.mark.parametrize(
-    "command",
-    [name if name == "mnist3d" else pytest.param(name, marks=pytest.mark.thorough) for name in commands()],
-)
+@pytest.mark.parametrize("command", commands())
 def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
     done = subprocess.run(
         [sys.executable, "-c", STARTED, commands()[command], "info", module],

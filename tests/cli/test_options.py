@@ -7,12 +7,12 @@ from pathlib import Path
 import pytest
 
 from cli.options import _runner_name, local_place, parse_address
-from starstruck_gen.options import SceneOptions
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_options import SceneOptions
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_sim import GenerateSpec
 from tactile_sim.spec import PictureOptions, TrainConfig
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.command_line import call
 
 
@@ -40,8 +40,8 @@ def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path / "home"))
     meant = tmp_path / os.path.normpath(text)
-    assert local_place(text) == Path(parse_address(text)) == Path(DataFolder(text).address()) == meant
-    assert Path(DataFolder(parse_address(text)).address()) == meant  # read twice, as commands do
+    assert local_place(text) == Path(parse_address(text)) == Path(open_folder(text).address()) == meant
+    assert Path(open_folder(parse_address(text)).address()) == meant  # read twice, as commands do
 
 
 def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):

@@ -13,7 +13,9 @@ import termios
 
 import pytest
 
-from cli.output import BYTES, Sink, bytes_text, duration_text, flat_lines, rate_text
+from cli.nested_values import flat_lines
+from cli.output import Sink
+from cli.quantities import BYTES, bytes_text, duration_text, rate_text
 from tactile_toolkit.wording import did_you_mean
 
 HEADER = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")

@@ -3,24 +3,16 @@
 from __future__ import annotations
 
 import importlib.metadata
-import shutil
 import signal
 import subprocess
-import sys
-from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from pathlib import Path
 
 import pytest
 
-from realtouch import frames
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run import Finish, Part
-from tactile_toolkit.store import DataFolder, build
 from tests import command_line
 from tests.processes import start_held
-from tests.realtouch.factories import make_round, single_rows, write_set
-from tests.tactile_toolkit.toy import folder_bytes, toy_plan
+from tests.tactile_toolkit.toy import folder_bytes
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SCENES = ("generate", "--scenes", "train=3000,test=20", "-w", "1", "--out")
@@ -80,16 +72,6 @@ def test_a_killed_part_is_named_given_again_and_nothing_differs(tmp_path, whole,
 
 
 @pytest.mark.thorough
-def test_two_generators_at_once_in_one_folder(tmp_path, whole):
-    """Without parts, too: each makes what the other has not, and the last one leaves what both would."""
-    place = tmp_path / "scenes"
-    both = [start(*SCENES, place, "-q") for _ in range(2)]
-    for each in both:
-        code, _, talked = ended(each)
-        assert code == 0, talked
-    assert folder_bytes(place) == whole
-
-
 def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path):
     process = start_held("starstruck", 0, tmp_path / "marker", *SCENES, tmp_path / "scenes", "-q")
     process.send_signal(signal.SIGINT)
@@ -110,49 +92,3 @@ def test_a_job_with_other_versions_is_refused(tmp_path, monkeypatch, capfd):
     assert given(*SCENES, place, "--part", "0/4") == 2
     assert f"libraries.numpy is '{here}' there, '9.9' was asked for" in capfd.readouterr().err
     assert folder_bytes(place) == before
-
-
-class BlindNode:
-    """Runs tasks in a process that sees a copy of the folder, as it was when the run began."""
-
-    def __init__(self, place: Path) -> None:
-        self.place = place
-
-    def run(self, function: Callable, tasks: Iterable) -> Iterator:
-        import pickle
-
-        code = (
-            "import pickle, sys; work, tasks = pickle.load(sys.stdin.buffer); "
-            "sys.stdout.buffer.write(pickle.dumps([work(task) for task in tasks]))"
-        )
-        hidden = 'began=$(cat "$0/manifest.json") && mount -t tmpfs none "$0" && '
-        hidden += 'printf %s "$began" > "$0/manifest.json" && exec "$@"'
-        words = ["unshare", "-Urm", "sh", "-c", hidden, str(self.place), sys.executable, "-c", code]
-        todo = pickle.dumps((function, list(tasks)))
-        done = subprocess.run(words, input=todo, stdout=subprocess.PIPE, check=True, cwd=REPOSITORY)
-        yield from pickle.loads(done.stdout)
-
-
-def test_a_node_that_does_not_see_the_folder(tmp_path):
-    """What it has written lies in a folder of its own."""
-    place = tmp_path / "set"
-    place.mkdir()
-    mounts = ["unshare", "-Urm", "sh", "-c", 'mount -t tmpfs none "$0"', str(place)]
-    if shutil.which("unshare") is None or subprocess.run(mounts, check=False).returncode:
-        pytest.skip("this system gives no mount namespaces")
-    told = r"2 of 2 shards of '.*set' are not finished.*does not see.*s3://"
-    with pytest.raises(IntegrityError, match=told):
-        build(DataFolder(str(place)), toy_plan(("test",)), BlindNode(place))
-    assert not (place / "data").exists()
-
-
-def test_plain_pictures_are_made_in_parts_too(tmp_path):
-    """Their index is written at the end, by who finishes."""
-    rounds = [make_round(index, 2, (64, 48), (12, 16)) for index in range(20)]
-    source = str(write_set(tmp_path / "source", {"train": single_rows(rounds)}, "single"))
-    frames(source, tmp_path / "whole")
-    for index in (1, 0):
-        frames(source, tmp_path / "parts", workers=Part(index, 2))
-        assert not (tmp_path / "parts" / "index.csv").exists()
-    frames(source, tmp_path / "parts", workers=Finish())
-    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")

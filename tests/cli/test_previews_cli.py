@@ -15,12 +15,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mnist3d.make import GenerateSpec as DigitSpec, generate as generate_digits
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec as DigitSpec, generate as generate_digits
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
-from starstruck_gen.make import GenerateSpec as SceneSetSpec, generate as generate_scenes
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_generation import SceneSetSpec as SceneSetSpec, generate as generate_scenes
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit.mesh import Mesh, write_mesh
 from tests.realtouch import factories
 
@@ -121,19 +121,6 @@ def test_every_process_writes_the_same_bytes(digits, scenes, clips, tmp_path, ru
 
 
 @pytest.mark.thorough
-def test_everything_is_drawn_alike_twice(digits, tmp_path, run):
-    arguments = (digits, "--kind", "all", "--per-class", 1)
-    for done in (
-        run("mnist3d", *arguments, "--out", "one"),
-        process(("mnist3d", *arguments, "--out", "other"), cwd=tmp_path),
-    ):
-        assert done.returncode == 0, done.stderr
-        assert "left out" not in done.stderr
-    written = contents(tmp_path / "one")
-    assert len(written) == 2
-    assert written == contents(tmp_path / "other")
-
-
 def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp_path, run):
     corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0), (0, 0, 0.01)])
     faces = np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32)
@@ -166,39 +153,3 @@ def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path,
         assert document["folder"] == "previews"
         assert "would write" in run(room, *arguments, "--dry-run").stdout
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("room", "arguments", "words"),
-    [
-        ("mnist3d", ("{digits}", "--ids", "4,x"), "--ids has 'x'"),
-        ("mnist3d", ("{digits}", "--ids", "99999"), "no object with id 99999"),
-        ("mnist3d", ("{digits}", "--split", "train"), "no split 'train'"),
-        ("mnist3d", ("absent",), "does not exist"),
-        ("mnist3d", ("{digits}", "--kind", "steps", "--ids", "99999"), "no object with id 99999"),
-        ("starstruck", ("{scenes}", "--ids", "99999"), "no object with id 99999"),
-        ("starstruck", ("absent",), "does not exist; expected a folder, a Parquet file"),
-        ("realtouch", ("{clips}", "--round", "9"), "--round is 9"),
-        ("realtouch", ("{clips}", "--kind", "strip"), "'strip' is not one of 'grid', 'overlay', 'all'"),
-        ("realtouch", ("{digits}",), "digits"),
-        ("mnist3d", ("{scenes}",), "holds scenes; `mnist3d preview` is for digits"),
-        ("starstruck", ("{digits}",), "holds digits; `starstruck preview` is for scenes"),
-        ("mnist3d", ("{digits}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
-        ("realtouch", ("{clips}", "--out", "s3://bucket/p"), "'s3://bucket/p'"),
-    ],
-)
-def test_bad_input_ends_with_a_line_and_code_2(room, arguments, words, digits, scenes, clips, tmp_path, run):
-    places = {"{digits}": digits, "{scenes}": scenes, "{clips}": clips}
-    done = run(room, *(places.get(each, each) for each in arguments))
-    assert (done.returncode, done.stdout) == (2, "")
-    assert words in done.stderr
-    assert "Traceback" not in done.stderr
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_a_place_that_cannot_be_written_is_named(digits, tmp_path, run):
-    (tmp_path / "file").touch()
-    done = run("mnist3d", digits, "--kind", "sheet", "--out", "file/inside")
-    assert done.returncode == 2
-    assert "Not a directory" in done.stderr
-    assert [path.name for path in tmp_path.iterdir()] == ["file"]

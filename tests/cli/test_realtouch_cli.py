@@ -9,8 +9,8 @@ import pytest
 import realtouch
 from tactile_toolkit.hub import HubRepository
 from tactile_toolkit.places import Place
-from tactile_toolkit.store import DataFolder, read_manifest
-from tactile_toolkit.wording import counted
+from tactile_toolkit.store import DataFolder, open_folder, read_manifest
+from tactile_toolkit.wording import with_count
 from tests import command_line
 from tests.realtouch import factories
 
@@ -110,7 +110,7 @@ def test_one_split_alone(clips, tmp_path, capsys):
 
 def test_what_is_fetched_is_told(capsys):
     from cli.output import Sink
-    from cli.realtouch import announce_fetching
+    from cli.touch_conversions import announce_fetching
 
     def place(name: str, source: HubRepository | DataFolder) -> Place:
         return Place(name, source, {"train": ("train.parquet",)})
@@ -119,20 +119,13 @@ def test_what_is_fetched_is_told(capsys):
     announce_fetching(Sink(), place("real-seq", repository), None)
     other = HubRepository("someone/touches", None, "0" * 40, {})
     announce_fetching(Sink(), place("someone/touches", other), "test")
-    announce_fetching(Sink(), place("here", DataFolder("here")), None)
+    announce_fetching(Sink(), place("here", open_folder("here")), None)
     told = capsys.readouterr().err.splitlines()
     assert len(told) == 2
     assert "tactile-mnist-touch-real-seq" in told[0]
     assert "--split" in told[0]
     assert told[1].startswith("someone/touches: ")
     assert "split 'test'" in told[1]
-
-
-def test_numbers_that_are_none(images, tmp_path, capsys):
-    assert call("select", images, "--out", tmp_path / "out", "--ids", "²") == 2
-    assert "--ids has '²'" in capsys.readouterr().err
-    assert call("select", images, "--out", tmp_path / "out", "--labels", "²") == 2
-    assert "no class '²'" in capsys.readouterr().err
 
 
 def test_info_shows_every_split_and_how_it_was_made(clips, tmp_path, capsys):
@@ -170,8 +163,8 @@ def test_conversions(command, check, images, tmp_path, capsys):
     assert call(name, images, "--out", out, *options, "--workers", 1) == 0
     printed = capsys.readouterr().out
     assert "the data set is in" in printed
-    rows = sum(split["rows"] for split in read_manifest(DataFolder(str(out))).split_table().values())
-    assert f"made {counted(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
+    rows = sum(split["rows"] for split in read_manifest(open_folder(str(out))).split_table().values())
+    assert f"made {with_count(rows, 'touches' if name == 'frames' else 'rounds')} in " in printed
     assert check(out)
     before = (out / "manifest.json").stat().st_mtime_ns
     assert call(name, images, "--out", out, *options, "--workers", 1, "--quiet") == 0
@@ -202,11 +195,33 @@ def test_verify_names_all_damage_and_leaves_with_3(images, tmp_path, capsys):
     assert "Traceback" not in printed.err
 
 
-def test_preview_writes_a_picture(clips, tmp_path, capsys):
-    assert call("preview", clips, "--split", "train", "--round", 1, "--out", tmp_path / "sheet.png") == 0
-    assert (tmp_path / "sheet.png").read_bytes().startswith(b"\x89PNG")
-    assert call("preview", clips, "--split", "train", "--round", 9) == 2
-    assert "rounds 0 to 1" in capsys.readouterr().err
+def test_load_checks_headers_unless_told_not_to_and_verify_can_be_quick(tmp_path, capsys):
+    """Damage in the body of an image is seen where it is decoded; a header that is gone is seen at once."""
+
+    def damage(row, index):
+        first, second, *others = row["sensor_image"]
+        content = second["bytes"]
+        content = content[:-300] if index == 0 else b"?" + content[1:]
+        row["sensor_image"] = [first, {**second, "bytes": content}, *others]
+
+    rows = factories.single_rows([factories.make_round(index, 3, (64, 48)) for index in range(2)])
+    layout = factories.Layout(edit=damage)
+    factories.write_set(tmp_path / "body", {"train": rows[:1]}, "single", layout)
+    rows[0]["sensor_image"] = rows[1]["sensor_image"]
+    damage(rows[0], 1)
+    factories.write_set(tmp_path / "header", {"train": rows[:1]}, "single")
+    for folder, command, code in (
+        ("body", "verify --quick", 0),
+        ("body", "verify", 3),
+        ("body", "load", 0),
+        ("header", "verify --quick", 3),
+        ("header", "load", 3),
+        ("header", "load --no-check", 0),
+    ):
+        capsys.readouterr()
+        name, *options = command.split()
+        assert call(name, tmp_path / folder, *options, "--json") == code, (folder, command)
+    assert not json.loads(capsys.readouterr().out)["checked"]
 
 
 @pytest.mark.parametrize(

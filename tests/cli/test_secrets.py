@@ -23,7 +23,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import plan_download
 from tactile_toolkit.hub import hub_name
 from tactile_toolkit.mesh import read_mesh
-from tactile_toolkit.store import DataFolder, split_uri
+from tactile_toolkit.store import open_folder, split_uri
 from tests.command_line import call, program
 
 FORMS = (
@@ -99,7 +99,7 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     realtouch.load,
     realtouch.verify,
     read_mesh,
-    DataFolder,
+    open_folder,
     split_uri,
     hub_name,
     plan_download,
@@ -107,11 +107,12 @@ FUNCTIONS: tuple[Callable[[str], object], ...] = (
     lambda place: env_assets.AssetProvider("x").meshes(place),
     lambda place: env_assets.AssetProvider("x").touches(place),
     lambda place: realtouch.select(place, "x"),
-    lambda place: starstruck_gen.generate(starstruck_gen.GenerateSpec(), place),
+    lambda place: starstruck_gen.generate(starstruck_gen.SceneSetSpec(), place),
     lambda place: tactile_sim.generate(place, tactile_sim.GenerateSpec(), "x"),
 )
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("function", FUNCTIONS)
 @settings(max_examples=20, deadline=None)
 @given(secret=ENCODED, form=st.sampled_from(FORMS))

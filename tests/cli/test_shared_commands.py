@@ -13,7 +13,6 @@ import pytest
 import typer
 
 import mnist3d
-from cli.folders import _brief
 from tactile_sim.spec import TouchPlan, TrainConfig
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
@@ -55,12 +54,6 @@ def test_a_row_of_others_is_shown_whatever_is_in_it(tmp_path, capsys):
     assert "1970-01-01 00:00:00.000000001" in printed
     assert "\x1b" not in printed
     assert "\x07" not in printed
-
-
-def test_long_and_binary_values_are_counted():
-    value = {"bytes": b"1234", "path": None, "rows": [[1] * 7, [2]], "few": [1.5, True]}
-    shown = {"bytes": "4 B", "path": None, "rows": ["7 values", [2]], "few": [1.5, True]}
-    assert _brief(value) == shown
 
 
 def test_sets_of_a_folder_are_listed_with_what_is_wrong(digits, tmp_path, capsys):

@@ -10,11 +10,7 @@ from typer.testing import CliRunner
 import starstruck_gen
 from cli.output import Sink
 from cli.starstruck import app
-from tactile_toolkit.store import DataFolder, read_manifest
-from tactile_toolkit.store.job import write_record
 from tests.command_line import alone
-from tests.processes import start_held
-from tests.sealed import sealed
 
 
 def run(*words):
@@ -37,14 +33,6 @@ def test_generate_prints_one_document(made):
     assert document["splits"][0]["acceptance"]["classes"] == [20, 20, 20]
 
 
-def test_generate_again_makes_nothing(made):
-    folder, _ = made
-    result = run("generate", "--out", folder, "--scenes", "train=60,test=6", "--workers", 1)
-    assert result.exit_code == 0
-    assert "nothing was left to make" in result.stdout
-    assert "bytes per scene" in result.stdout
-
-
 def test_other_options_are_refused_without_a_traceback(made):
     folder, _ = made
     result = run("generate", "--out", folder, "--stars", "1-5")
@@ -53,14 +41,6 @@ def test_other_options_are_refused_without_a_traceback(made):
     assert "scene.stars is [1, 2, 3] there" in result.stderr
     assert "--overwrite" in result.stderr
     assert "Traceback" not in result.stderr
-
-
-@pytest.mark.parametrize("option", ["--seed", "--limit", "--workers"])
-def test_integers_of_many_digits_are_refused(option, tmp_path):
-    result = run("generate", "--out", tmp_path / "set", option, 10**45)
-    assert result.exit_code == 2
-    assert f"{option} is 1{'0' * 45}; expected an integer of at least " in " ".join(result.stderr.split())
-    assert not (tmp_path / "set").exists()
 
 
 def test_every_option_reaches_the_specification(tmp_path):
@@ -106,73 +86,6 @@ def test_proportions_reach_the_specification_and_info(tmp_path):
     assert "inner_ratio of shape 'star' is 0.95; expected at most 0.8009 with 5 points" in refused.stderr
 
 
-def test_info_of_a_stopped_run_counts_what_is_finished(tmp_path):
-    out = tmp_path / "set"
-    words = ("generate", "-q", "-w", "1", "--scenes", "train=3000,test=3", "--out", out)
-    process = start_held("starstruck", 1, tmp_path / "held", *words)
-    process.kill()
-    process.communicate()
-    document = json.loads(run("info", out, "--json").stdout)
-    (train,) = document["splits"]
-    finished = len(list((out / ".pending").glob("train-*.json")))
-    assert (document["complete"], document["shards_planned"]) == (False, {"train": 3})
-    assert (train["shards"], train["rows"]) == (finished, 1_000 * finished)
-    shown = run("info", out).stdout
-    assert "unfinished" in shown
-    assert f"{finished} of 3" in shown
-
-
-def test_five_classes_are_named_by_their_stars(tmp_path):
-    assert (
-        run("generate", "--out", tmp_path / "s", "--stars", "1-5", "--scenes", 10, "-q", "-w", 1).exit_code
-        == 0
-    )
-    scenes = starstruck_gen.load(str(tmp_path / "s"), "train")
-    assert scenes.label_names == ("1", "2", "3", "4", "5")
-    assert [record.label for record in scenes] == [record.star_count - 1 for record in scenes]
-
-
-def test_dry_run_writes_nothing(tmp_path):
-    result = run("generate", "--out", tmp_path / "set", "--scenes", 1_000_000, "--dry-run", "--workers", 2)
-    assert result.exit_code == 0
-    assert "would make 2,000,000 scenes" in result.stdout
-    assert not (tmp_path / "set").exists()
-
-
-def test_dry_run_with_overwrite_forecasts_what_would_be_replaced(made, tmp_path):
-    folder, _ = made
-    before = (folder / "manifest.json").read_bytes()
-    words = ("generate", "--out", folder, "--seed", 5, "--scenes", 9, "--dry-run", "--workers", 1)
-    refused = run(*words)
-    assert (refused.exit_code, "start again there with --overwrite" in refused.stderr) == (2, True)
-    told = run(*words, "--overwrite")
-    assert told.exit_code == 0
-    assert f"would replace the data set in {folder}: 66 rows (train 60, test 6)" in told.stdout
-    assert "would make 18 scenes" in told.stdout
-    assert json.loads(run(*words, "--overwrite", "--json").stdout)["replaced"] == {"train": 60, "test": 6}
-    assert (folder / "manifest.json").read_bytes() == before
-    empty = ("generate", "--out", tmp_path / "new", "--scenes", 9, "--dry-run", "--overwrite")
-    assert "would replace" not in run(*empty).stdout
-    (tmp_path / "mine.txt").write_text("mine")
-    strange = run("generate", "--out", tmp_path, "--scenes", 9, "--dry-run", "--overwrite")
-    assert (strange.exit_code, "mine.txt" in strange.stderr) == (2, True)
-
-
-def test_three_points_take_notches_that_fit(tmp_path):
-    out = tmp_path / "set"
-    assert run("generate", "--out", out, "--star-points", 3, "--scenes", 3, "-q", "-w", 1).exit_code == 0
-    spec = json.loads((out / "manifest.json").read_text())["spec"]["scene"]
-    assert spec["star"]["proportions"] == {"points": 3, "inner_ratio": 0.25}
-
-
-def test_one_number_or_two_are_least_and_most_distractors(tmp_path):
-    for text, expected in (("2", [2, 2]), ("1,4", [1, 4]), ("0-3", [0, 3])):
-        words = ("--distractors", text, "--scenes", 3, "-q", "-w", 1, "--overwrite")
-        assert run("generate", "--out", tmp_path / "set", *words).exit_code == 0
-        manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
-        assert manifest["spec"]["scene"]["distractors"] == expected
-
-
 def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, tmp_path):
     folder, _ = made
     table = pq.ParquetFile(folder / "data" / "test-00000-of-00001.parquet").read(use_threads=False)
@@ -182,25 +95,6 @@ def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, 
     assert result.exit_code == 1
     assert "0 solids, 0 of them stars" in result.stdout
     assert "0 of 6 scenes are valid" in result.stdout
-
-
-def test_finished_split_is_told_beside_what_an_unfinished_one_keeps(tmp_path):
-    out = tmp_path / "set"
-    words = ("generate", "--out", out, "--scenes", "train=1001,test=3", "-w", 1)
-    assert run(*words, "-q").exit_code == 0
-    manifest = json.loads((out / "manifest.json").read_text())
-    folder = DataFolder(str(out))
-    there = read_manifest(folder)
-    write_record(folder, there.shards[0], there.identity)
-    (out / "data" / "train-00001-of-00002.parquet").unlink()
-    (out / "data" / "test-00000-of-00001.parquet").unlink()
-    (out / "manifest.json").write_text(sealed({**manifest, "shards": [], "complete": False}))
-    made = run(*words, "--split", "test")
-    assert made.exit_code == 0
-    for line in ("1 of 2", "1 of 1"):
-        assert line in made.stdout
-        assert line in run("info", out).stdout
-    assert run("validate", out).exit_code == 3
 
 
 def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
@@ -217,18 +111,6 @@ def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     assert told.count("\n") == 1
 
 
-def test_info_shows_acceptance(made):
-    folder, _ = made
-    text = run("info", folder).stdout
-    assert "accepted" in text
-    assert "scene.collision = circles" in text
-    document = json.loads(run("info", folder, "--json").stdout)
-    acceptance = document["splits"][0]["acceptance"]
-    assert acceptance["attempts"][0] == 60
-    assert acceptance["attempts_per_object"][0] == 1.0
-    assert acceptance["restarts"] == 0
-
-
 def test_validate_and_verify_pass(made):
     folder, _ = made
     result = run("validate", folder, "--workers", 2)
@@ -239,22 +121,6 @@ def test_validate_and_verify_pass(made):
     result = run("verify", folder)
     assert result.exit_code == 0
     assert "66 rows" in result.stdout
-
-
-def test_damage_is_named_and_mended(made, tmp_path):
-    folder, _ = made
-    shard = folder / "data" / "test-00000-of-00001.parquet"
-    whole = shard.read_bytes()
-    try:
-        shard.write_bytes(whole[:-9])
-        result = run("verify", folder)
-        assert result.exit_code == 3
-        assert "damaged: data/test-00000-of-00001.parquet" in result.stderr
-        assert "starstruck generate" in result.stderr
-        assert run("generate", "--out", folder, "--scenes", "train=60,test=6", "-q", "-w", 1).exit_code == 0
-        assert shard.read_bytes() == whole
-    finally:
-        shard.write_bytes(whole)
 
 
 @pytest.mark.parametrize(
@@ -294,10 +160,3 @@ def test_unusable_option_is_told_in_one_line_with_exit_code_2(tmp_path, words, m
     assert message in result.stderr
     assert result.stderr.count("\n") <= 2
     assert not (tmp_path / "set").exists()
-
-
-@pytest.mark.parametrize("command", ["info", "verify", "validate"])
-def test_folder_without_a_data_set_is_refused(tmp_path, command):
-    result = run(command, tmp_path)
-    assert result.exit_code == 2
-    assert "error: " in result.stderr

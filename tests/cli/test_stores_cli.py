@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.command_line import call
 from tests.hub_server import hub
 from tests.tactile_toolkit.exchange.upload_client import logged_in
@@ -53,7 +53,7 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         "scenes-test-sheet.png",
         "scenes-train-sheet.png",
     ]
-    shard = f"data/{DataFolder(place).names('data')[0]}"
+    shard = f"data/{open_folder(place).names('data')[0]}"
     assert call("starstruck", "validate", f"{place}/{shard}", "--quiet") == 0
     for split in ("train", "test"):
         there, here = starstruck_gen.load(place, split), starstruck_gen.load(str(local), split)
@@ -90,69 +90,10 @@ def test_scenes_from_generation_to_the_hub_and_back(s3, bucket, tmp_path, monkey
         s3.traffic.reset()
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert s3.traffic.requests["PUT"] == 0
-        DataFolder(back).write_bytes(shard, b"cut")
+        open_folder(back).write_bytes(shard, b"cut")
         assert call("starstruck", "verify", back) == 3
         assert call("starstruck", "download", "someone/scenes", "--out", back, "--quiet") == 0
         assert stored(s3, bucket, "back") == copied
-
-
-def test_touches_of_digits_of_a_store(s3, bucket, tmp_path):
-    import realtouch
-
-    assert call("starstruck", *SCENES, "--out", f"s3://{bucket}/objects") == 0
-    press = ("--split", "test", "--rounds", "1", "--touches", "2", "--optics", "depth", "--size", "16x16")
-    touches, local = f"s3://{bucket}/touches", tmp_path / "touches"
-    for out in (touches, local):
-        words = ("generate", f"s3://{bucket}/objects", *press, "--workers", "1", "--quiet", "--out", out)
-        assert call("tactile_sim", *words) == 0
-    assert stored(s3, bucket, "touches") == folder_bytes(local)
-    assert call("tactile_sim", "info", touches) == 0
-    assert call("tactile_sim", "verify", touches) == 0
-    assert call("realtouch", "info", touches) == 0
-    assert call("realtouch", "verify", touches) == 0
-    assert call("realtouch", "load", touches, "--split", "test") == 0
-    there, here = realtouch.load(touches, "test"), realtouch.load(local, "test")
-    for mine, other in zip(there.touches(), here.touches(), strict=True):
-        np.testing.assert_array_equal(mine.image, other.image)
-    small = f"s3://{bucket}/small"
-    assert (
-        call("realtouch", "resize", touches, "--out", small, "--size", "8x8", "--workers", "1", "--quiet")
-        == 0
-    )
-    assert call("realtouch", "verify", small) == 0
-    assert call("realtouch", "resize", touches, "--out", f"{touches}/inside", "--size", "8x8", "--quiet") == 2
-
-
-def test_touches_for_other_libraries_and_back(s3, bucket, tmp_path, capfd):
-    from tests.realtouch import factories
-
-    truths = [factories.make_round(index, 4, (64, 64), (4, 5)) for index in range(3)]
-    source = factories.write_set(tmp_path / "touches", {"train": factories.single_rows(truths)}, "single")
-    tars = f"s3://{bucket}/webdataset"
-    for layout in ("flat", "webdataset", "lerobot"):
-        there, here = f"s3://{bucket}/{layout}", tmp_path / layout
-        words = ("export", source, "--format", layout, "--workers", "1", "--quiet", "--out")
-        assert call("realtouch", *words, there) == call("realtouch", *words, here) == 0
-        assert stored(s3, bucket, layout) == folder_bytes(here)
-        assert call("realtouch", "verify", there) == 0
-    words = ("import", f"{tmp_path}/webdataset/webdataset", "--format", "webdataset", "--workers", "1", "-q")
-    for out in (f"s3://{bucket}/back", tmp_path / "back", f"s3://{bucket}/back"):
-        assert call("realtouch", *words, "--round-column", "round_id", "--out", out) == 0
-    assert stored(s3, bucket, "back") == folder_bytes(tmp_path / "back")
-    tar = "webdataset/train-000000.tar"
-    DataFolder(tars).write_bytes(tar, b"cut")
-    assert call("realtouch", "verify", tars) == 3
-    assert tar in capfd.readouterr().err
-    again = ("export", source, "--format", "webdataset", "--workers", "1", "--quiet", "--out", tars)
-    assert call("realtouch", *again) == 0
-    assert DataFolder(tars).read_bytes(tar) == b"cut"  # that it is there is all that is asked
-    assert call("realtouch", *again, "--check") == 0
-    assert stored(s3, bucket, "webdataset") == folder_bytes(tmp_path / "webdataset")
-    words = ("import", f"{tars}/webdataset", "--format", "webdataset", "--workers", "1", "-q")
-    for part in (("--part", "0/2"), ("--part", "1/2"), ("--finish",)):
-        out = ("--round-column", "round_id", "--out", tmp_path / "from-there")
-        assert call("realtouch", *words, *out, *part) == 0
-    assert folder_bytes(tmp_path / "from-there") == folder_bytes(tmp_path / "back")
 
 
 @pytest.mark.usefixtures("new_clients")

@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from importlib import import_module
 from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
 
-import realtouch
 from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.processes import start_held
 from tests.realtouch import factories
@@ -41,6 +39,7 @@ def _rows(*folders: Path) -> dict[str, list[dict[str, object]]]:
     return {split: sorted(each, key=lambda row: row["id"]) for split, each in rows.items()}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", ["mnist3d", "starstruck", "realtouch"])
 def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsys):
     folder = _made(kind, tmp_path / "all")
@@ -109,23 +108,7 @@ def test_rounds_are_taken_by_their_ids(tmp_path, capsys):
     assert not (tmp_path / "none").exists()
 
 
-def test_terms_of_imported_touches_are_kept(tmp_path):
-    folder = _made("realtouch", tmp_path / "all")
-    assert (
-        call("realtouch", "frames", folder, "--format", "jpeg", "--out", tmp_path / "pictures", *ALONE) == 0
-    )
-    words = ("import", tmp_path / "pictures", "--format", "folder", "--out", tmp_path / "imported", *ALONE)
-    assert call("realtouch", *words) == 0
-    words = ("split", tmp_path / "imported", "--fractions", "0.5", "--out", tmp_path / "parts", *ALONE)
-    assert call("realtouch", *words) == 0
-    manifest = json.loads((tmp_path / "parts/part-1/manifest.json").read_text())
-    assert manifest["spec"]["options"]["touches"] == "imported"
-    assert len(realtouch.load(tmp_path / "parts/part-1", "train")) == 3
-    assert (
-        call("realtouch", "split", tmp_path / "pictures", "--fractions", "0.5", "--out", tmp_path / "n") == 2
-    )
-
-
+@pytest.mark.thorough
 def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
     assert call("mnist3d", "split", folder, "--fractions", "0.5,0.5", "--out", tmp_path, *ALONE) == 0
@@ -136,7 +119,7 @@ def test_a_killed_merge_continues_and_damage_is_not_copied(tmp_path, capsys):
     assert call("mnist3d", "merge", one, two, "--out", out, "--workers", 1) == 0
     assert "made 5 digits in " in capsys.readouterr().out
     assert call("mnist3d", "verify", out, "-q") == 0
-    manifest = read_manifest(DataFolder(str(one)))
+    manifest = read_manifest(open_folder(str(one)))
     assert manifest is not None
     file = one / manifest.shards[0].shard.data_path
     content = bytearray(file.read_bytes())
@@ -159,11 +142,3 @@ def test_an_unknown_split_and_an_empty_choice_are_named(tmp_path, capsys):
     scenes = [("train", import_module("starstruck_gen").load(str(folder), "train"))]
     with pytest.raises(InputError, match="no object is chosen"):
         choose_rows(scenes, ids=[])
-
-
-def test_sets_of_another_kind_are_not_merged(tmp_path, capsys):
-    scenes = _made("starstruck", tmp_path / "scenes")
-    capsys.readouterr()
-    assert call("mnist3d", "merge", scenes, scenes, "--out", tmp_path / "both", *ALONE) == 2
-    assert "starstruck" in capsys.readouterr().err
-    assert not (tmp_path / "both").exists()

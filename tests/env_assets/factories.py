@@ -29,10 +29,10 @@ def write_assets(root: Path) -> None:
 
 def write_digits(folder: Path) -> None:
     """Ten digits for each of three splits."""
-    from mnist3d.make import GenerateSpec, generate
+    from mnist3d.digit_generation import DigitSetSpec, generate
     from mnist3d.sources.synthetic import SyntheticSource
 
-    spec = GenerateSpec(SyntheticSource(), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), per_class=1)
     generate(spec, str(folder), ("train", "test", "printed_train"))
 
 
@@ -40,7 +40,7 @@ def write_scenes(folder: Path) -> None:
     """Six scenes to train with, three to test."""
     import starstruck_gen
 
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 6), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 6), ("test", 3))), str(folder))
 
 
 def write_wrench(folder: Path) -> None:

@@ -10,7 +10,7 @@ import tactile_toolkit.mesh.raster
 from env_assets.height_map import top_surface
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MOST_PIXELS, Mesh
-from tests.env_assets.shapes import box, cylinder, joined, ramp, surfaces
+from tests.env_assets.shapes import box, cylinder, joined, surfaces
 
 
 def exact_height(mesh: Mesh, x: float, y: float) -> Fraction | None:
@@ -95,12 +95,6 @@ def test_a_box_is_flat_and_its_border_counts():
     assert found.y_m.tolist() == [0.5, 1.5, 2.5, 3.5]
 
 
-def test_a_ramp_rises_evenly():
-    found = top_surface(ramp(length=8, width=2, low=1, high=3), 0.5)
-    expected = 1 + found.x_m / 4
-    np.testing.assert_array_equal(found.heights_m, np.tile(expected.astype(np.float32), (4, 1)))
-
-
 def test_a_cylinder_covers_its_polygon_and_nothing_else():
     sides, radius = 64, 10.0
     found = top_surface(cylinder(radius, 5.0, sides), 0.25)
@@ -110,12 +104,6 @@ def test_a_cylinder_covers_its_polygon_and_nothing_else():
     beyond -= radius * np.cos(np.pi / sides)  # the distance from the polygon, negative inside
     np.testing.assert_array_equal(found.covered[np.abs(beyond) > 1e-9], beyond[np.abs(beyond) > 1e-9] < 0)
     assert set(found.heights_m[found.covered].tolist()) == {5.0}
-
-
-def test_a_hollow_under_the_top_does_not_show():
-    """Two plates above one another: the upper one hides the lower where it lies over it."""
-    found = top_surface(joined(box((0, 0, 0), (4, 4, 1)), box((0, 0, 3), (2, 4, 4))), 1.0)
-    np.testing.assert_array_equal(found.heights_m, np.tile(np.float32([4, 4, 1, 1]), (4, 1)))
 
 
 def test_a_digit_is_that_of_every_triangle_tried_at_every_point(assets):
@@ -160,10 +148,6 @@ def test_working_in_parts_changes_nothing(assets, monkeypatch):
     whole = top_surface(record, 0.0005)
     monkeypatch.setattr(tactile_toolkit.mesh.raster, "_AT_ONCE", 50)
     np.testing.assert_array_equal(top_surface(record, 0.0005).heights_m, whole.heights_m)
-
-
-def test_a_speck_smaller_than_a_pixel_has_one():
-    assert top_surface(box((0.1, 0.1, 0), (0.2, 0.2, 1)), 1.0).heights_m.shape == (1, 1)
 
 
 def test_filled_stands_on_the_plate_and_the_map_stays_as_it_is():

@@ -2,17 +2,13 @@ from __future__ import annotations
 
 import re
 import shlex
-import signal
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 import env_assets
-from starstruck_gen.make import SceneMaking
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.forked import start_forked
 
@@ -28,6 +24,7 @@ def parquet(folder: Path) -> dict[str, bytes]:
     return {file.name: file.read_bytes() for file in sorted((folder / "data").glob("*.parquet"))}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("kind", "split", "rows"), [("mnist3d", "holdout", 10), ("starstruck", "test", 3), ("wrench", "train", 1)]
 )
@@ -53,7 +50,7 @@ def test_splits_are_added_one_by_one_and_named_where_one_is_missing(tmp_path):
     ):
         env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck", "train")
     assert len(made.meshes("starstruck", "train")) == 6
-    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    manifest = read_manifest(open_folder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
 
 
@@ -74,15 +71,6 @@ def test_a_set_made_otherwise_is_left_alone(tmp_path):
     with pytest.raises(SpecMismatchError, match=r"scenes\.train is 3 there, 6 was asked for"):
         env_assets.AssetProvider(tmp_path, generate=True, per_class=2).meshes("starstruck", "train")
     assert parquet(tmp_path / "starstruck") == before
-
-
-def test_a_damaged_set_is_not_made_up_for(tmp_path):
-    made = env_assets.AssetProvider(tmp_path, generate=True, per_class=1)
-    made.meshes("starstruck", "test")
-    (tmp_path / "starstruck" / "manifest.json").write_text("{")
-    for generate in (False, True):
-        with pytest.raises(IntegrityError, match=r"manifest\.json.* is damaged"):
-            env_assets.AssetProvider(tmp_path, generate=generate, per_class=1).meshes("starstruck", "test")
 
 
 def test_nothing_but_the_kinds_is_made(tmp_path):
@@ -119,43 +107,6 @@ def test_processes_that_start_at_once_do_not_harm_each_other(tmp_path):
     again = env_assets.AssetProvider(tmp_path)
     for split, process in zip(splits, running, strict=True):
         assert str(again.meshes("starstruck", split).ids.tolist()) in process.out
-    manifest = read_manifest(DataFolder(str(tmp_path / "starstruck")))
+    manifest = read_manifest(open_folder(str(tmp_path / "starstruck")))
     assert (manifest.splits, manifest.complete) == (("train", "test"), True)
     assert not list((tmp_path / "starstruck").rglob(".writing-*"))
-
-
-DIE = """
-import dataclasses, os, signal, sys
-import starstruck_gen.make, tactile_toolkit.store.building, env_assets
-layout = starstruck_gen.make.SceneMaking.layout
-starstruck_gen.make.SceneMaking.layout = lambda making: dataclasses.replace(layout(making), smallest=2)
-write_record = tactile_toolkit.store.building.write_record
-def write_and_die(*arguments):
-    write_record(*arguments)
-    os.kill(os.getpid(), signal.SIGKILL)
-tactile_toolkit.store.building.write_record = write_and_die
-env_assets.AssetProvider(sys.argv[1], generate=True, per_class=2).meshes("starstruck", "train")
-"""
-
-
-def test_a_killed_process_lets_the_next_one_go_on(tmp_path, monkeypatch):
-    """Of three shards one is finished; the next process does not wait and keeps it."""
-    layout = SceneMaking.layout
-    monkeypatch.setattr(SceneMaking, "layout", lambda making: replace(layout(making), smallest=2))
-    died = start_forked(DIE, tmp_path)
-    assert died.end() == -signal.SIGKILL, died.err
-    (shard,) = (tmp_path / "starstruck" / "data").glob("train-*")
-    before = shard.stat()
-    with pytest.raises(IntegrityError, match="is not finished"):
-        env_assets.AssetProvider(tmp_path, per_class=2).meshes("starstruck")
-    scenes = env_assets.AssetProvider(tmp_path, generate=True, per_class=2).meshes("starstruck")
-    assert len(scenes) == 6
-    assert len(list((tmp_path / "starstruck" / "data").glob("train-*"))) == 3
-    assert (shard.stat().st_ino, shard.stat().st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
-
-
-def test_threads_make_it_once(tmp_path):
-    provider = env_assets.AssetProvider(tmp_path, generate=True, per_class=2)
-    with ThreadPoolExecutor(4) as pool:
-        found = list(pool.map(lambda _: provider.meshes("starstruck", "test"), range(4)))
-    assert all(one is found[0] for one in found)

@@ -16,7 +16,7 @@ from tests.tactile_toolkit.hub.client import as_client, settings
 
 def write(folder: Path, seed: int, scenes: int) -> None:
     shutil.rmtree(folder, ignore_errors=True)
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", scenes), ("test", scenes)), seed=seed)
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", scenes), ("test", scenes)), seed=seed)
     starstruck_gen.generate(spec, str(folder))
 
 

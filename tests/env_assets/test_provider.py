@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import pickle
 import shutil
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
@@ -14,7 +13,6 @@ import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh
 from tests.env_assets.factories import write_meshes
-from tests.env_assets.processes import fingerprint, seen_by_a_child
 from tests.env_assets.shapes import box
 from tests.forked import run_forked
 
@@ -27,7 +25,7 @@ def test_it_has_the_shape_that_environments_depend_on(provider):
 @pytest.mark.parametrize(
     ("name", "split", "kind", "loader"),
     [
-        ("mnist3d", "test", mnist3d.MeshDataset, mnist3d.load),
+        ("mnist3d", "test", mnist3d.DigitDataset, mnist3d.load),
         ("starstruck", "train", starstruck_gen.SceneMeshDataset, starstruck_gen.load),
     ],
 )
@@ -55,7 +53,7 @@ def test_the_kind_is_told_from_the_columns_and_else_from_the_classes(tmp_path):
     solids = [box((0, 0, 0), (0.01, 0.01, 0.005)).to_trimesh()] * 3
     provider = env_assets.AssetProvider(tmp_path)
     for names, kind in (
-        (tuple("0123456789"), mnist3d.MeshDataset),
+        (tuple("0123456789"), mnist3d.DigitDataset),
         (("1", "2", "3"), starstruck_gen.SceneMeshDataset),
         (("nut", "bolt", "cog"), env_assets.SolidDataset),
     ):
@@ -102,12 +100,6 @@ def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
         _ = spoiled.meshes("mnist3d", "test")[0].vertices_m
 
 
-def test_computed_volumes_are_computed_once(provider, monkeypatch):
-    first = provider.volumes_m3("starstruck")
-    monkeypatch.setattr("env_assets.meshes._volume_m3", lambda *_: pytest.fail("computed again"))
-    np.testing.assert_array_equal(provider.volumes_m3("starstruck"), first)
-
-
 def test_bounds_and_height_map_are_in_the_frame_of_the_mesh(provider):
     record = provider.meshes("starstruck")[0]
     bounds, heights = provider.bounds(record), provider.height_map(record, 0.001)
@@ -135,12 +127,8 @@ def test_a_mesh_of_trimesh_is_one_too(provider):
     assert len(str(caught.value)) < 200
 
 
-def test_a_wrench_shows_itself_in_a_notebook(provider):
-    assert "WrenchRecord(id=0, 13 mm" in provider.meshes("wrench")[0]._repr_html_()
-
-
 def test_placements_of_what_is_no_scene_are_refused(provider):
-    with pytest.raises(InputError, match="only scenes have placements, found a MeshRecord"):
+    with pytest.raises(InputError, match="only scenes have placements, found a DigitRecord"):
         provider.placements(provider.meshes("mnist3d", "test")[0])
 
 
@@ -155,19 +143,6 @@ assert fingerprint(provider) == seen_by_a_child(provider, "fork")
 def test_a_forked_process_sees_the_same(assets):
     """Of a provider that was made and used; in an interpreter without the threads of other tests."""
     run_forked(FORKS, assets)
-
-
-@pytest.mark.thorough  # a copy that was pickled is tested below
-def test_a_spawned_process_sees_the_same(provider):
-    assert fingerprint(provider) == seen_by_a_child(provider, "spawn")
-
-
-def test_threads_see_the_same(assets):
-    expected = fingerprint(env_assets.AssetProvider(assets))
-    provider = env_assets.AssetProvider(assets)  # opened and read by all at once
-    with ThreadPoolExecutor(8) as pool:
-        found = list(pool.map(lambda _: fingerprint(provider), range(16)))
-    assert all(one == expected for one in found)
 
 
 def test_a_copy_is_light_and_opens_again(provider):

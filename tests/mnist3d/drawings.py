@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from scipy import ndimage
 
-from mnist3d.lattice import signed_distance_px
+from mnist3d.compiled_loops import signed_distance_px
 from tactile_toolkit.mesh import Mesh
 from tests.real_input import SHARED
 

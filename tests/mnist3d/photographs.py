@@ -16,9 +16,9 @@ from PIL import Image, ImageDraw
 from scipy import ndimage
 from skimage.morphology import skeletonize
 
-from mnist3d.ink import clean
+from mnist3d.ink.cleaning import clean
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.spec import SolidSpec
 
 Floats = NDArray[np.float64]
 

@@ -1,19 +1,15 @@
 from __future__ import annotations
 
 import pickle
-from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import RecordStream
-from tests.processes import printed_by
 
 ROWS = 10
 
@@ -21,7 +17,7 @@ ROWS = 10
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> str:
     path = str(tmp_path_factory.mktemp("digits") / "set")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, path, ("test", "holdout"))
     return path
 
@@ -53,15 +49,6 @@ def test_mesh_is_what_is_stored(digits):
     assert pickle.loads(pickle.dumps(digit)).mesh.volume == digit.mesh.volume
 
 
-def test_stream_gives_the_same_records(folder, digits):
-    stream = mnist3d.load(folder, "test", streaming=True)
-    assert isinstance(stream, RecordStream)
-    assert stream.label_names == digits.label_names
-    for streamed, stored in zip(stream, digits, strict=True):
-        assert streamed.id == stored.id
-        np.testing.assert_array_equal(streamed.vertices_m, stored.vertices_m)
-
-
 def test_plain_datasets_reads_the_folder(folder, digits):
     import datasets
 
@@ -73,27 +60,6 @@ def test_plain_datasets_reads_the_folder(folder, digits):
     row = plain.with_format("numpy")[5]
     np.testing.assert_array_equal(np.stack(row["mesh.vertices"]), digits[5].vertices_m)
     np.testing.assert_array_equal(np.stack(row["mesh.faces"]), digits[5].faces)
-
-
-def test_nested_spelling_is_read_alike(digits, tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    row = digits[2]
-    struct = pa.array(
-        [{"vertices": row.vertices_m.tolist(), "faces": row.faces.tolist()}],
-        pa.struct(
-            [("vertices", pa.list_(pa.list_(pa.float32()))), ("faces", pa.list_(pa.list_(pa.int32())))]
-        ),
-    )
-    pq.write_table(
-        pa.table({"id": [row.id], "label": [row.label], "mesh": struct}), tmp_path / "train.parquet"
-    )
-    nested = mnist3d.load(str(tmp_path), "train")[0]
-    np.testing.assert_array_equal(nested.vertices_m, row.vertices_m)
-    np.testing.assert_array_equal(nested.faces, row.faces)
-    assert nested.writer == -1
-    assert nested.volume_m3 == pytest.approx(row.volume_m3, rel=1e-6)
 
 
 def test_other_columns_are_refused(tmp_path):
@@ -127,12 +93,6 @@ def test_published_loader_reads_every_row(folder):
             assert len(point.mesh.faces) == len(mine.faces)
 
 
-def test_notebook_picture(digits):
-    page = digits[0]._repr_html_()
-    assert page.startswith('<figure><img src="data:image/png;base64,')
-    assert f"digit {digits[0].label}, id {digits[0].id}" in page
-
-
 def test_relief_shows_the_outline(digits):
     from tactile_toolkit.pictures import relief
 
@@ -141,21 +101,3 @@ def test_relief_shows_the_outline(digits):
     solid = mnist3d.Mesh(digits[0].vertices_m, digits[0].faces).to_manifold()
     middle_mm2 = solid.project().area()
     assert inked_mm2 == pytest.approx(middle_mm2, rel=0.05)
-
-
-def test_import_is_light():
-    script = (
-        "import sys, mnist3d; print(*sorted({'scipy', 'skimage', 'trimesh', 'datasets'} & set(sys.modules)))"
-    )
-    assert printed_by(script).strip() == ""
-
-
-def test_public_names_resolve():
-    import types
-
-    for name in (*mnist3d.__all__, *mnist3d.__all__):  # twice: importing a sub-module must not shadow a name
-        assert not isinstance(getattr(mnist3d, name), types.ModuleType), name
-    assert all(first < second for first, second in pairwise(dir(mnist3d)))
-    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
-        _ = mnist3d.nothing
-    assert (Path(mnist3d.__file__).parent / "py.typed").exists()

@@ -2,37 +2,33 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import numpy as np
 import pytest
 
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import inspect, read_mesh
-from tactile_toolkit.printing import PlateSpec, PrintObject, arrange, choose, export_files, measure
+from tactile_toolkit.printing import PrintObject, choose
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = str(tmp_path_factory.mktemp("export") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=2)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
 
-def chosen(digits: mnist3d.MeshDataset, **choice: object) -> list[PrintObject]:
+def chosen(digits: mnist3d.DigitDataset, **choice: object) -> list[PrintObject]:
     return choose([("printed_test", digits)], **choice)  # type: ignore[arg-type]
 
 
-def test_names_tell_split_class_and_id(digits: mnist3d.MeshDataset) -> None:
+def test_names_tell_split_class_and_id(digits: mnist3d.DigitDataset) -> None:
     names = [item.name for item in chosen(digits)]
     assert names == [f"printed_test-{r.label}-{r.id:05d}" for r in digits]
     assert len(set(names)) == 20
 
 
-def test_choosing_by_class_id_and_number(digits: mnist3d.MeshDataset) -> None:
+def test_choosing_by_class_id_and_number(digits: mnist3d.DigitDataset) -> None:
     assert {item.label for item in chosen(digits, labels=["3", "7"])} == {"3", "7"}
     some = digits.ids[[4, 11]].tolist()
     assert sorted(item.id for item in chosen(digits, ids=some)) == sorted(some)
@@ -41,7 +37,7 @@ def test_choosing_by_class_id_and_number(digits: mnist3d.MeshDataset) -> None:
     assert [item.id for item in chosen(digits, ids=some[:1], labels=[label])] == some[:1]
 
 
-def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
+def test_what_is_not_there_is_named(digits: mnist3d.DigitDataset) -> None:
     some = digits.ids[[4, 11]]
     wanted = chosen(digits, ids=[(int(some.min()), int(some.max())), (0, 10**19)])
     assert {item.id for item in wanted} == set(digits.ids.tolist())
@@ -60,23 +56,3 @@ def test_what_is_not_there_is_named(digits: mnist3d.MeshDataset) -> None:
         chosen(digits, ids=[int(digits.ids[0])], labels=[other])
     with pytest.raises(InputError, match="two objects would be called"):
         choose([("printed_test", digits), ("printed_test", digits)])
-
-
-def test_digits_stand_as_they_were_stored(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    made = export_files(chosen(digits), str(tmp_path), "stl")
-    assert (len(made.files), made.failed) == (20, ())
-    for record, file in zip(digits, made.files, strict=True):
-        back = read_mesh(tmp_path / file.file)
-        low_m = record.vertices_m.min(axis=0) * (0, 0, 1)
-        expected = np.stack([record.vertices_m.min(axis=0), record.vertices_m.max(axis=0)]) - low_m
-        assert back.bounds_m == pytest.approx(expected, abs=1e-7)
-        report = inspect(back)
-        assert report.is_solid
-        assert report.contact_mm2 > 0
-
-
-def test_every_digit_finds_a_place(digits: mnist3d.MeshDataset) -> None:
-    spec = PlateSpec(180, 180, 2.0)
-    layout = arrange(measure(chosen(digits), spec))
-    assert sum(map(len, layout.plates)) == 20
-    assert layout.least_plates <= len(layout.plates) <= 2

@@ -7,24 +7,23 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.columns import REPORT_FILE
-from mnist3d.gallery import plan_gallery
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_gallery import plan_gallery
+from mnist3d.digit_rows import REPORT_FILE
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SplitSpec
-from tactile_toolkit.catalog import Chosen
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.gallery import build_site
-from tactile_toolkit.store import DataFolder, read_report
+from tactile_toolkit.store import open_folder, read_report
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, index_of
-from tests.tactile_toolkit.toy import folder_bytes
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("gallery") / "digits"
-    spec = mnist3d.GenerateSpec(
+    spec = mnist3d.DigitSetSpec(
         source=SyntheticSource(count=200, seed=3),
         solid=SolidSpec(target_vertices=2_000),
         split=SplitSpec(0, "digit", (("train", 2), ("test", 1))),
@@ -47,7 +46,7 @@ def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
     assert column(index, "Split") == [[split] for split, _ in expected]
     assert column(index, "Class") == [[str(record.label)] for _, record in expected]
     assert column(index, "Writer") == [[str(record.writer)] for _, record in expected]
-    report = read_report(DataFolder(str(folder)), REPORT_FILE).to_pylist()
+    report = read_report(open_folder(str(folder)), REPORT_FILE).to_pylist()
     found = {(row["split"], row["id"]): row for row in report}
     rows = [found[split, record.id] for split, record in expected]
     assert column(index, "Print warnings") == [row["warnings"] or ["none"] for row in rows]
@@ -61,40 +60,30 @@ def test_the_page_shows_every_digit_with_what_the_report_says(folder, tmp_path):
 def test_a_set_without_a_report_is_inspected(folder, tmp_path):
     bare = tmp_path / "bare"
     shutil.copytree(folder / "data", bare / "data")
-    build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "a"))
-    build_site(plan_gallery(str(bare), Chosen("test")), str(tmp_path / "b"))
+    build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "a"))
+    build_site(plan_gallery(str(bare), RowFilter("test")), str(tmp_path / "b"))
     of_report, inspected = index_of(tmp_path / "a"), index_of(tmp_path / "b")
     assert inspected["facets"] == of_report["facets"]
     for told, seen in zip(of_report["measures"], inspected["measures"], strict=True):
         assert seen["values"] == pytest.approx(told["values"], rel=1e-3, abs=0.02)
 
 
-def test_workers_do_not_show_and_a_choice_is_kept(folder, tmp_path):
-    chosen = Chosen(limit=5, per_class=1)
-    one = build_site(plan_gallery(str(folder), chosen), str(tmp_path / "a"), 1)
-    build_site(plan_gallery(str(folder), chosen), str(tmp_path / "b"), 2)
-    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-    assert one.splits == {"train": 5, "test": 5}
-    labels = column(index_of(tmp_path / "a"), "Class")
-    assert len({row[0] for row in labels[:5]}) == 5
-
-
 def test_what_cannot_be_shown_is_named(folder, tmp_path):
     with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(str(folder), Chosen("holdout"))
+        plan_gallery(str(folder), RowFilter("holdout"))
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         plan_gallery(str(tmp_path / "absent"))
     copy = Path(shutil.copytree(folder, tmp_path / "copy"))
     (copy / "data" / "test-00000-of-00001.parquet").unlink()
     with pytest.raises(IntegrityError):
-        build_site(plan_gallery(str(copy), Chosen("test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(copy), RowFilter("test")), str(tmp_path / "site"))
     assert not (tmp_path / "site").exists()
 
 
 @pytest.mark.browser
 def test_a_digit_in_the_browser_is_that_digit(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
         records = mnist3d.load(str(folder), "test")
         place = int(np.flatnonzero(records.labels == 1)[0])
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

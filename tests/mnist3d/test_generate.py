@@ -10,15 +10,14 @@ import pyarrow.parquet as pq
 import pytest
 
 import mnist3d
-from mnist3d.columns import digit_schema
-from mnist3d.make import DigitMaking, GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitMaking, DigitSetSpec, generate
+from mnist3d.digit_rows import digit_schema
+from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.splits import SPLITS, SplitSpec
-from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.making import plan_build
-from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.generation import plan_build
+from tactile_toolkit.store import open_folder, verify
 from tests.command_line import call
 from tests.mnist3d.sources import BLANK, FULL, UNREADABLE, FlawedSource
 from tests.processes import PATIENCE_S, start_held
@@ -30,7 +29,7 @@ COARSE = SolidSpec(target_vertices=2_000)  # what a lattice gives: fewer are dec
 @pytest.fixture(scope="module")
 def flawed(tmp_path_factory):
     folder = tmp_path_factory.mktemp("flawed") / "set"
-    manifest = generate(GenerateSpec(FlawedSource(), COARSE), str(folder))
+    manifest = generate(DigitSetSpec(FlawedSource(), COARSE), str(folder))
     return folder, manifest
 
 
@@ -48,14 +47,14 @@ def test_every_digit_is_a_row_or_skipped_with_its_reason(flawed):
     assert f"digit {BLANK} of source 'flawed'" in skipped[BLANK].message
     ids = np.concatenate([mnist3d.load(str(folder), split).ids for split in rows])
     assert sorted(ids.tolist()) == sorted(set(range(30)) - set(skipped))
-    assert verify(DataFolder(str(folder)), digit_schema()).ok
+    assert verify(open_folder(str(folder)), digit_schema()).ok
     written = json.loads((folder / "manifest.json").read_text())
     assert written["skipped"] == {"all-ink": 1, "no-ink": 1, "unreadable": 1}
 
 
 def test_failures_move_no_other_digit(flawed, tmp_path):
     folder, _ = flawed
-    plan = plan_build(DigitMaking(GenerateSpec(FlawedSource(), COARSE)))
+    plan = plan_build(DigitMaking(DigitSetSpec(FlawedSource(), COARSE)))
     for split in ("train", "test", "holdout"):
         planned = [i for task in plan.tasks if task.shard.split == split for i in task.items]
         made = mnist3d.load(str(folder), split).ids.tolist()
@@ -75,51 +74,18 @@ def test_report_has_a_row_per_digit_in_the_order_of_the_data(flawed):
     assert report.is_solid.all()
 
 
-def test_rows_are_those_of_solidify(flawed):
-    folder, _ = flawed
-    for digit in mnist3d.load(str(folder), "train"):
-        expected = mnist3d.solidify(FlawedSource().image(digit.id).pixels, COARSE)
-        np.testing.assert_array_equal(digit.vertices_m, expected.vertices_m)
-        np.testing.assert_array_equal(digit.faces, expected.faces)
-        assert digit.label == digit.id // 3
-        assert digit.writer == digit.id % 3
-        assert digit.mesh.is_watertight
-        assert digit.mesh.volume == pytest.approx(digit.volume_m3, rel=1e-6)
-        assert digit.vertices_m[:, 2].min() == 0
-
-
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
-def test_worker_processes_write_the_same_bytes(flawed, tmp_path, workers):
-    folder, _ = flawed
-    generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), workers=ProcessRunner(workers))
-    assert folder_bytes(tmp_path / "set") == folder_bytes(folder)
-
-
-def test_split_by_split_gives_the_same_folder(flawed, tmp_path):
-    folder, _ = flawed
-    for split in ("holdout", "train", "test"):
-        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), (split,))
-    assert folder_bytes(tmp_path / "set") == folder_bytes(folder)
-
-
-def test_other_spec_is_refused_with_its_difference(flawed):
-    folder, _ = flawed
-    with pytest.raises(SpecMismatchError, match=r"solid\.target_vertices is 2000 there, 5000 was asked for"):
-        generate(GenerateSpec(FlawedSource()), str(folder))
-
-
 def test_nothing_to_make_is_named(tmp_path):
     with pytest.raises(InputError, match=r"no digits to make for printed_test.*--split"):
-        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
+        generate(DigitSetSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("printed_test",))
     assert not (tmp_path / "set").exists()
     with pytest.raises(InputError, match="unknown split 'validation'"):
-        generate(GenerateSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("validation",))
+        generate(DigitSetSpec(FlawedSource(), COARSE), str(tmp_path / "set"), ("validation",))
     with pytest.raises(InputError, match=r"limit of .* is 0"):
-        GenerateSpec(FlawedSource(), limit=0)
+        DigitSetSpec(FlawedSource(), limit=0)
 
 
 def test_shard_sizes_follow_from_the_split_alone():
-    plan = plan_build(DigitMaking(GenerateSpec(SyntheticSource())))
+    plan = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())))
     counts = {split: [t.size for t in plan.tasks if t.shard.split == split] for split in SPLITS}
     assert {split: sum(sizes) for split, sizes in counts.items()} == {
         "train": 11_480,
@@ -130,7 +96,7 @@ def test_shard_sizes_follow_from_the_split_alone():
     }
     assert all(max(sizes) <= 128 for sizes in counts.values())
     assert len(counts["train"]) == 90
-    alone = plan_build(DigitMaking(GenerateSpec(SyntheticSource())), ("test",))
+    alone = plan_build(DigitMaking(DigitSetSpec(SyntheticSource())), ("test",))
     among_all = [task for task in plan.tasks if task.shard.split == "test"]
     assert [task.shard for task in alone.tasks] == [task.shard for task in among_all]
     for one, other in zip(alone.tasks, among_all, strict=True):
@@ -157,12 +123,12 @@ def unbroken(tmp_path_factory):
     return folder_bytes(folder)
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize(
     ("blow", "workers"),
     [
         (signal.SIGINT, 1),
-        *(pytest.param(signal.SIGINT, workers, marks=pytest.mark.thorough) for workers in (2, 4)),
-        *(pytest.param(signal.SIGKILL, workers, marks=pytest.mark.thorough) for workers in (1, 2, 4)),
+        (signal.SIGKILL, 2),
     ],
 )
 def test_stopped_run_goes_on_to_the_same_bytes(unbroken, tmp_path, workers, blow):
@@ -197,22 +163,20 @@ GOLDEN = "54d92eab70b4442d1c87ff48e98a7dee8419e6879c8471803f99ad4881540344"
 
 
 def test_writer_splits_share_no_writer(tmp_path):
-    spec = GenerateSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
+    spec = DigitSetSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
     generate(spec, str(tmp_path / "set"))
     homes = [set(mnist3d.load(str(tmp_path / "set"), split).writers.tolist()) for split in SPLITS]
     assert sum(map(len, homes)) == len(set().union(*homes)) > 0
 
 
-@pytest.mark.parametrize(
-    ("per_class", "splits", "rows"),
-    [(1, ("train", "test"), 20), pytest.param(None, SPLITS, 100, marks=pytest.mark.thorough)],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(("per_class", "splits", "rows"), [(1, ("train", "test"), 20), (None, SPLITS, 100)])
 def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, rows):
     from mnist3d.sources.hwdplus import HwdPlusSource
 
     layout = shared / "digits" / "hwd_layout"
     source = HwdPlusSource(str(layout / "Images(500x500).npy"), str(layout / "WriterInfo.npy"), 1)
-    manifest = generate(GenerateSpec(source, per_class=per_class), str(tmp_path / "set"), splits)
+    manifest = generate(DigitSetSpec(source, per_class=per_class), str(tmp_path / "set"), splits)
     assert sum(entry["rows"] for entry in manifest.split_table().values()) == rows
     assert manifest.skipped_reasons() == {}
     report = pq.read_table(tmp_path / "set" / "reports" / "printability.parquet").to_pandas()
@@ -224,7 +188,7 @@ def test_real_digits_in_the_layout_of_hwd(shared, tmp_path, per_class, splits, r
 
 
 def test_a_task_takes_along_its_own_ids_only():
-    spec = GenerateSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
+    spec = DigitSetSpec(SyntheticSource(count=100_000), split=SplitSpec(sizes=(("train", 9_000),)))
     task = plan_build(DigitMaking(spec), ("train",)).tasks[3]
     assert task.items.base is not None  # a view of the ids of the split
     assert len(pickle.dumps(task)) < 8 * task.size + 2_000

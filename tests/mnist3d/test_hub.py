@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from tests.hub_server import hub
 from tests.tactile_toolkit.hub.client import run_here, settings
@@ -17,7 +17,7 @@ from tests.tactile_toolkit.hub.client import run_here, settings
 @pytest.fixture(scope="module")
 def repositories(tmp_path_factory) -> Path:
     root = tmp_path_factory.mktemp("hub")
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(root / "someone" / "digits"), ("test", "holdout"))
     return root
 
@@ -51,44 +51,6 @@ def test_streaming_stores_nothing(repositories, tmp_path):
         done = run_here(script, settings(server, tmp_path), tmp_path)
     assert done.stdout.startswith("10 ")
     assert not list(tmp_path.rglob("*.parquet"))
-
-
-CATCH = """
-import mnist3d
-from tactile_toolkit.errors import ToolkitError
-try:
-    mnist3d.load({arguments})
-except ToolkitError as error:
-    print(error.exit_code, type(error).__name__, error)
-"""
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ("'someone/nothing', 'test'", ("4 HubError", "'someone/nothing' was not found", "hf auth login")),
-        (
-            "'someone/digits', 'test', revision='v9'",
-            ("4 HubError", "(404): Invalid rev id: v9"),
-        ),
-        ("'someone/digits', 'train'", ("2 InputError", "no split 'train'", "test, holdout")),
-    ],
-)
-def test_failures_are_named(repositories, tmp_path, arguments, words):
-    with hub(repositories) as server:
-        done = run_here(CATCH.format(arguments=arguments), settings(server, tmp_path), tmp_path)
-    for word in words:
-        assert word in done.stdout, done.stdout + done.stderr
-
-
-def test_no_network_is_named(tmp_path):
-    script, nowhere = CATCH.format(arguments="'someone/digits', 'test'"), "http://127.0.0.1:9"
-    done = run_here(script, settings(nowhere, tmp_path), tmp_path)
-    assert "4 HubError" in done.stdout, done.stdout + done.stderr
-    offline = run_here(script, settings(nowhere, tmp_path, HF_HUB_OFFLINE="1"), tmp_path)
-    assert "4 HubError" in offline.stdout
-    assert "no connection to the Hub" in offline.stdout
-    assert "HF_HUB_OFFLINE" in offline.stdout
 
 
 def test_the_published_set_by_its_short_name(repositories, tmp_path):

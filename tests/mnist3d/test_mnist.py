@@ -1,10 +1,8 @@
 from __future__ import annotations
 
 import gc
-import gzip
 import hashlib
 import importlib.util
-import pickle
 import sys
 import threading
 from collections.abc import Iterator
@@ -16,13 +14,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from mnist3d.ink.sheet import enlarge, fit
 from mnist3d.sources import NO_WRITER, DigitSource
-from mnist3d.sources.canvas import enlarge, fit
 from mnist3d.sources.mnist import MnistSource, download_mnist
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
-from tests.real_input import SHARED, needs_shared
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -35,14 +32,6 @@ def test_every_layout_gives_the_same_digits(tmp_path: Path, folder: str, mark: s
     plain = MnistSource(str(tmp_path / "plain"))
     assert made.fingerprint() == plain.fingerprint()
     np.testing.assert_array_equal(made.image(3).pixels, plain.image(3).pixels)
-
-
-def test_files_in_folders_of_their_own_names(tmp_path: Path) -> None:
-    for kind, array in zip(("images", "labels"), bars(2), strict=True):
-        folder = tmp_path / name_of("train", kind)
-        folder.mkdir()
-        (folder / folder.name).write_bytes(idx(array))
-    assert len(MnistSource(str(tmp_path)).catalog()) == 2
 
 
 def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
@@ -72,11 +61,6 @@ def test_training_digits_come_before_test_digits(tmp_path: Path) -> None:
         np.testing.assert_array_equal(digit.pixels, alone.pixels)
 
 
-def test_one_part_alone_begins_at_zero(tmp_path: Path) -> None:
-    write(tmp_path, "test")
-    assert MnistSource(str(tmp_path)).catalog().ids.tolist() == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize("digit_id", [-1, 4])
 def test_unknown_id(tmp_path: Path, digit_id: int) -> None:
     write(tmp_path)
@@ -96,18 +80,6 @@ def test_ink_is_dark_and_where_it_was(tmp_path: Path) -> None:
     assert pixels[pixels < 128].mean() < 10
     np.testing.assert_allclose([rows.min(), rows.max() + 1], [4 * scale, 12 * scale], atol=4)
     np.testing.assert_allclose([columns.min(), columns.max() + 1], [12 * scale, 16 * scale], atol=4)
-
-
-def test_it_pickles_small_and_works_afterwards(tmp_path: Path) -> None:
-    write(tmp_path)
-    made = MnistSource(str(tmp_path))
-    before = made.image(0).pixels
-    data = pickle.dumps(made)
-    assert len(data) < 500
-    np.testing.assert_array_equal(pickle.loads(data).image(0).pixels, before)
-    # A manifest says what a set was made of, and it stays what it was.
-    with pytest.raises(AttributeError):
-        made.root = "elsewhere"  # type: ignore[misc]
 
 
 def test_fingerprint_knows_content_and_no_path(tmp_path: Path) -> None:
@@ -263,37 +235,6 @@ def test_flat_images_stay_flat(value: int, shape: tuple[int, int]) -> None:
     assert sheet.shape == (500, 500)
     inked = int((sheet < 128).sum())
     assert inked == (0 if value else round(500 * shape[0] / max(shape)) * round(500 * shape[1] / max(shape)))
-
-
-@needs_shared
-class TestRealFiles:
-    def test_labels_count(self) -> None:
-        catalog = MnistSource(str(SHARED / "mnist")).catalog()
-        expected = [980, 1135, 1032, 1010, 982, 892, 958, 1028, 974, 1009]
-        assert np.bincount(catalog.labels).tolist() == expected
-        assert catalog.labels[:10].tolist() == [7, 2, 1, 0, 4, 1, 4, 9, 5, 9]
-
-    def test_outlines_are_smooth_and_ink_can_be_printed(self) -> None:
-        from scipy.ndimage import distance_transform_edt
-        from skimage.morphology import skeletonize
-
-        source = MnistSource(str(SHARED / "mnist"))
-        raw = gzip.decompress((SHARED / "mnist" / name_of("test", "images", end=".gz")).read_bytes())
-        small = 255 - np.frombuffer(raw, np.uint8, offset=16).reshape(-1, 28, 28)
-        widths, heights, ours, nearest = [], [], [], []
-        for digit_id in range(0, 10_000, 250):
-            pixels = source.image(digit_id).pixels
-            ink = pixels < 128
-            widths.append(np.median(2 * distance_transform_edt(ink)[skeletonize(ink)]))
-            heights.append(np.ptp(np.flatnonzero(ink.any(axis=1))) + 1)
-            ours.append(turns(pixels))
-            nearest.append(turns(blocks(small[digit_id])))
-        assert np.mean(ours) < 4.2
-        assert np.mean(nearest) > 2.5 * np.mean(ours)
-        assert 35 < np.median(widths) < 60
-        assert min(widths) > 20
-        assert max(widths) < 100
-        assert 330 < np.median(heights) < 365
 
 
 def test_download_needs_the_extra(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

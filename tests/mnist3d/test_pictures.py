@@ -11,11 +11,14 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from mnist3d.make import GenerateSpec, generate, source_again
-from mnist3d.previews import plan_previews
-from mnist3d.sources.folder import FolderSource
-from mnist3d.sources.pictures import ENDINGS, is_picture_name, pages_of, read_picture
-from mnist3d.spec import DigitPreviewSpec, SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_previews import plan_previews
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.picture_files import ENDINGS, is_picture_name, pages_of
+from mnist3d.sources.picture_folder import FolderSource
+from mnist3d.sources.picture_levels import read_picture
+from mnist3d.sources.source_choice import source_again
 from tactile_toolkit.errors import ItemError
 from tests.mnist3d.photographs import likeness, page, seven
 from tests.mnist3d.test_folder import BOX, bar, ink_box, save
@@ -79,7 +82,7 @@ def test_heic_is_read_or_the_extra_named(tmp_path: Path) -> None:
 def test_a_heic_that_cannot_be_read_is_named_with_the_way_out(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("mnist3d.sources.pictures._formats", lambda: ("PNG",))
+    monkeypatch.setattr("mnist3d.sources.picture_files._formats", lambda: ("PNG",))
     save(tmp_path / "7" / "a.png")
     path = save(tmp_path / "7" / "b.png").rename(tmp_path / "7" / "b.heic")
     path.write_bytes(b"\0\0\0\x18ftypheic")
@@ -145,7 +148,7 @@ def test_what_is_no_picture_is_named_and_what_systems_leave_is_not(tmp_path: Pat
     source = FolderSource(str(root))
     expected = {"7/notes.txt": "not a picture", "labels.csv": "not a picture"}
     assert source.fingerprint()["left_out"] == expected
-    manifest = generate(GenerateSpec(source, SolidSpec(target_vertices=500)), tmp_path / "set", workers=1)
+    manifest = generate(DigitSetSpec(source, SolidSpec(target_vertices=500)), tmp_path / "set", workers=1)
     assert manifest.spec["source"]["left_out"] == expected
     (skipped,) = (item for shard in manifest.shards for item in shard.skipped)
     assert (skipped.reason, "7/b.jpg" in skipped.message) == ("unreadable", True)

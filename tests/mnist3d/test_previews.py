@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
@@ -12,19 +13,21 @@ import pytest
 from PIL import Image
 
 import mnist3d
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.previews import _stack_view, draw_steps, layer_map, object_facts, plan_previews
-from mnist3d.solid import SolidSpec, solidify
-from mnist3d.sources.folder import FolderSource
-from mnist3d.sources.mnist import MnistSource
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.digit_preview_spec import DigitPreviewSpec as PreviewSpec
+from mnist3d.digit_previews import plan_previews
+from mnist3d.ink.binarisation import binarise
+from mnist3d.published_splits import SplitSpec
+from mnist3d.solid.algorithm import solid_steps
+from mnist3d.solid.step_pictures import _stack_view, draw_steps, layer_map
+from mnist3d.solid_spec import SolidSpec
+from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.spec import DigitPreviewSpec as PreviewSpec
-from mnist3d.splits import SplitSpec
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.pictures import OBLIQUE, Body, draw_bodies, relief, relief_of
-from tactile_toolkit.pictures.sheets import INK, bar_length_mm
-from tests.mnist3d import mnist_files
+from tactile_toolkit.pictures import OBLIQUE, DrawnBody, bar_length_mm, draw_bodies, relief, relief_of
+from tactile_toolkit.pictures.lettering import INK
+from tests.sealed import edit
 
 THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 
@@ -33,7 +36,7 @@ THIN = SolidSpec(target_vertices=2_000, half_thickness_mm=1.2)
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Thirty digits in train, ten in test."""
     out = tmp_path_factory.mktemp("previews") / "digits"
-    spec = GenerateSpec(
+    spec = DigitSetSpec(
         SyntheticSource(count=280),
         THIN,
         SplitSpec(sizes=(("train", 3), ("test", 1))),
@@ -134,35 +137,12 @@ def test_a_box_of_known_size_is_as_wide_as_the_bar_says(ending, tmp_path):
     assert block.sum(axis=0).max() == pytest.approx(20 * scale, abs=2)
 
 
-def test_an_object_that_is_no_solid_says_so(tmp_path):
-    corners = np.array([(0, 0, 0), (0.01, 0, 0), (0, 0.01, 0.002)])
-    write_mesh(tmp_path / "open.stl", Mesh(corners, np.array([(0, 1, 2)], np.int32)))
-    facts = object_facts(mnist3d.read_mesh(tmp_path / "open.stl"))
-    assert facts[0].startswith("10.0 x 10.0 x 2.0 mm; 3 vertices, 1 triangles")
-    assert "not a solid" in facts[1]
-    assert "border one triangle only" in facts[1]
-    assert len(drawn(tmp_path / "open.stl")) == 1
-
-
-def test_ids_are_drawn_from_whatever_split_they_are_in(folder):
-    train, test = (mnist3d.load(str(folder), split) for split in ("train", "test"))
-    ids = (int(test.ids[3]), int(train.ids[0]), int(test.ids[3]))
-    plan = plan_previews(str(folder), PreviewSpec(ids=ids))
-    assert {picture.name: picture.what for picture in plan.pictures} == {
-        "digits-train-sheet.png": "1 digit of train from above",
-        "digits-test-sheet.png": "1 digit of test from above",
-    }
-    with pytest.raises(InputError, match=f"no object with id {ids[0]} in what"):
-        plan_previews(str(folder), PreviewSpec(ids=ids, split="train"))
-
-
 # ---------------------------------------------------------------- steps
 
 
 def test_layers_lie_within_one_another_the_higher_the_darker():
-    volumes = []
-    solidify(SyntheticSource().image(0).pixels, on_surface=lambda _, volume, __: volumes.append(volume))
-    layers = [layer for layer in np.moveaxis(volumes[0].upper > 0, 2, 0) if layer.any()]
+    steps = solid_steps(binarise(SyntheticSource().image(0).pixels, SolidSpec()), SolidSpec())
+    layers = [layer for layer in np.moveaxis(steps.upper_half > 0, 2, 0) if layer.any()]
     assert all((upper <= lower).all() for lower, upper in pairwise(layers))
     drawn_map = layer_map(layers)
     assert (drawn_map[~layers[0]] == 255).all()
@@ -214,18 +194,18 @@ def seen(monkeypatch: pytest.MonkeyPatch) -> list[Mesh]:
     """The bodies that steps draw."""
     meshes: list[Mesh] = []
 
-    def look(bodies: Sequence[Body], *how: Any) -> np.ndarray:
+    def look(bodies: Sequence[DrawnBody], *how: Any) -> np.ndarray:
         meshes.extend(body.mesh for body in bodies)
         return draw_bodies(bodies, *how)
 
-    monkeypatch.setattr("mnist3d.previews.draw_bodies", look)
+    monkeypatch.setattr("tactile_toolkit.pictures.draw_bodies", look)
     return meshes
 
 
 @pytest.mark.parametrize("vertices", [1500, 400])
 def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices, seen):
     source = SyntheticSource(count=280)
-    spec = GenerateSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
+    spec = DigitSetSpec(source, SolidSpec(target_vertices=vertices, join_bodies=True), limit=1)
     generate(spec, str(tmp_path / "set"), ("test",))
     (record,) = mnist3d.load(str(tmp_path / "set"), "test")
     (planned,) = plan_previews(
@@ -236,19 +216,7 @@ def test_steps_of_a_data_set_end_with_the_mesh_that_it_stores(tmp_path, vertices
     np.testing.assert_array_equal(seen[-1].faces, record.faces)
 
 
-def test_steps_of_mnist_are_drawn_from_its_files(tmp_path, seen):
-    for each in ("train", "test"):
-        mnist_files.write(tmp_path / "mnist", each)
-    source = MnistSource(str(tmp_path / "mnist"))
-    spec = GenerateSpec(source, SolidSpec(target_vertices=2_000), limit=1)
-    generate(spec, str(tmp_path / "set"), ("train",))
-    (record,) = mnist3d.load(str(tmp_path / "set"), "train")
-    chosen = PreviewSpec(kinds=("steps",), ids=(record.id,), images=tmp_path / "mnist")
-    (planned,) = plan_previews(str(tmp_path / "set"), chosen).pictures
-    planned.draw()
-    np.testing.assert_array_equal(seen[-1].vertices_m, record.vertices_m)
-
-
+@pytest.mark.thorough
 def test_steps_of_a_data_set_take_the_image_that_the_digit_was_made_from(folder):
     record = mnist3d.load(str(folder), "train")[4]
     ((name, pixels),) = drawn(folder, kinds=("steps",), ids=(record.id,)).items()
@@ -265,12 +233,12 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
             Image.fromarray(SyntheticSource().image(digit).pixels).save(
                 tmp_path / name / str(label) / "1.png"
             )
-    spec = GenerateSpec(
+    spec = DigitSetSpec(
         FolderSource(str(tmp_path / "one")),
         SolidSpec(target_vertices=2_000),
         SplitSpec(sizes=(("train", 1),)),
     )
-    spec = GenerateSpec(spec.source, spec.solid, spec.split, limit=2)
+    spec = DigitSetSpec(spec.source, spec.solid, spec.split, limit=2)
     with pytest.raises(InputError):
         plan_previews(str(tmp_path / "one"), PreviewSpec(kinds=("steps",)))
     try:
@@ -283,14 +251,6 @@ def test_steps_refuse_other_images_than_those_of_the_data_set(tmp_path):
     with pytest.raises(InputError, match="holds other images"):
         plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "other"))
     assert len(plan_previews(where, PreviewSpec(kinds=("steps",), images=tmp_path / "one")).pictures) == 1
-
-
-def test_the_usual_pictures_of_a_data_set(folder):
-    plan = plan_previews(str(folder), PreviewSpec(per_class=1))
-    assert plan.left_out == ()
-    assert [picture.name for picture in plan.pictures] == ["digits-train-sheet.png", "digits-test-sheet.png"]
-    everything = plan_previews(str(folder), PreviewSpec(kinds=("all",)))
-    assert len(everything.pictures) == 3
 
 
 # ---------------------------------------------------------------- bad input
@@ -323,6 +283,13 @@ def test_bad_input_is_named(folder, tmp_path):
         plan_previews(str(folder), PreviewSpec(kinds=("shoe",)))
     with pytest.raises(InputError, match="per_class of the previews is 0"):
         PreviewSpec(per_class=0)
+
+
+def test_steps_of_a_set_that_names_no_source_are_refused(folder, tmp_path):
+    copy = shutil.copytree(folder, tmp_path / "set")
+    edit(copy / "manifest.json", lambda values: values["spec"].pop("source"))
+    with pytest.raises(InputError, match="does not name the source of its images"):
+        plan_previews(str(copy), PreviewSpec(kinds=("steps",)))
 
 
 def test_an_image_without_ink_is_named(tmp_path):

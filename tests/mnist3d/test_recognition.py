@@ -51,7 +51,8 @@ def digits(recognition: ModuleType) -> object:
     return recognition.load_digits(SHARED / "digits")
 
 
-@pytest.mark.parametrize("count", [200, pytest.param(TRAIN_COUNT // 2, marks=pytest.mark.thorough)])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("count", [200, TRAIN_COUNT // 2])
 def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, count: int) -> None:
     source = SyntheticSource()
     images = recognition.synthetic_images(source, recognition.evenly(source.count, count, 0.5))
@@ -67,14 +68,6 @@ def test_synthetic_digits_teach_to_read_real_ones(
     assert recognition.read("b", synthetic, digits).accuracy > 0.85
 
 
-@pytest.mark.thorough
-def test_synthetic_digits_teach_to_read_mnist(
-    recognition: ModuleType, synthetic: object, mnist: object
-) -> None:
-    part = recognition.Images(mnist.pixels[:3000], mnist.labels[:3000])  # type: ignore[attr-defined]
-    assert recognition.read("c", synthetic, part).accuracy > 0.74
-
-
 def test_normalised_images_are_centred_boxes(recognition: ModuleType) -> None:
     page = np.full((500, 500), 255, dtype=np.uint8)
     page[100:400, 30:130] = 0
@@ -83,18 +76,3 @@ def test_normalised_images_are_centred_boxes(recognition: ModuleType) -> None:
     assert np.flatnonzero(frame.any(axis=1)).tolist() == list(range(4, 24))
     assert frame.any(axis=0).sum() == 7
     assert frame.max() == 255.0
-
-
-def test_reader_votes_and_breaks_ties_by_the_nearest(recognition: ModuleType) -> None:
-    pixels = np.array([[0.0], [1.0], [2.0], [10.0], [11.0], [12.5]], dtype=np.float32)
-    known = recognition.Images(pixels, np.array([1, 2, 2, 3, 4, 5]))
-    unknown = recognition.Images(np.array([[0.1], [9.9]], dtype=np.float32), np.array([2, 3]))
-    table = recognition.read("votes", known, unknown).table
-    assert table[2, 2] == 1
-    assert table[3, 3] == 1
-
-
-def test_evenly_spaced_ids_are_distinct_and_cover_writers(recognition: ModuleType) -> None:
-    ids = recognition.evenly(13_580, 1_940, 0.5)
-    assert len(set(ids)) == 1_940
-    assert len({digit_id // 14 for digit_id in ids}) == 970

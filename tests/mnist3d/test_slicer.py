@@ -14,14 +14,12 @@ import numpy as np
 import pytest
 
 import mnist3d
-from mnist3d.sources.folder import FolderSource
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.mesh import Mesh, write_mesh
-from tactile_toolkit.printing import PlateSpec, write_plates
-from tactile_toolkit.printing.objects import choose, export_files, place_on_plate
-from tactile_toolkit.printing.packing import Placed, arrange, measure
+from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, write_plates
+from tactile_toolkit.printing.objects import place_on_plate
+from tactile_toolkit.printing.packing import PlacedObject
 from tests.processes import PATIENCE_S
-from tests.tactile_toolkit.printing.solids import box, named
 
 SLICER = shutil.which("prusa-slicer") or ""
 pytestmark = [
@@ -120,9 +118,9 @@ def _followed(gcode: str) -> Sliced:
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = str(tmp_path_factory.mktemp("slicer") / "digits")
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, ("printed_test",))
     return mnist3d.load(folder, "printed_test")
 
@@ -130,7 +128,7 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
 @pytest.mark.thorough
 @pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_one_digit_of_each_class_loads_whole_and_in_size(
-    kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
+    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
 ) -> None:
     made = export_files(choose([("printed_test", digits)]), str(tmp_path), kind)
     assert sorted(file.label for file in made.files) == list("0123456789")
@@ -142,9 +140,10 @@ def test_one_digit_of_each_class_loads_whole_and_in_size(
         assert seen.volume_mm3 == pytest.approx(file.volume_mm3, rel=1e-4)
 
 
-@pytest.mark.parametrize("kind", [pytest.param("stl", marks=pytest.mark.thorough), "3mf"])
+@pytest.mark.thorough
+@pytest.mark.parametrize("kind", ["stl", "3mf"])
 def test_a_digit_slices_up_to_its_height_without_a_repair(
-    kind: str, digits: mnist3d.MeshDataset, tmp_path: Path
+    kind: str, digits: mnist3d.DigitDataset, tmp_path: Path
 ) -> None:
     (file,) = export_files(choose([("printed_test", digits)], labels=["8"]), str(tmp_path), kind).files
     path = tmp_path / file.file
@@ -158,15 +157,18 @@ def test_a_digit_slices_up_to_its_height_without_a_repair(
     assert set(counts) == {0}
 
 
-def write_plate(digits: mnist3d.MeshDataset, labels: str, folder: Path) -> tuple[tuple[Placed, ...], Path]:
+def write_plate(
+    digits: mnist3d.MeshDataset, labels: str, folder: Path
+) -> tuple[tuple[PlacedObject, ...], Path]:
     spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0)
-    layout = arrange(measure(choose([("printed_test", digits)], labels=list(labels)), spec))
+    layout = arrange(choose([("printed_test", digits)], labels=list(labels)), spec)
     write_plates(layout, str(folder))
     (plate,) = layout.plates
     return plate, folder / "plate-01.3mf"
 
 
-def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
+@pytest.mark.thorough
+def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     plate, path = write_plate(digits, "0123456789", tmp_path)
     seen = seen_in(path)
     boxes = [(placed.x_mm, placed.y_mm, *placed.outline.size_mm, placed.height_mm) for placed in plate]
@@ -178,48 +180,10 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.MeshDataset,
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
-@pytest.mark.thorough
-def test_a_plate_slices_where_it_lies(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
-    plate, path = write_plate(digits, "17", tmp_path)
-    sliced = slice_file(path, tmp_path, "--dont-arrange")
-    for placed in plate:
-        assert sliced.top_mm[placed.item.name] == pytest.approx(placed.height_mm, abs=LAYER_MM)
-    assert len(sliced.top_mm) == len(plate)
-    assert min(sliced.low_mm) >= 0
-    assert max(sliced.high_mm) <= PLATE_MM
-
-
-@pytest.mark.thorough
-@pytest.mark.parametrize(
-    ("spec", "fits"), [(PlateSpec(PLATE_MM, PLATE_MM), True), (PlateSpec(PLATE_MM, PLATE_MM, 3, 0), False)]
-)
-def test_the_usual_margin_leaves_room_for_a_skirt(spec: PlateSpec, fits: bool, tmp_path: Path) -> None:
-    width_mm, depth_mm = (side - 1 for side in spec.inner_mm)
-    layout = arrange(measure(named([box(width_mm, depth_mm)]), spec))
-    assert not write_plates(layout, str(tmp_path)).failed
-    path = tmp_path / "plate-01.3mf"
-    distance = ("--skirts", "1", "--skirt-distance", "6")
-    sliced = slice_file(path, tmp_path, "--dont-arrange", *distance)
-    assert (min(sliced.low_mm) >= 0 and max(sliced.high_mm) <= PLATE_MM) == fits
-
-
-def test_the_check_sees_a_broken_file(digits: mnist3d.MeshDataset, tmp_path: Path) -> None:
+def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     """What is asserted above fails for a surface without three triangles."""
     whole = place_on_plate(digits[0])
     write_mesh(tmp_path / "broken.stl", Mesh(whole.vertices_m, whole.faces[3:]))
     (seen,) = seen_in(tmp_path / "broken.stl")
     assert "manifold = no" in seen.complaints
     assert any(complaint.startswith("open_edges") for complaint in seen.complaints)
-
-
-@pytest.mark.thorough
-def test_real_handwriting_loads_whole(shared: Path, tmp_path: Path) -> None:
-    folder = str(tmp_path / "digits")
-    spec = mnist3d.GenerateSpec(FolderSource(str(shared / "digits" / "png")), per_class=1)
-    mnist3d.generate(spec, folder, ("test",))
-    made = export_files(choose([("test", mnist3d.load(folder, "test"))]), str(tmp_path / "out"), "3mf")
-    assert len(made.files) == 10
-    for file in made.files:
-        (seen,) = seen_in(tmp_path / "out" / file.file)
-        assert seen.complaints == ()
-        assert seen.size_mm == pytest.approx(file.size_mm, abs=2e-3)

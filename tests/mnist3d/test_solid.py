@@ -16,13 +16,11 @@ import pytest
 from hypothesis import given, settings, strategies as st
 from scipy import ndimage
 
-from mnist3d.ink import count_bodies_and_holes
-from mnist3d.lattice import Lattice, Mirrored
-from mnist3d.literal import literal_solid
-from mnist3d.solid import SolidSpec, binarise, solidify
-from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.spec import EROSIONS, PROFILES
-from mnist3d.surface import Surface
+from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.cleaning import count_bodies_and_holes
+from mnist3d.solid.algorithm import solid_steps, solidify
+from mnist3d.solid.literal import literal_solid
+from mnist3d.solid_spec import EROSIONS, PROFILES, SolidSpec
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import inspect
 from tests.mnist3d.drawings import (
@@ -48,12 +46,12 @@ BOTH_WAYS = pytest.mark.parametrize("method", ["fast", pytest.param("literal", m
 # --- the whole way --------------------------------------------------------------------------------
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("method", "profile"),
     [
         *(("fast", profile) for profile in PROFILES),
-        ("literal", "round"),
-        *(pytest.param("literal", profile, marks=pytest.mark.thorough) for profile in PROFILES[1:]),
+        *(("literal", profile) for profile in PROFILES),
     ],
 )
 def test_every_way_gives_a_solid_on_the_plate(method: Any, profile: str) -> None:
@@ -91,14 +89,8 @@ def test_the_vertex_budget_is_met(target: int) -> None:
     assert 0.5 * target < len(rough.vertices_m) <= 1.5 * target
 
 
-def test_a_lattice_pitch_can_be_asked_for() -> None:
-    coarse, fine = (len(solidify(ring(), SolidSpec(lattice_pitch_mm=p)).vertices_m) for p in (1.0, 0.5))
-    assert fine == pytest.approx(4 * coarse, rel=0.1)
-
-
-@pytest.mark.parametrize(
-    "width_px", [16, *(pytest.param(width, marks=pytest.mark.thorough) for width in (20, 26, 32, 38)), 45]
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("width_px", [16, 26, 38, 45])
 def test_heights_for_all_widths_of_ink(width_px: int) -> None:
     spec = SolidSpec()
     pixels = drawn(stroke([(200, 200), (260, 250)], width_px))
@@ -115,14 +107,9 @@ def test_an_upright_seven_stays_upright_and_unmirrored() -> None:
     assert bottom[:, 0].mean() == pytest.approx((220 - 249.5) * 0.0002, abs=0.002)
 
 
-@pytest.mark.parametrize(
-    ("name", "erosion"),
-    [
-        ("six", "outline"),
-        pytest.param("six", "disc", marks=pytest.mark.thorough),
-        *(pytest.param("thin seven", erosion, marks=pytest.mark.thorough) for erosion in EROSIONS),
-    ],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("erosion", EROSIONS)
+@pytest.mark.parametrize("name", ["six", "thin seven"])
 def test_the_fast_solid_is_the_literal_one(name: str, erosion: str) -> None:
     spec = SolidSpec(erosion=erosion)
     pixels = six() if name == "six" else seven(18)
@@ -208,14 +195,6 @@ def test_a_disc_of_ink_becomes_a_lens_of_known_volume() -> None:
     assert np.abs(mesh.center_mass_m - [0, 0, 0.004]).max() < 1e-4
 
 
-def test_a_flat_bar_is_a_box() -> None:
-    bar = np.zeros((500, 500), bool)
-    bar[200:300, 100:400] = True
-    mesh = solidify(drawn(bar), SolidSpec(profile="flat", target_vertices=20000))
-    assert volume_mm3(mesh) == pytest.approx(20 * 60 * 8, rel=0.02)
-    assert size_mm(mesh) == pytest.approx([60, 20, 8], abs=0.25)
-
-
 def test_a_linear_bar_is_a_roof() -> None:
     bar = np.zeros((500, 500), bool)
     bar[235:265, 50:450] = True
@@ -229,20 +208,6 @@ def test_a_ring_has_one_hole_and_the_wall_of_its_ink() -> None:
     report = inspect(solidify(ring(), SolidSpec()))
     assert (report.bodies, report.genus) == (1, 1)
     assert report.thinnest_wall_mm == pytest.approx(6.0, abs=0.2)
-
-
-def test_separate_pieces_stay_apart_unless_joined() -> None:
-    pixels = drawn(disc(30, 150, 250) | disc(30, 300, 250) | disc(20, 400, 100))
-    assert inspect(solidify(pixels, SolidSpec())).bodies == 3
-    assert inspect(solidify(pixels, SolidSpec(join_bodies=True))).bodies == 1
-
-
-def test_a_gap_narrower_than_the_lattice_is_kept() -> None:
-    mask = np.zeros((500, 500), bool)
-    mask[100:400, 200:300] = True
-    mask[:, 250:252] = False
-    report = inspect(solidify(drawn(mask), SolidSpec()))
-    assert (report.is_solid, report.bodies) == (True, 2)
 
 
 def test_ink_at_the_border_is_closed() -> None:
@@ -265,6 +230,7 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
 # --- what is narrower than the lattice -------------------------------------------------------------
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("angle_deg", [0, 30, 71])
 @pytest.mark.parametrize("width_mm", [0.4, 0.8])
 def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, angle_deg: float) -> None:
@@ -282,9 +248,8 @@ def test_a_whisker_is_as_long_as_it_was_drawn() -> None:
     assert mesh.bounds_m[1, 0] * 1000 == pytest.approx((309.5 - 249.5) * 0.2, abs=0.1)
 
 
-@pytest.mark.parametrize(
-    ("gap_px", "turns"), [(2, 3), pytest.param(6, 3, marks=pytest.mark.thorough), (12, 3), (3, 4)]
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(("gap_px", "turns"), [(2, 3), (12, 3), (3, 4)])
 def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: float) -> None:
     spec = SolidSpec()
     pixels = spiral(30, gap_px, turns)
@@ -301,13 +266,11 @@ def test_narrow_gaps_do_not_make_the_whole_lattice_finer(gap_px: float, turns: f
 def test_nodes_that_touch_at_a_corner_get_others_between_them() -> None:
     from PIL import Image
 
-    steps: list[tuple[Lattice, Mirrored, Surface]] = []
     # Ink on two nodes across a slanting gap, paper on the other two: the surface joins the ink.
     with Image.open(DIGITS / "0040_label0_writer6.png") as image:
-        mesh = solidify(np.asarray(image), on_surface=lambda *found: steps.append(found))
+        lattice, _, surface, mesh = solid_steps(binarise(np.asarray(image), SolidSpec()), SolidSpec())
     report = inspect(mesh)
     assert (report.problem, report.bodies, report.genus) == (None, 1, 1)
-    ((lattice, _, surface),) = steps
     assert len(lattice.rows_px) < 80
     # Not decimated: the upper half and its mirror image.
     assert len(mesh.faces) == 2 * len(surface.faces)
@@ -330,6 +293,7 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     assert len(mesh.vertices_m) <= 1.5 * enough
 
 
+@pytest.mark.thorough
 @BOTH_WAYS
 def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     mask = np.zeros((300, 360), bool)
@@ -343,33 +307,6 @@ def test_both_ways_keep_the_holes_of_a_sieve_or_refuse(method: Any) -> None:
     except ItemError as error:
         counts = (1, 84) if error.reason in ("topology", "vertex-budget") else None
     assert counts == (1, 84)
-
-
-@needs_shared
-@pytest.mark.parametrize(
-    "name",
-    [
-        "0152_label3_writer1",
-        *(
-            pytest.param(name, marks=pytest.mark.thorough)
-            for name in ("0404_label8_writer2", "0130_label2_writer5")
-        ),
-    ],
-)
-def test_the_vertex_budget_bounds_real_digits_with_narrow_places(name: str) -> None:
-    from PIL import Image
-
-    with Image.open(DIGITS / f"{name}.png") as image:
-        mesh = solidify(np.asarray(image), SolidSpec())
-    assert len(mesh.vertices_m) <= 7_500
-
-
-@pytest.mark.parametrize("number", [2977, 3160, 4157, 4601, 12638])
-def test_specks_beside_a_stroke_are_no_walls(number: int) -> None:
-    # Their strokes are 5 mm wide, and a speck of the synthetic source touches each of them.
-    report = inspect(solidify(SyntheticSource().image(number).pixels))
-    assert report.thinnest_wall_mm > 2.5
-    assert report.warnings == ()
 
 
 # --- anything at all ------------------------------------------------------------------------------

@@ -10,10 +10,10 @@ import pyarrow.parquet as pq
 import pytest
 import trimesh
 
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_checks import validate_paths
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from mnist3d.validate import validate_paths
 from tactile_toolkit.errors import InputError
 
 SHARD = Path("data") / "test-00000-of-00001.parquet"
@@ -23,11 +23,12 @@ SHARD = Path("data") / "test-00000-of-00001.parquet"
 def rows(tmp_path_factory) -> pa.Table:
     folder = tmp_path_factory.mktemp("digits")
     generate(
-        GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), limit=4), str(folder), ("test",)
+        DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), limit=4), str(folder), ("test",)
     )
     return pq.ParquetFile(folder / SHARD).read().select(["id", "label", "mesh.vertices", "mesh.faces"])
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("column", ["id", "label", "mesh.vertices", "mesh.faces"])
 def test_a_row_without_a_value_is_named_and_the_others_are_checked(rows, tmp_path, column):
     values = rows[column].to_pylist()

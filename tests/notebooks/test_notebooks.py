@@ -25,6 +25,7 @@ def words(outputs: list[dict]) -> list[str]:
     return ["".join(shown.get("text") or shown["data"]["text/plain"]) for shown in outputs]
 
 
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["digits", "realtouch"])
 def test_a_notebook_shows_what_is_stored_in_it(
     name: str, offline: Path, monkeypatch: pytest.MonkeyPatch

@@ -11,8 +11,8 @@ import pytest
 import realtouch
 from realtouch.touch_dataset import TouchStream
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.read import all_blocks, parquet as rowgroups
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read import Shard, ShardedTable, all_blocks, shard as shard_module
+from tactile_toolkit.read.blocks import BLOCKS
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -29,7 +29,7 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     whole = [(record.id, record.sensor_image[:]) for record in realtouch.load(one_group)]
     shard = Shard(str(next((one_group / "data").glob("*.parquet"))))
     size = shard.metadata.row_group(0).total_byte_size
-    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
+    monkeypatch.setattr(shard_module, "_BLOCK_BYTES", size * rows_per_block // 6 + 1)
     monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     BLOCKS.clear()
     dataset = realtouch.load(one_group)
@@ -41,29 +41,6 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     assert [record.id for record in realtouch.load(one_group, streaming=True)] == [name for name, _ in whole]
     assert len(list((one_group / "cache" / "blocks").glob("*.arrow"))) == -(-6 // rows_per_block)
     assert len(dataset.touches().with_contact()) == 24
-
-
-def test_a_cache_that_cannot_be_written_costs_speed_only(
-    one_group: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", 1)
-    (one_group / "a file").write_text("")
-    monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "a file"))
-    BLOCKS.clear()
-    dataset = realtouch.load(one_group)
-    with pytest.warns(RuntimeWarning, match=r"a file.*another folder"):
-        assert [record._row.number for record in dataset] == list(range(6))
-    assert dataset[4].sensor_image[0].shape == (72, 96, 3)
-
-
-def test_a_damaged_cache_is_made_again(one_group: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
-    BLOCKS.clear()
-    expected = realtouch.load(one_group)[0].id
-    cached = next((one_group / "cache" / "blocks").glob("*.arrow"))
-    cached.write_bytes(cached.read_bytes()[:100])
-    BLOCKS.clear()
-    assert realtouch.load(one_group)[0].id == expected
 
 
 def test_streams_read_remote_files_piece_by_piece(one_group: Path) -> None:

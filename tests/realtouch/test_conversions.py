@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import re
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,7 +17,7 @@ import realtouch
 from realtouch.convert.conversion import Conversion, RowChoice, Source
 from realtouch.convert.selection import KeepTouches
 from realtouch.convert.shard_tasks import plan_conversion
-from tactile_toolkit.errors import InputError, SpecMismatchError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import sha256_hex
 from tactile_toolkit.touch import decode_image, resized
@@ -66,23 +64,6 @@ def test_single_images_of_clips(seq_folder: Path, truth: list[RoundTruth], tmp_p
     assert realtouch.verify(str(out)).ok
 
 
-def test_nested_and_ragged_sources_give_the_same_images(
-    seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
-) -> None:
-    layout = Layout(nested=True, seconds=True, padded=False, fixed=False, shards=2)
-    other = factories.write_set(
-        tmp_path / "other", {"train": factories.seq_rows(truth, layout)}, "seq", layout
-    )
-    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak")
-    realtouch.clips_to_images(str(other), str(tmp_path / "b"), "peak")
-    for one, two in zip(
-        realtouch.load(tmp_path / "a", "train"), realtouch.load(tmp_path / "b", "train"), strict=True
-    ):
-        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
-        np.testing.assert_array_equal(one.sensor_image[:], two.sensor_image[:])
-        assert one.info.keys() == two.info.keys()
-
-
 def test_resized_images(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "small"
     realtouch.resize(str(single_folder), str(out), 32, 24)
@@ -93,13 +74,6 @@ def test_resized_images(single_folder: Path, tmp_path: Path) -> None:
         assert np.abs(two.sensor_image[2].astype(int) - expected).mean() < 2
         np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
     assert pq.read_schema(next((out / "data").glob("*.parquet"))).names == before._table.schema.names
-
-
-def test_the_mean_of_an_image_survives_shrinking() -> None:
-    pixels = np.random.default_rng(0).integers(0, 255, (40, 60, 3), dtype=np.uint8)
-    small = resized(pixels, 6, 4)
-    blocks = pixels.reshape(4, 10, 6, 10, 3).mean(axis=(1, 3))
-    assert np.abs(small - blocks).max() <= 1
 
 
 def test_images_of_the_wanted_size_pass_through(single_folder: Path, tmp_path: Path) -> None:
@@ -195,22 +169,6 @@ def test_plain_pictures(kind: Any, single_folder: Path, seq_folder: Path, tmp_pa
             assert (kind == "png") or content == bytes(stored)
 
 
-def test_plain_pictures_of_touches_without_poses(single_rows: list[dict], tmp_path: Path) -> None:
-    bare = Layout(leave_out=("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"))
-    source = factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", bare)
-    realtouch.frames(str(source), str(tmp_path / "out"), "jpeg")
-    with (tmp_path / "out" / "index.csv").open() as stream:
-        lines = list(csv.DictReader(stream))
-    records = {record.id: record for record in realtouch.load(source, "train")}
-    assert len(lines) == 15
-    for line in lines:
-        record, touch = records[line["round_id"]], int(line["touch"])
-        assert float(line["pos_in_cell_y_m"]) == record.pos_in_cell_m[touch, 1]
-        assert {value for name, value in line.items() if name.startswith("gel_")} == {""}
-        content = (tmp_path / "out" / line["file"]).read_bytes()
-        assert content == bytes(record.sensor_image.encoded(touch))
-
-
 def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "pictures"
     realtouch.frames(str(single_folder), str(out), "jpeg")
@@ -224,40 +182,11 @@ def test_pictures_are_verified_against_their_index(single_folder: Path, tmp_path
     ]
 
 
-def test_a_card_that_lies_is_found(single_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "small"
-    realtouch.resize(str(single_folder), str(out), 32, 24)
-    assert realtouch.verify(str(out)).findings == ()
-    card = out / "README.md"
-    card.write_text(re.sub(r"num_examples: \d+", "num_examples: 5000", card.read_text()))
-    assert {finding.file for finding in realtouch.verify(str(out)).findings} == {"README.md"}
-
-
-def test_an_empty_list_of_another_specification_is_not_called_files(
-    single_folder: Path, tmp_path: Path
-) -> None:
-    realtouch.select(single_folder, tmp_path / "out", limit=1)
-    with pytest.raises(SpecMismatchError, match=r"labels is \[\] there, \['1'\] was asked for"):
-        realtouch.select(single_folder, tmp_path / "out", labels=["1"], limit=1)
-
-
-def test_pictures_are_resumed_and_started_again(single_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "pictures"
-    realtouch.frames(str(single_folder), str(out))
-    first = folder_bytes(out)
-    realtouch.frames(str(single_folder), str(out))
-    assert folder_bytes(out) == first
-    with pytest.raises(SpecMismatchError, match="kind is 'png' there, 'jpeg' was asked for"):
-        realtouch.frames(str(single_folder), str(out), "jpeg")
-    realtouch.frames(str(single_folder), str(out), "jpeg", overwrite=True)
-    assert not list((out / "images").rglob("*.png"))
-    assert len(list(out.rglob("*.jpg"))) == 20
-
-
 def conversions(source: str, out: str, runner: Any) -> None:
     realtouch.clips_to_images(source, out, workers=runner)
 
 
+@pytest.mark.thorough
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -282,14 +211,6 @@ def test_workers_and_interruptions_change_no_byte(
     )
     assert done[0] == 2  # two of four rounds were kept
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "c")
-
-
-def test_another_option_is_refused(seq_folder: Path, tmp_path: Path) -> None:
-    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), limit=1)
-    with pytest.raises(SpecMismatchError, match="frame is 'contact_end' there, 'peak' was asked for"):
-        realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak", limit=1)
-    realtouch.clips_to_images(str(seq_folder), str(tmp_path / "a"), "peak", limit=1, overwrite=True)
-    assert len(realtouch.load(tmp_path / "a", "train")) == 1
 
 
 def test_what_cannot_be_converted_is_said(
@@ -367,25 +288,6 @@ def test_a_task_takes_along_the_files_of_its_own_rows_only(single_folder: Path) 
     assert [choice.row for task in tasks for choice in task.items] == list(range(len(rows)))
     made = [name for task in tasks for name in task.make().table["id"].to_pylist()]
     assert made == realtouch.load(str(single_folder), "train").ids.tolist()
-
-
-def test_shards_of_very_many_rounds_are_larger(single_folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Twice as large in a set of four times as many rounds, as long as a worker can hold one."""
-    monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
-    monkeypatch.setattr("realtouch.convert.shard_tasks._MOST_ROWS_PER_SHARD", 1)
-    source = Source.open(str(single_folder))
-    source = replace(source, shards={"train": source.shards["train"] * 10})
-    assert sum(map(len, source.shards["train"])) == 30
-    for chosen, size in ((2, 1), (8, 2), (30, 4)):
-        conversion = Conversion(
-            source, "toy", {}, KeepTouches(False), {"train": list(map(RowChoice, range(chosen)))}
-        )
-        plan = plan_conversion(conversion)
-        assert [len(task.items) for task in plan.tasks][:-1] == [size] * (len(plan.tasks) - 1)
-        assert [choice.row for task in plan.tasks for choice in task.items] == list(range(chosen))
-        assert plan.spec["rows_per_shard"] == 1
-    monkeypatch.setattr("realtouch.convert.shard_tasks._SHARD_BYTES", 2 * source.row_bytes())
-    assert max(len(task.items) for task in plan_conversion(conversion).tasks) == 2
 
 
 def test_some_of_each_class_and_ranges_of_objects(tmp_path: Path) -> None:

@@ -2,23 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import realtouch
 from realtouch.convert.conversion import file_stem, id_of_stem
-from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError
-from tactile_toolkit.run import Check
+from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import Layout
 from tests.tactile_toolkit.toy import folder_bytes
 
 Edit = Callable[[dict[str, Any], int], None]
@@ -91,16 +88,6 @@ def test_a_source_is_never_written_over(small: Path, tmp_path: Path) -> None:
     assert folder_bytes(small) == before
 
 
-def test_a_file_may_be_converted_into_a_folder_beside_it(single_folder: Path, tmp_path: Path) -> None:
-    file = tmp_path / "test-00000-of-00001.parquet"
-    file.write_bytes((single_folder / "data" / file.name).read_bytes())
-    manifest = realtouch.resize(file, tmp_path / "small", 32, 24)
-    assert manifest.splits == ("test",)  # held-out rounds never become rounds to train on
-    with pytest.raises(InputError, match="no split 'holdout'"):
-        realtouch.load(file, "holdout")
-    assert len(realtouch.load(file)) == len(realtouch.load(file, "test")) == 1
-
-
 def test_a_conversion_that_fails_gives_the_finished_set_back(
     small: Path, single_rows: list[dict], tmp_path: Path
 ) -> None:
@@ -121,47 +108,6 @@ def test_nothing_is_left_of_a_source_in_which_all_is_damaged(
     with pytest.raises(IntegrityError, match=r"no row is left.* row 0, touch 3, field 'sensor_"):
         getattr(realtouch, name.partition("-")[0])(source, tmp_path / "out", *options)
     assert not (tmp_path / "out").exists()
-
-
-@pytest.mark.parametrize("kind", ["png", "jpeg"])
-def test_pictures_of_damaged_rounds_are_left_out(kind: Any, single_rows: list[dict], tmp_path: Path) -> None:
-    source = edited(tmp_path / "source", single_rows, "single", cut_pictures(1))
-    manifest = realtouch.frames(source, tmp_path / "out", kind)
-    assert manifest.split_table()["train"]["rows"] == 10
-    (skipped,) = manifest.shards[0].skipped
-    assert (skipped.id, skipped.reason) == (1, "damaged")
-    assert "row 1, touch 3, field 'sensor_image'" in skipped.message
-    assert len(list((tmp_path / "out" / "images").rglob("*.*g"))) == 10
-    assert realtouch.verify(tmp_path / "out").ok
-
-
-@pytest.mark.parametrize("change", [-1, pytest.param(1, marks=pytest.mark.thorough)])
-@pytest.mark.parametrize("kind", ["seq", "single"])
-def test_rounds_with_too_few_or_many_pictures_are_left_out(
-    kind: str, change: int, truth: list[RoundTruth], tmp_path: Path
-) -> None:
-    """By the steps that decode pictures, and by those that would pass columns on as they are."""
-
-    def edit(row: dict[str, Any], index: int) -> None:
-        column = "sensor_image" if kind == "single" else "sensor_video"
-        if index == 1:
-            row[column] = row[column][:-1] if change < 0 else [*row[column], row[column][0]]
-
-    rows = factories.single_rows(truth) if kind == "single" else factories.seq_rows(truth)
-    source = factories.write_set(tmp_path / "source", {"train": rows}, kind, Layout(edit=edit, fixed=False))
-    conversions: dict[str, Callable[[Path], Any]] = {
-        "select": lambda out: realtouch.select(source, out, labels=range(10)),
-        "contact": lambda out: realtouch.select(source, out, contact=True, min_height_m=-1),
-        "resize": lambda out: realtouch.resize(source, out, 24, 18),
-        "frames": lambda out: realtouch.frames(source, out),
-    }
-    if kind == "seq":
-        conversions["single"] = lambda out: realtouch.clips_to_images(source, out)
-    for name, convert in conversions.items():
-        (skipped,) = [each for record in convert(tmp_path / name).shards for each in record.skipped]
-        assert skipped.id == 1, name
-        assert f"{5 + change} touches; expected 5 as in 'pos_in_cell'" in skipped.message
-        assert realtouch.verify(tmp_path / name).ok
 
 
 @pytest.mark.parametrize("name", ["frames", "clips_to_images"])
@@ -190,6 +136,7 @@ def test_what_is_no_picture_is_found_though_its_checksum_is_right(small: Path, t
     assert "cannot be decoded" in wrong[name]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "name",
     ["../../../escaped", "/tmp/escaped", "..", ".", "", "a/b", "a\\b", "x" * 300, "x\0y", "two\nlines"],
@@ -222,6 +169,7 @@ def test_names_of_files_are_those_of_one_id() -> None:
     assert list(map(id_of_stem, stems[: len(names)])) == names
 
 
+@pytest.mark.thorough
 def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Path) -> None:
     source = edited(tmp_path / "source", single_rows, "single", with_ids("same", "other", "same"))
     manifest = realtouch.frames(source, tmp_path / "out", "jpeg", workers=2)
@@ -235,24 +183,7 @@ def test_ids_that_come_again_are_left_out(single_rows: list[dict], tmp_path: Pat
     assert [item.message for item in rows.shards[0].skipped] == [skipped.message]
 
 
-def test_a_folder_of_pictures_becomes_another_set(
-    seq_folder: Path, single_folder: Path, tmp_path: Path
-) -> None:
-    out, fresh = tmp_path / "out", tmp_path / "fresh"
-    realtouch.frames(seq_folder, out, "jpeg")
-    (out / "mine.txt").write_text("mine")
-    before = folder_bytes(out)
-    with pytest.raises(InputError, match=r"found 'mine\.txt'\); nothing was changed"):
-        realtouch.clips_to_images(seq_folder, out, overwrite=True)
-    assert folder_bytes(out) == before
-    (out / "mine.txt").unlink()
-    realtouch.clips_to_images(seq_folder, out, overwrite=True)
-    realtouch.clips_to_images(seq_folder, fresh)
-    assert folder_bytes(out) == folder_bytes(fresh)
-    realtouch.frames(single_folder, out, overwrite=True)
-    assert realtouch.verify(out).ok
-
-
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["remove", "change"])
 def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
@@ -265,50 +196,9 @@ def test_running_again_mends_pictures(damage: str, single_folder: Path, tmp_path
         victim.write_bytes(b"other")
     assert not realtouch.verify(out).ok
     made: list[int] = []
-    workers = Check() if damage == "change" else 1
     realtouch.frames(
-        single_folder, out, workers=workers, on_progress=lambda progress: made.append(progress.total)
+        single_folder, out, check=damage == "change", on_progress=lambda progress: made.append(progress.total)
     )
     assert made[0] == 3  # the rounds of the train shard; that of the test split is whole
     assert folder_bytes(out) == whole
     assert realtouch.verify(out).ok
-
-
-def test_one_split_alone(single_folder: Path, tmp_path: Path) -> None:
-    manifest = realtouch.resize(single_folder, tmp_path / "one", 32, 24, split="test")
-    assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {"test": 1}
-    with pytest.raises(InputError, match="no split 'valid'"):
-        realtouch.resize(single_folder, tmp_path / "two", 32, 24, split="valid")
-    with pytest.raises(SpecMismatchError, match=r"source\.train is None there, 2 entries"):
-        realtouch.resize(single_folder, tmp_path / "one", 32, 24)
-
-
-def test_options_of_numpy_and_paths(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.select(single_folder, tmp_path / "a", objects=np.array([4001]), limit=np.int64(1))
-    realtouch.select(str(single_folder), str(tmp_path / "b"), objects=[4001], limit=1)
-    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-    with pytest.raises(InputError, match=r"objects holds 1\.5; expected integers"):
-        realtouch.select(single_folder, tmp_path / "c", objects=[1.5])
-    with pytest.raises(InputError, match="no class '²'"):
-        realtouch.select(single_folder, tmp_path / "c", labels=["²"])
-    for limit in (-1, 0):
-        with pytest.raises(InputError, match=f"the limit is {limit}"):
-            realtouch.select(single_folder, tmp_path / "c", limit=limit)
-    with pytest.raises(InputError, match=r"size 99999 x 99999 .* 16,777,216 pixels"):
-        realtouch.resize(single_folder, tmp_path / "c", 99999, 99999)
-
-
-def test_the_limit_counts_rounds_that_are_left(truth: list[RoundTruth], tmp_path: Path) -> None:
-    rows = factories.single_rows(truth)
-    flat = [[x, y, 0.0] for x, y, _ in rows[0]["gel_pose_cell_frame.position"]]
-    rows[0]["gel_pose_cell_frame.position"] = flat  # a round without any contact
-    source = factories.write_set(tmp_path / "source", {"train": rows}, "single")
-    realtouch.select(source, tmp_path / "out", contact=True, limit=1)
-    assert [record.id for record in realtouch.load(tmp_path / "out")] == [truth[1].id]
-
-
-def test_default_specifications_hold_what_they_held(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.resize(single_folder, tmp_path / "out", 32, 24)
-    spec = json.loads((tmp_path / "out" / "manifest.json").read_text())["spec"]
-    assert spec["options"] == {"width": 32, "height": 24, "quality": 95, "limit": None}
-    assert set(spec) == {"operation", "options", "rows_per_shard", "source"}

@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import json
 import pickle
-import re
 import sys
 import tarfile
 import zipfile
@@ -14,21 +13,16 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 import realtouch
 from realtouch.exchange.zarr_arrays import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
-from tests.tactile_toolkit.toy import folder_bytes
-
-PLACES = {"fota": "fota/train", "sparsh": "sparsh/train", "anytouch": "anytouch"}
 
 
 @pytest.fixture(params=["single", "seq"])
@@ -137,6 +131,7 @@ def zarr_array(group: zipfile.ZipFile, path: str) -> np.ndarray:
     return np.concatenate(chunks)[: stated["shape"][0]]
 
 
+@pytest.mark.one_at_a_desk
 def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -179,61 +174,6 @@ def test_diffusion_policy_reads_the_replay_buffer(
     assert realtouch.verify(tmp_path).ok
     with pytest.raises(InputError, match="a replay buffer holds one; next: add --split"):
         realtouch.export(source, tmp_path / "both", "replay")
-
-
-@pytest.mark.parametrize("layout", PLACES)
-def test_they_come_back_as_they_were(layout: Any, single_folder: Path, tmp_path: Path) -> None:
-    realtouch.export(single_folder, tmp_path / "there", layout)
-    place = tmp_path / "there" / PLACES[layout]
-    assert (
-        call("realtouch", "import", place, "--format", layout, "--out", tmp_path / "back", "--workers", 1)
-        == 0
-    )
-    before, after = realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "back", "train")
-    assert after.label_names == before.label_names
-    for one, two in zip(before, after, strict=True):
-        assert isinstance(one, realtouch.TouchSingleRound)
-        assert isinstance(two, realtouch.TouchSingleRound)
-        assert (one.id, one.label, one.touch_count) == (two.id, two.label, two.touch_count)
-        for touch in range(one.touch_count):
-            assert bytes(one.sensor_image.encoded(touch)) == bytes(two.sensor_image.encoded(touch))
-        if layout == "anytouch":  # lists have no place for them
-            continue
-        assert one.object_id == two.object_id
-        np.testing.assert_array_equal(one.pos_in_cell_m, two.pos_in_cell_m)
-        np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
-        np.testing.assert_array_equal(one.gel_pose_cell_frame.quaternion, two.gel_pose_cell_frame.quaternion)
-    assert realtouch.verify(tmp_path / "back").ok
-    if layout == "anytouch":
-        assert realtouch.load(tmp_path / "back", "test").ids.tolist() == (
-            realtouch.load(single_folder, "test").ids.tolist()
-        )
-
-
-@pytest.mark.parametrize("layout", [*PLACES, "replay"])
-def test_parts_and_damage_end_in_the_same_bytes(
-    layout: Any, single_folder: Path, tmp_path: Path, small_shards: None
-) -> None:
-    whole, parts = tmp_path / "whole", tmp_path / "parts"
-    realtouch.export(single_folder, whole, layout, split="train")
-    for number in (1, 0):
-        realtouch.export(single_folder, parts, layout, split="train", workers=Part(number, 2, InlineRunner()))
-    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
-    assert folder_bytes(parts) == folder_bytes(whole)
-    checked = realtouch.verify(parts)
-    assert (checked.ok, checked.rounds, checked.touches) == (True, 3, 15)
-    foreign = (path for path in (parts / layout).rglob("*.*") if not path.name.startswith("."))
-    victim = min(
-        path for path in foreign if path.suffix in (".tar", ".pkl", ".jpg", ".zip") and path.is_file()
-    )
-    content = bytearray(victim.read_bytes())
-    content[len(content) // 2] ^= 1
-    victim.write_bytes(content)
-    assert {finding.file for finding in realtouch.verify(parts).findings} == {str(victim.relative_to(parts))}
-    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
-    assert folder_bytes(parts) == folder_bytes(whole)
-    realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
-    assert not (parts / layout).exists()
 
 
 def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
@@ -321,51 +261,6 @@ def test_an_image_damaged_in_its_middle_is_named(
         realtouch.export(tmp_path / "cut", tmp_path / "out", layout)
 
 
-@pytest.mark.parametrize("layout", ["sparsh", "anytouch"])
-def test_a_round_of_two_sizes_has_no_background(layout: Any, single_rows: list[dict], tmp_path: Path) -> None:
-    def shrink(row: dict[str, Any], index: int) -> None:
-        first = {"bytes": factories.encode_jpeg(np.zeros((10, 20, 3), np.uint8)), "path": None}
-        row["sensor_image"] = [first, *row["sensor_image"][1:]]
-
-    factories.write_set(tmp_path / "two", {"train": single_rows[:1]}, "single", Layout(edit=shrink))
-    with pytest.raises(InputError, match=r"20 x 10, 96 x 72 pixels have no common background.*resize"):
-        realtouch.export(tmp_path / "two", tmp_path / "out", layout)
-
-
-def test_lines_that_cannot_be_used_are_left_out_and_named(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.export(single_folder, tmp_path / "there", "anytouch", split="train")
-    home = tmp_path / "there" / "anytouch"
-    lines = (home / "train_bg.txt").read_text().splitlines()
-    lines[1] = re.sub(r",\d+,", ",-1,", lines[1])
-    lines[2] = "../../up/0000000000.jpg,1,background.jpg"
-    lines[3] = lines[3].replace("0000000003", "0000000009")
-    (home / "train_bg.txt").write_text("\n".join(lines))
-    manifest = realtouch.import_images(home, tmp_path / "back", "anytouch")
-    assert {item.reason for item in manifest.shards[0].skipped} == {"label", "name", "missing"}
-    for layout, words in (
-        ("anytouch", "holds no lists"),
-        ("sparsh", "holds no pickles"),
-        ("fota", "holds no tars"),
-    ):
-        with pytest.raises(InputError, match=words):
-            realtouch.import_images(tmp_path / "back", tmp_path / "none", layout)  # type: ignore[arg-type]
-
-
-def test_a_file_of_fota_is_never_empty(single_rows: list[dict], tmp_path: Path, small_shards: None) -> None:
-    def cut(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            row["sensor_image"] = [{**each, "bytes": each["bytes"][:-400]} for each in row["sensor_image"]]
-
-    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
-    with pytest.raises(IntegrityError, match=r"no round is left.*numbered without gaps"):
-        realtouch.export(tmp_path / "cut", tmp_path / "out", "fota")
-    left = realtouch.export(tmp_path / "cut", tmp_path / "lists", "anytouch")
-    assert left.split_table()["train"] == left.split_table()["train"] | {"rows": 10, "skipped": 1}
-    assert realtouch.verify(tmp_path / "lists").ok
-    table = pq.read_table(tmp_path / "lists" / "data")
-    assert {"file", "sha256", "meta_file", "meta_sha256"} < set(table.column_names)
-
-
 def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:
     """Pixels, labels, objects, positions and poses of each frame; an episode is a round."""
     pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
@@ -419,19 +314,3 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
     stated.write_text(stated.read_text().replace('"id": "zlib"', '"id": "blosc"'))
     monkeypatch.setitem(sys.modules, "numcodecs.blosc", None)
     refused(MissingExtraError, "reading this Zarr group needs the package 'numcodecs'.*the extra `zarr`")
-
-
-def test_a_replay_buffer_that_zarr_wrote_is_read(tmp_path: Path) -> None:
-    """A folder, with another compressor and names of its own, as Diffusion Policy saves it."""
-    zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra zarr")
-    frames = np.random.default_rng(0).integers(0, 256, (5, 24, 32, 3), np.uint8)
-    group = zarr.open_group(tmp_path / "other.zarr", mode="w", zarr_format=2)
-    group.create_array("data/camera", data=frames, chunks=(2, 24, 32, 3))
-    group.create_array("data/digit", data=np.array([3, 3, 3, 7, 7]))
-    group.create_array("meta/episode_ends", data=np.array([3, 5]))
-    columns = realtouch.ImportColumns(image="camera", label="digit")
-    realtouch.import_images(tmp_path / "other.zarr", tmp_path / "back", "replay", columns)
-    back = realtouch.load(tmp_path / "back", "train")
-    assert (back.ids.tolist(), back.labels.tolist()) == (["episode-000000", "episode-000001"], [3, 7])
-    for touch, frame in zip(back.touches(), frames, strict=True):
-        assert np.array_equal(touch.image, frame)

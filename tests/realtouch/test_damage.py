@@ -13,7 +13,7 @@ import pytest
 
 import realtouch
 from realtouch.avi import Avi
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import IntegrityError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -259,14 +259,6 @@ def test_verify_lists_all_damage_of_all_files(single_rows: list[dict], tmp_path:
     }
 
 
-def test_quick_verification_decodes_nothing(
-    single_rows: list[dict], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    folder = damaged_set(tmp_path, single_rows, "single", no_jpeg)
-    monkeypatch.setattr("realtouch.integrity.decode_image", lambda *_: pytest.fail("decoded"))
-    assert [finding.touch for finding in realtouch.verify(str(folder), quick=True).findings] == [1]
-
-
 def test_a_whole_set_has_no_findings(single_folder: Path, seq_folder: Path) -> None:
     for folder in (single_folder, seq_folder):
         told: list[tuple[int, int]] = []
@@ -305,20 +297,3 @@ def test_a_wrong_column_type_is_named(
     ):
         realtouch.load(tmp_path)
     assert not realtouch.verify(str(tmp_path)).ok
-
-
-def test_one_name_for_a_value_and_a_group_of_values_is_damage(
-    single_rows: list[dict], tmp_path: Path
-) -> None:
-    factories.write_set(tmp_path, {"train": single_rows}, "single")
-    place = tmp_path / "data" / "train-00000-of-00001.parquet"
-    table = pq.read_table(place)
-    for name in ("info.gel_id.maker", "info.notes.by"):
-        pq.write_table(table.append_column(name, pa.array([1, 2, 3])), place)
-        with pytest.raises(IntegrityError, match="the name of a value and of a group of values"):
-            _ = realtouch.load(tmp_path)[0].info
-
-
-def test_verify_needs_a_data_set(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="is empty; expected a data set"):
-        realtouch.verify(str(tmp_path))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import gc
-import hashlib
 import json
 import tarfile
 from pathlib import Path
@@ -20,11 +19,10 @@ import realtouch
 from realtouch.convert import shard_tasks
 from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part
+from tactile_toolkit.run import InlineRunner, Part
 from tactile_toolkit.touch import decode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
-from tests.sealed import sealed
 from tests.tactile_toolkit.toy import folder_bytes
 
 LAYOUTS = ("flat", "webdataset", "lerobot")
@@ -112,6 +110,7 @@ def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
     assert 3 <= max(rows) <= 8
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")  # tars that it leaves open
 @pytest.mark.usefixtures("small_shards")
 def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:
@@ -133,6 +132,7 @@ def test_webdataset_reads_the_tars(source: Path, tmp_path: Path) -> None:
     assert realtouch.verify(out).ok
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.usefixtures("small_shards")
 @pytest.mark.parametrize("layout", LAYOUTS)
 def test_parts_kills_and_damage_end_in_the_same_bytes(
@@ -144,7 +144,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     for number in (1, 0):
         runner = Part(number, 2, InlineRunner())
         realtouch.export(single_folder, parts, layout, split="train", workers=runner)
-    realtouch.export(single_folder, parts, layout, split="train", workers=Finish())
+    realtouch.export(single_folder, parts, layout, split="train", finish=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     foreign = [
         path
@@ -156,7 +156,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     content[len(content) // 2] ^= 1
     victim.write_bytes(content)
     assert [finding.file for finding in realtouch.verify(parts).findings] == [str(victim.relative_to(parts))]
-    realtouch.export(single_folder, parts, layout, split="train", workers=Check())
+    realtouch.export(single_folder, parts, layout, split="train", check=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     realtouch.export(single_folder, parts, "flat", split="train", overwrite=True)
     assert not (parts / layout).exists()
@@ -257,17 +257,6 @@ def test_lerobot_reads_its_data_set(source: Path, step_s: float, tmp_path: Path)
     np.testing.assert_allclose(means, states.astype(float).mean(axis=0), rtol=1e-6, atol=1e-9)
 
 
-def test_lerobot_is_told_how_its_own_files_would_be_cut(single_folder: Path, tmp_path: Path) -> None:
-    """By its defaults, so that what it appends to the data set is cut alike."""
-    realtouch.export(single_folder, tmp_path, "lerobot", split="train")
-    info = json.loads((tmp_path / "lerobot" / "meta" / "info.json").read_text())
-    assert (info["chunks_size"], info["data_files_size_in_mb"], info["video_files_size_in_mb"]) == (
-        1000,
-        100,
-        200,
-    )
-
-
 def test_what_cannot_be_exported_is_named(
     single_rows: list[dict], single_folder: Path, tmp_path: Path
 ) -> None:
@@ -336,20 +325,6 @@ def test_what_cannot_be_exported_is_named(
     assert not (tmp_path / "robots").exists()
 
 
-@pytest.mark.parametrize("layout", ["flat", "webdataset"])
-def test_a_frame_without_its_end_is_not_copied(layout: Any, seq_rows: list[dict], tmp_path: Path) -> None:
-    def spoil(row: dict[str, Any], index: int) -> None:
-        if index == 1:
-            row["sensor_video"] = [dict(each) for each in row["sensor_video"]]
-            row["sensor_video"][2]["bytes"] = row["sensor_video"][2]["bytes"].replace(b"\xff\xd9", bytes(2))
-
-    source = factories.write_set(tmp_path / "source", {"train": seq_rows}, "seq", Layout(edit=spoil))
-    (skipped,) = realtouch.export(source, tmp_path / "out", layout).shards[0].skipped
-    assert skipped.id == 1
-    assert "row 1, touch 2, field 'sensor_video': frame" in skipped.message
-    assert realtouch.verify(tmp_path / "out").ok
-
-
 def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Path) -> None:
     """Frames are numbered through all files, and so before they are read."""
 
@@ -364,30 +339,6 @@ def test_lerobot_needs_lengths_that_are_true(seq_rows: list[dict], tmp_path: Pat
         with pytest.raises(error, match=words):
             realtouch.export(tmp_path / "source", tmp_path / "robots", "lerobot")
         assert not (tmp_path / "robots").exists()
-
-
-def test_verify_reads_a_tar_of_others_to_its_end(single_folder: Path, tmp_path: Path) -> None:
-    """Whoever made the tar has made the checksums, too."""
-    out = tmp_path / "tars"
-    realtouch.export(single_folder, out, "webdataset", split="train")
-    (tar,) = (out / "webdataset").iterdir()
-    kept = tar.read_bytes().rstrip(b"\0")
-    kept += bytes(-len(kept) % tarfile.BLOCKSIZE)
-    odd = tarfile.TarInfo("odd.jpg")
-    odd.size = -1024
-    tar.write_bytes(kept + odd.tobuf(tarfile.GNU_FORMAT) + bytes(tarfile.RECORDSIZE))
-    (index,) = (out / "data").iterdir()
-    table = pq.read_table(index)
-    digest = pa.array([hashlib.sha256(tar.read_bytes()).hexdigest()] * len(table))
-    table = table.set_column(table.column_names.index("sha256"), "sha256", digest)
-    pq.write_table(table, index, write_page_checksum=True)
-    manifest = json.loads((out / "manifest.json").read_text())
-    manifest["files"][f"webdataset/{tar.name}"] = digest[0].as_py()
-    sha256 = hashlib.sha256(index.read_bytes()).hexdigest()
-    manifest["shards"][0] |= {"sha256": sha256, "bytes": index.stat().st_size}
-    (out / "manifest.json").write_text(sealed(manifest))
-    findings = realtouch.verify(out).findings
-    assert any("'odd.jpg' is sparse, or its size is not a number" in each.problem for each in findings)
 
 
 def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) -> None:

@@ -11,8 +11,7 @@ from PIL import Image
 
 import realtouch
 from realtouch.gallery import plan_gallery
-from tactile_toolkit.catalog import Chosen
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
@@ -52,7 +51,7 @@ def test_rounds_are_filtered_by_class_gel_and_contact(kind, truth, tmp_path, req
 
 
 def test_stills_are_the_touches(single_folder, tmp_path):
-    build_site(plan_gallery(str(single_folder), Chosen("train")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(single_folder), RowFilter("train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(single_folder), "train")):
         shown = touches_of(tmp_path / "site", number)
         assert shown["tile"] == [96, 72]
@@ -63,7 +62,7 @@ def test_stills_are_the_touches(single_folder, tmp_path):
 
 
 def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
-    build_site(plan_gallery(str(seq_folder), Chosen("train")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(seq_folder), RowFilter("train")), str(tmp_path / "site"))
     for number, record in enumerate(realtouch.load(str(seq_folder), "train")):
         for touch, entry in enumerate(touches_of(tmp_path / "site", number)["list"]):
             clip, film = record.sensor_video[touch], entry["film"]
@@ -81,7 +80,7 @@ def test_films_are_frames_of_the_clips_with_their_contact(seq_folder, tmp_path):
 
 
 def test_touches_are_chosen_evenly_and_tasks_travel(seq_folder, tmp_path):
-    plan = plan_gallery(str(seq_folder), Chosen(limit=2), touches=3)
+    plan = plan_gallery(str(seq_folder), RowFilter(limit=2), touches=3)
     site = build_site(plan, str(tmp_path / "a"))
     for task in plan.tasks:
         assert pickle.loads(pickle.dumps(task)).make() == task.make()
@@ -97,33 +96,10 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
 
 
-def test_a_set_without_metadata_is_shown_too(single_rows, tmp_path):
-    names = [name for name in single_rows[0] if name.startswith("info.")]
-    assert names
-    factories.write_set(tmp_path / "bare", {"train": single_rows}, "single", Layout(leave_out=tuple(names)))
-    build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
-    assert column(index_of(tmp_path / "site"), "Gel") == [["unknown"]] * 3
-
-
-def test_a_damaged_picture_is_named_and_nothing_is_left(single_rows, tmp_path):
-    def cut(row: dict, _index: int) -> None:
-        row["sensor_image"] = [{"bytes": b"\xff\xd8 no jpeg", "path": "0.jpg"}, *row["sensor_image"][1:]]
-
-    factories.write_set(tmp_path / "cut", {"train": single_rows}, "single", Layout(edit=cut))
-    with pytest.raises(IntegrityError, match="touch 0"):
-        build_site(plan_gallery(str(tmp_path / "cut")), str(tmp_path / "site"))
-    assert [entry.name for entry in tmp_path.iterdir()] == ["cut"]
-
-
-def test_no_touches_are_refused(seq_folder):
-    with pytest.raises(InputError, match="--touches is 0; expected 1 or more"):
-        plan_gallery(str(seq_folder), touches=0)
-
-
 @pytest.mark.browser
 def test_a_round_in_the_browser(seq_folder, truth, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(seq_folder), Chosen("train")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(seq_folder), RowFilter("train")), str(tmp_path / "site"))
         with opened(chromium, tmp_path / "site", width=900, height=700, link="#item-1") as found:
             page = found.page
             touches = page.locator(".touch")

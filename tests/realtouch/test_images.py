@@ -1,6 +1,5 @@
 from __future__ import annotations
 
-import gc
 import io
 import threading
 from pathlib import Path
@@ -108,34 +107,6 @@ def test_other_bytes_are_named() -> None:
             decode_image(data)
 
 
-def test_batches(single_folder: Path) -> None:
-    images = realtouch.load(single_folder, "train")[0].sensor_image
-    every = images[:]
-    assert every.shape == (5, 72, 96, 3)
-    for index in (slice(1, 4), slice(None, None, -2), [0, -1], np.array([3, 3]), np.arange(5) % 2 == 0):
-        np.testing.assert_array_equal(images[index], every[index])
-    np.testing.assert_array_equal(images[-1], every[4])
-    np.testing.assert_array_equal(np.stack(list(images)), every)
-    out = np.empty_like(every)
-    assert images.batch(threads=2, out=out) is out
-    np.testing.assert_array_equal(out, every)
-    assert images[0:0].shape == (0, 72, 96, 3)
-    with pytest.raises(IndexError, match="touch 5 is out of range for 5 touches"):
-        images[5]
-    with pytest.raises(IndexError, match="out of bounds"):
-        images[[0, 5]]
-    with pytest.raises(TypeError):
-        images["0"]
-    assert bytes(images.encoded(0))[:2] == b"\xff\xd8"
-
-
-def test_touches_of_many_rounds_in_one_batch(single_folder: Path) -> None:
-    touches = realtouch.load(single_folder, "train").touches()
-    order = [14, 0, 3, 2, 7, 7, 1]
-    batch = touches.images(order, threads=2)
-    np.testing.assert_array_equal(batch, np.stack([touches[index].image for index in order]))
-
-
 @given(st.integers(0, 9), st.lists(st.integers(-9, 8), max_size=12))
 def test_positions_agree_with_numpy(count: int, index: list[int]) -> None:
     reference = np.arange(count)
@@ -163,24 +134,6 @@ def test_threads_share_a_round(single_folder: Path) -> None:
     for thread in threads:
         thread.join()
     assert not wrong
-
-
-def test_records_are_no_reference_cycles(single_folder: Path, seq_folder: Path) -> None:
-    for folder in (single_folder, seq_folder):
-        touches = realtouch.load(folder, "train").touches()
-        _ = touches[0].image
-        gc.collect()
-        gc.disable()
-        try:
-            for index in range(len(touches)):
-                touch = touches[index]
-                _ = touch.image, touch.gel_pose, touch.round.info, touch.pos_in_cell_m
-            del touch
-            kinds = ("TouchSingleRound", "TouchSeqRound", "SensorImages", "SensorClips", "TouchClip")
-            alive = [thing for thing in gc.get_objects() if type(thing).__name__ in kinds]
-            assert alive == []
-        finally:
-            gc.enable()
 
 
 @pytest.mark.parametrize("count", [1, 2, 5])

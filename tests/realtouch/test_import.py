@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import json
-import shutil
 from pathlib import Path
 from typing import Any, get_args
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from typer.testing import CliRunner
 
 import realtouch
-from cli.realtouch import app
 from realtouch.exchange.found_touches import ImportLayout
-from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder, Manifest
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tests.command_line import call
 from tests.realtouch import factories
@@ -26,6 +19,7 @@ from tests.realtouch.images_of_others import COLUMNS, POSE, line, picture, write
 from tests.tactile_toolkit.toy import folder_bytes
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
 def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> None:
     there, back = tmp_path / "there", tmp_path / "back"
@@ -60,6 +54,7 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert again.split_table()["train"]["rows"] == 15
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", [each for each in get_args(ImportLayout) if each != "folder"])
 def test_what_an_export_wrote_is_imported_by_its_own_path(
     layout: Any, single_folder: Path, tmp_path: Path
@@ -75,28 +70,6 @@ def test_what_an_export_wrote_is_imported_by_its_own_path(
         before, after = realtouch.load(single_folder, each), realtouch.load(tmp_path / "back", each)
         assert after.touch_counts.tolist() == before.touch_counts.tolist()
         np.testing.assert_array_equal(after.labels, before.labels)
-
-
-def test_a_shard_holds_no_more_touches_than_a_worker_can(
-    single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 10)
-    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
-    manifest = realtouch.import_images(tmp_path / "there", tmp_path / "back", "folder", COLUMNS)
-    assert [record.rows for record in manifest.shards_of("train")] == [2, 1], "rounds of five touches"
-    assert _groups(tmp_path / "back", manifest) == [[2], [1]]
-    # Readers decode a row group as a whole: of large images it has few rounds.
-    sizes = [file.stat().st_size for file in (tmp_path / "there").rglob("*.jpg")]
-    monkeypatch.setattr("realtouch.exchange.importing._GROUP_BYTES", 7 * max(sizes))
-    manifest = realtouch.import_images(tmp_path / "there", tmp_path / "small", "folder", COLUMNS)
-    assert _groups(tmp_path / "small", manifest) == [[1, 1], [1]]
-
-
-def _groups(folder: Path, manifest: Manifest) -> list[list[int]]:
-    """Return the number of rounds in each row group of each shard of ``train``."""
-    files = [folder / record.shard.data_path for record in manifest.shards_of("train")]
-    each = [pq.ParquetFile(file).metadata for file in files]
-    return [[one.row_group(number).num_rows for number in range(one.num_row_groups)] for one in each]
 
 
 @pytest.mark.parametrize("layout", ["folder", "webdataset"])
@@ -149,35 +122,6 @@ def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
     assert "![Some touches](" in card
     assert call("realtouch", "select", back, "--out", tmp_path / "none", "--ids", "3") == 2
     assert "no column 'object_id'; next: choose by --labels" in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("kind", ["imported", "smaller", "chosen", "flat", "webdataset", "frames"])
-def test_no_card_claims_that_images_of_others_are_ours_to_license(
-    kind: str, single_folder: Path, tmp_path: Path
-) -> None:
-    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
-    out, imported = tmp_path / "out", tmp_path / "imported"
-    realtouch.import_images(tmp_path / "there", imported, "folder", COLUMNS)
-    if kind == "imported":
-        out = imported
-    elif kind == "smaller":  # also of what was made of it
-        realtouch.select(imported, tmp_path / "some", labels=["0", "1"])
-        realtouch.resize(tmp_path / "some", out, width=48, height=36)
-    elif kind == "chosen":
-        realtouch.select(imported, out, labels=["0", "1"])
-    elif kind == "frames":
-        realtouch.frames(imported, out)
-    else:
-        realtouch.export(imported, out, kind)  # type: ignore[arg-type]
-    card = (out / "README.md").read_text()
-    assert "license: other" in card
-    assert "mported" in card.split("\n# ")[1].split("\n")[0]
-    for words in ("CC BY", "cc-by", "Schneider", "GelSight", "Franka", "MNIST", "gel pad", "120 x 120"):
-        assert words not in card, words
-    licence = card.partition("\n## Licence\n")[2].partition("\n## ")[0]
-    assert licence.strip().startswith("The terms of the imported images")
-    assert "```bibtex" not in card
-    assert check_card(DataFolder(str(out))) == []
 
 
 def test_what_cannot_be_used_is_left_out_and_named(home: Path, tmp_path: Path) -> None:
@@ -286,19 +230,6 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused(r"0\.jpg': the split '\.\./a'; expected letters and digits", columns, table=table)
 
 
-def test_the_command_names_what_it_leaves_out(home: Path, tmp_path: Path) -> None:
-    write_table(home, [line("pictures/0.jpg"), line("pictures/9.jpg")])
-    arguments = ["import", str(home), "--format", "folder", "--workers", "1"]
-    done = CliRunner().invoke(app, [*arguments, "--pose-columns", "pose", "--out", str(tmp_path / "out")])
-    assert done.exit_code == 0, done.output
-    assert "left out: 'pictures/9.jpg': the file does not exist (missing)" in done.output
-    assert "left out 1 touch: missing" in done.output.replace("\n", " ")
-    shutil.rmtree(home / "pictures")
-    done = CliRunner().invoke(app, [*arguments, "--out", str(tmp_path / "none")])
-    assert done.exit_code == 2
-    assert not (tmp_path / "none").exists()
-
-
 @pytest.fixture
 def uneven(tmp_path: Path) -> Path:
     """An import of two folders, in rounds of different lengths, of objects without numbers."""
@@ -345,18 +276,3 @@ def test_rounds_of_different_lengths_are_intact_in_all_that_is_made_of_them(
         "pressed-cats": [2, 2, 1],
         "small-pressed-cats": [2, 2, 1],
     }
-
-
-def test_objects_without_numbers_are_shown_and_written(uneven: Path, tmp_path: Path) -> None:
-    for kind in ("grid", "overlay"):
-        assert call("realtouch", "preview", uneven, "--kind", kind, "--out", tmp_path / kind) == 0
-        assert len(list((tmp_path / kind).glob("*.png"))) == 1
-    assert call("realtouch", "gallery", uneven, "--out", tmp_path / "gallery") == 0
-    shown = "".join(file.read_text() for file in (tmp_path / "gallery").rglob("*.js*"))
-    assert "class cat" in shown
-    assert "object None" not in shown
-    for kind in ("png", "jpeg"):
-        realtouch.frames(uneven, tmp_path / kind, kind)  # type: ignore[arg-type]
-        with (tmp_path / kind / "index.csv").open(newline="") as stream:
-            assert [each["object_id"] for each in csv.DictReader(stream)] == [""] * 20
-        assert realtouch.verify(tmp_path / kind).ok

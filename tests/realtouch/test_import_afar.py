@@ -9,7 +9,7 @@ import pytest
 
 import realtouch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import folder_bytes
 
 pytestmark = pytest.mark.s3
@@ -44,11 +44,11 @@ def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
     else:
         realtouch.export(single_folder, tmp_path / "there", "webdataset", split="train")
         home, columns = tmp_path / "there" / "webdataset", realtouch.ImportColumns(round="round_id")
-    afar = DataFolder(f"s3://{bucket}/of others")
+    afar = open_folder(f"s3://{bucket}/of others")
     for path in folder_bytes(home):
         afar.upload(path, home / path)
     s3.traffic.reset()
-    made = realtouch.import_images(afar.url, tmp_path / "afar", layout, columns)
+    made = realtouch.import_images(afar.root, tmp_path / "afar", layout, columns)
     folders = {str(Path(path).parent) for path in folder_bytes(home)}
     assert len(lists(s3)) <= len(folders) + 3, "a folder is listed once"
     size = sum(len(content) for content in folder_bytes(home).values())
@@ -57,15 +57,15 @@ def test_what_lies_in_a_store_becomes_what_a_folder_becomes(
     assert skipped == (["missing"] if layout == "folder" else [])
     realtouch.import_images(home, tmp_path / "near", layout, columns)
     assert folder_bytes(tmp_path / "afar") == folder_bytes(tmp_path / "near")
-    realtouch.import_images(afar.url, f"s3://{bucket}/touches", layout, columns)
+    realtouch.import_images(afar.root, f"s3://{bucket}/touches", layout, columns)
     assert len(realtouch.load(f"s3://{bucket}/touches", "train")) == 3
     if layout == "webdataset":
-        one = realtouch.import_images(f"{afar.url}/train-000000.tar", tmp_path / "one", layout, columns)
+        one = realtouch.import_images(f"{afar.root}/train-000000.tar", tmp_path / "one", layout, columns)
         assert one.split_table() == made.split_table()
 
 
 def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> None:
-    DataFolder(f"s3://{bucket}/images").write_bytes("a.jpg", b"no table here")
+    open_folder(f"s3://{bucket}/images").write_bytes("a.jpg", b"no table here")
     for place, out, words in (
         (f"s3://{bucket}/nothing", tmp_path / "out", "does not exist"),
         (f"s3://{bucket}/images", tmp_path / "out", "one CSV file; found none"),

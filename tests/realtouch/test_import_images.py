@@ -16,7 +16,6 @@ from PIL import Image, ImageOps
 import realtouch
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from tactile_toolkit.errors import SpecMismatchError
-from tactile_toolkit.run import Check
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -43,15 +42,15 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     monkeypatch.setitem(IMPORTS, "folder", replace(IMPORTS["folder"], contents=noted))
     first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
     assert (home / "pictures" / "1.jpg").stat().st_size == size
-    for again in (1, Check(1)):
-        assert realtouch.import_images(home, out, "folder", workers=again) == manifest
+    for check in (False, True):
+        assert realtouch.import_images(home, out, "folder", check=check) == manifest
     whole = [f"pictures/{number}.jpg" for number in range(4)]
     assert read == 3 * whole  # for the size of all, twice, and for the check
     assert before == {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in before}
     first.write_bytes(picture(40))
     assert realtouch.import_images(home, out, "folder") == manifest
     read.clear()
-    realtouch.import_images(home, out, "folder", workers=Check(1))
+    realtouch.import_images(home, out, "folder", check=True)
     assert read == [*whole, *whole, *whole[:2]]  # one shard of the two is made again
     (image,) = realtouch.load(out, "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))

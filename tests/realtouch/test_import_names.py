@@ -10,7 +10,6 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
@@ -34,21 +33,6 @@ def test_names_of_classes_of_our_own_exports_stay(layout: Any, home: Path, tmp_p
     assert (list(back.label_names), back.labels.tolist()) == (names, [0, 1, 2, 0])
 
 
-def test_an_empty_name_stands_for_no_column(
-    single_folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    realtouch.frames(single_folder, tmp_path / "there", "jpeg", split="train")
-    names = ("round", "object", "split")
-    options = [word for name in names for word in (f"--{name}-column", "")]
-    options += ["--pose-columns", "", "--position-columns", "", "--split", "mine", "--workers", "1"]
-    arguments = ("import", tmp_path / "there", "--format", "folder", *options)
-    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 0
-    found = realtouch.load(tmp_path / "out", "mine")
-    (shard,) = (tmp_path / "out" / "data").iterdir()
-    assert (len(found), pq.read_schema(shard).names) == (15, ["id", "label", "sensor_image"])
-    assert "gel_qw (15)" in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
     ("labels", "names"),
     [
@@ -69,52 +53,6 @@ def test_classes_stay_the_text_that_they_are(
     stored = [found.label_names[label] for label in found.labels]
     assert stored == [label if label in names else label.removesuffix(".0") for label in labels]
     assert not manifest.skipped_reasons()
-
-
-def test_given_classes_stay_the_text_that_they_are(home: Path, tmp_path: Path) -> None:
-    labels = ("01", "1", "1.0", "007")
-    write_table(home, [line(f"pictures/{number}.jpg", label) for number, label in enumerate(labels)])
-    manifest = realtouch.import_images(home, tmp_path / "out", "folder", classes=("1", "01", "7"))
-    assert realtouch.load(tmp_path / "out", "train").labels.tolist() == [1, 0, 0]
-    assert [item.id for item in manifest.shards[0].skipped] == [3]
-
-
-def test_names_that_meet_and_numbers_with_a_point(home: Path, tmp_path: Path) -> None:
-    for name in ("a_b_2", "a_b", "pictures/x"):
-        (home / f"{name}.jpg").write_bytes(picture(9))
-    (home / "a").mkdir()
-    (home / "a" / "b.jpg").write_bytes(picture(9))
-    names = ("a_b_2.jpg", "a/b.jpg", "a_b.jpg", "pictures/x.jpg")
-    write_table(home, [{"file": name, "label": "3.0", "round": ""} for name in names])
-    realtouch.import_images(home, tmp_path / "out", "folder")
-    found = realtouch.load(tmp_path / "out", "train")
-    assert found.ids.tolist() == ["a_b_2", "a_b", "a_b_2_2", "pictures_x"]
-    assert (found.label_names, found.labels.tolist()) == (tuple("0123456789"), [3] * 4)
-    lines = [{"file": name, "label": 1, "round": "a_b"[: 3 * (name == names[3])]} for name in names]
-    write_table(home, lines)
-    realtouch.import_images(home, tmp_path / "rounds", "folder", realtouch.ImportColumns(round="round"))
-    assert realtouch.load(tmp_path / "rounds", "train").ids.tolist() == ["a_b_2", "a_b_1", "a_b_2_2", "a_b"]
-    for classes, table, words in (
-        (("3", "3.0"), "file,label\na_b.jpg,3\n", "expected each once"),
-        ((), "file,label,label\na_b.jpg,3,4\n", "2 columns 'label'"),
-    ):
-        (home / "index.csv").write_text(table)
-        with pytest.raises(InputError, match=words):
-            realtouch.import_images(home, tmp_path / "none", "folder", classes=classes)
-        assert not (tmp_path / "none").exists()
-
-
-def test_splits_that_differ_in_case_alone(
-    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    lines = [{"file": f"pictures/{n}.jpg", "label": 1, "part": ("Train", "train")[n % 2]} for n in range(4)]
-    write_table(home, lines)
-    arguments = ("import", home, "--format", "folder", "--split-column", "part", "--workers", 1)
-    assert call("realtouch", *arguments, "--out", tmp_path / "out") == 2
-    said = capsys.readouterr().err
-    assert "differs from others not in case alone" in said
-    assert len(said.splitlines()) == 1
-    assert not (tmp_path / "out").exists()
 
 
 def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import signal
 import sys
-import time
 import warnings
 from pathlib import Path
 from typing import Any
@@ -13,9 +12,7 @@ from typing import Any
 import pytest
 
 import realtouch
-from tactile_toolkit.errors import InputError
 from tests.forked import run_forked, start_forked
-from tests.processes import children, records_so_far, wait_until_gone
 from tests.tactile_toolkit.toy import folder_bytes
 
 CONVERSIONS: dict[str, tuple[str, str, dict[str, Any]]] = {
@@ -77,6 +74,8 @@ def undisturbed(
     return {name: folder_bytes(folder / name) for name in CONVERSIONS}
 
 
+@pytest.mark.thorough
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", CONVERSIONS)
 def test_killed_again_and_again_it_ends_with_the_same_bytes(
     name: str,
@@ -110,36 +109,6 @@ def test_half_written_pictures_are_removed(
     convert("frames", single_folder, out)
     assert temporaries(out) == []
     assert folder_bytes(out) == undisturbed["frames"]
-
-
-@pytest.mark.thorough
-def test_killed_with_its_workers_at_work(
-    seq_folder: Path, undisturbed: dict[str, dict[str, bytes]], tmp_path: Path
-) -> None:
-    """The parent is killed from outside; its workers leave by themselves and write nothing more."""
-    out = tmp_path / "out"
-    code = "import sys, realtouch; realtouch.resize(sys.argv[1], sys.argv[2], 48, 36, workers=2)"
-    process = start_forked(code, seq_folder, out)
-    while not records_so_far(out) and process.is_running:
-        time.sleep(0.002)
-    workers = children(process.pid)
-    process.end(signal.SIGKILL)
-    wait_until_gone(workers)
-    convert("resize", seq_folder, out)
-    assert temporaries(out) == []
-    assert folder_bytes(out) == undisturbed["resize"]
-
-
-def test_pictures_of_somebody_else_are_never_removed(single_folder: Path, tmp_path: Path) -> None:
-    """--overwrite starts a folder of ours again; one that holds other things is left alone."""
-    holiday = tmp_path / "images" / "2019" / "beach" / "001.png"
-    holiday.parent.mkdir(parents=True)
-    holiday.write_bytes(b"sand")
-    (tmp_path / "index.csv").write_text("mine")
-    before = folder_bytes(tmp_path)
-    with pytest.raises(InputError, match="not empty and holds no manifest"):
-        realtouch.frames(str(single_folder), str(tmp_path), overwrite=True)
-    assert folder_bytes(tmp_path) == before
 
 
 def test_pictures_that_cannot_be_written_leave_no_trace(single_folder: Path, tmp_path: Path) -> None:

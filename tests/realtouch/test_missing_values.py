@@ -101,16 +101,3 @@ def test_labels_and_objects_that_are_missing(single_rows: list[dict], tmp_path: 
     ):
         with pytest.raises(IntegrityError, match=f"row 1, field '{field}': no value is stored"):
             ask()
-
-
-def test_features_that_cannot_be_read(single_rows: list[dict], tmp_path: Path) -> None:
-    factories.write_set(tmp_path, {"train": single_rows}, "single")
-    place = tmp_path / "data" / "train-00000-of-00001.parquet"
-    table = pq.ParquetFile(place).read()
-    pq.write_table(table.replace_schema_metadata({"huggingface": "not json"}), place)
-    for streaming in (False, True):
-        with pytest.raises(
-            IntegrityError, match=r"train-00000-of-00001\.parquet', field 'label': the metadata"
-        ):
-            realtouch.load(tmp_path, streaming=streaming)
-    assert "'huggingface'" in realtouch.verify(str(tmp_path)).findings[0].problem

@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-import mnist3d
 import realtouch
 from realtouch.opening import SHORT_NAMES
 from tactile_toolkit.errors import HubError, InputError
@@ -22,13 +21,6 @@ from tests.tactile_toolkit.hub.client import run_here, settings
 def test_what_is_no_name_is_refused(name: Any) -> None:
     with pytest.raises(InputError, match="is not a name of a data set; expected a short name such as"):
         realtouch.load(name)
-
-
-def test_streaming_is_the_third_argument(single_folder: Path) -> None:
-    assert isinstance(realtouch.load(single_folder, "test", True), realtouch.TouchStream)
-    dataset = realtouch.load(single_folder, "test", False, None)
-    assert isinstance(dataset, realtouch.TouchSingleDataset)
-    assert len(dataset) == 1
 
 
 @pytest.mark.parametrize("name", sorted(SHORT_NAMES))
@@ -46,16 +38,6 @@ def test_local_data_of_a_short_name_comes_first(
     assert open_place(name).folder is not None
     assert len(realtouch.load(name, "train")) == 3
     assert realtouch.verify(name).ok
-
-
-def test_a_file_of_a_short_name_comes_first_in_every_room(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    for name, load in (("mnist3d", mnist3d.load), ("real-seq", realtouch.load)):
-        Path(name).write_bytes(b"PAR1 and nothing else")
-        with pytest.raises(Exception, match=f"{name}' is damaged, an intact Parquet file was expected"):
-            load(name)
 
 
 def contents(folder: Path) -> dict[str, bytes]:

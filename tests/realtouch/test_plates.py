@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import pyarrow.parquet as pq
 import pytest
-from datasets import Value, load_dataset
 
 import realtouch
 from realtouch.contact import contact_heights_m
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tests.realtouch import factories
-from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.factories import RoundTruth
 
 
 @pytest.fixture(params=["seq", "single"])
@@ -52,6 +48,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     assert realtouch.verify(tmp_path / "some").ok
 
 
+@pytest.mark.one_at_a_desk
 def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> None:
     realtouch.select(source, tmp_path / "some", contact=True)
     realtouch.select(tmp_path / "some", tmp_path / "again", contact=True)
@@ -67,23 +64,6 @@ def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> N
         assert len(made.touches().with_contact()) == len(made.touches()) == 12
 
 
-def test_whole_rounds_keep_the_published_columns(source: Path, tmp_path: Path) -> None:
-    realtouch.select(source, tmp_path / "some", labels=[1])
-    assert "do not count as contact: 1 of 5 (" in (tmp_path / "some" / "README.md").read_text()
-    (file,) = (tmp_path / "some" / "data").glob("train-*")
-    assert pq.read_schema(file).names == pq.read_schema(next((source / "data").glob("train-*"))).names
-
-
-def test_joined_sets_may_have_it_or_not(source: Path, tmp_path: Path) -> None:
-    whole = realtouch.load(source, "train")
-    realtouch.select(source, tmp_path / "some", contact=True)
-    joined = whole + realtouch.load(tmp_path / "some", "train")
-    assert len(joined.touches().with_contact()) == 24
-    np.testing.assert_array_equal(
-        joined[3:].touches().heights_m(), joined[:3].touches().with_contact().heights_m()
-    )
-
-
 def test_heights_above_a_known_plate() -> None:
     z_m = np.array([0.003, 0.009, np.nan])
     np.testing.assert_allclose(contact_heights_m(z_m), [0.0, 0.006, np.nan])
@@ -91,22 +71,3 @@ def test_heights_above_a_known_plate() -> None:
     np.testing.assert_array_equal(contact_heights_m(z_m, False, plate_z_m=0.001), z_m)
     assert np.isnan(contact_heights_m(np.array([np.nan]))).all()
     assert contact_heights_m(np.zeros(0)).shape == (0,)
-
-
-def test_plain_datasets_read_it(source: Path, tmp_path: Path) -> None:
-    realtouch.select(source, tmp_path / "some", contact=True)
-    rows: Any = load_dataset(str(tmp_path / "some"), split="train").select_columns(["id", "plate_z_m"])
-    assert rows.features["plate_z_m"] == Value("float64")
-    assert rows["plate_z_m"] == realtouch.load(tmp_path / "some", "train").column("plate_z_m").tolist()
-
-
-@pytest.mark.parametrize("kind", ["seq", "single"])
-def test_heights_need_no_intended_positions(kind: str, truth: list[RoundTruth], tmp_path: Path) -> None:
-    rows = factories.seq_rows(truth) if kind == "seq" else factories.single_rows(truth)
-    whole = factories.write_set(tmp_path / "whole", {"train": rows}, kind)
-    layout = Layout(leave_out=("pos_in_cell",))
-    bare = factories.write_set(tmp_path / "bare", {"train": rows}, kind, layout)
-    assert realtouch.summarise(realtouch.load(bare)).contact_share == pytest.approx(0.8)
-    np.testing.assert_array_equal(
-        realtouch.load(bare).touches().heights_m(), realtouch.load(whole).touches().heights_m()
-    )

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from realtouch.poses import Poses, PoseSequences, rigid_transform
+from realtouch.poses import Poses, rigid_transform
 
 numbers = st.floats(-2, 2).map(lambda value: round(value, 3))
 positions = st.lists(numbers, min_size=3, max_size=3)
@@ -56,17 +56,6 @@ def test_no_poses() -> None:
     none = Poses(read_only(np.empty((0, 3))), read_only(np.empty((0, 4))))
     assert none.matrix.shape == (0, 4, 4)
     assert len(none.inv) == 0
-
-
-def test_poses_over_time_are_taken_by_touch() -> None:
-    quaternion = [0.0, 0.0, 0.0, 1.0]
-    positions = tuple(read_only(np.full((frames, 3), frames)) for frames in (2, 3, 4))
-    all_of_them = PoseSequences(positions, tuple(read_only([quaternion] * len(each)) for each in positions))
-    kept = all_of_them[1:]
-    assert repr(kept) == "PoseSequences(2 touches, 7 poses)"
-    for poses, frames in zip(kept, (3, 4), strict=True):
-        np.testing.assert_array_equal(poses.position_m, np.full((frames, 3), frames))
-        np.testing.assert_array_equal(poses.quaternion, [quaternion] * frames)
 
 
 def test_products_are_poses_and_move_points() -> None:

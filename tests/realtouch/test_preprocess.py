@@ -32,6 +32,7 @@ def test_the_background_of_many_pictures(count: int):
     assert (median_of(lambda: [pictures[:99], pictures[99:]]) == realtouch.background(pictures)).all()
 
 
+@pytest.mark.thorough
 def test_the_background_of_pictures_read_a_few_at_a_time(single_folder: Path, seq_folder: Path, monkeypatch):
     rounds = realtouch.load(single_folder, split="train")
     clips = realtouch.load(seq_folder, split="train")
@@ -79,12 +80,6 @@ def test_scores_are_those_of_plain_numpy(data):
         if score.area_px[number]:
             assert least < score.intensity[number] <= inside.max() + 1
         assert rule.holds(realtouch.contact_score(picture, base, rule)) == rule.holds(score)[number]
-
-
-def test_the_window_is_the_middle():
-    assert realtouch.ContactRule().window(240, 320) == (slice(60, 180), slice(80, 240))
-    assert realtouch.ContactRule(crop=1).window(3, 5) == (slice(0, 3), slice(0, 5))
-    assert realtouch.ContactRule(crop=1e-6).window(3, 8) == (slice(1, 2), slice(3, 5))
 
 
 def test_the_best_frame_lies_in_the_contact_and_is_the_deepest(seq_folder: Path, truth):
@@ -184,36 +179,6 @@ def test_a_share_of_touches_without_contact(single_folder: Path, share: float):
     assert found.contact.sum() == mask.sum()
 
 
-def test_pictures_of_differences(seq_folder: Path, single_folder: Path, tmp_path: Path):
-    realtouch.frames(seq_folder, tmp_path / "clips", frame="best", difference="grey", split="train")
-    clip = realtouch.load(seq_folder, split="train")[1].sensor_video[2]
-    index = (tmp_path / "clips" / "index.csv").read_text().splitlines()
-    line = dict(zip(index[0].split(","), index[1 + 5 + 2].split(","), strict=True))
-    assert int(line["frame"]) == clip.contact_index("best") == realtouch.best_frame(clip)[0]
-    shown = np.array(Image.open(tmp_path / "clips" / line["file"]))
-    expected = realtouch.difference(clip[int(line["frame"])], realtouch.background(clip), "grey")
-    assert (shown == expected).all()
-
-    realtouch.frames(single_folder, tmp_path / "images", difference="absolute", split="test")
-    record = realtouch.load(single_folder, split="test")[0]
-    for touch, file in enumerate(sorted((tmp_path / "images" / "images").rglob("*.png"))):
-        expected = realtouch.difference(record.sensor_image[touch], realtouch.background(record), "absolute")
-        assert (np.array(Image.open(file)) == expected).all()
-    with pytest.raises(InputError, match="no difference 'signed' that a picture can show"):
-        realtouch.frames(single_folder, tmp_path / "no", difference="signed")
-    single = realtouch.clips_to_images(seq_folder, tmp_path / "single", "best", split="train")
-    assert single.split_table()["train"]["rows"] == 3
-    best = realtouch.load(tmp_path / "single", split="train")[1].sensor_image[2]
-    assert (best == clip[clip.contact_index("best")]).all()
-
-
-def test_samples_by_height(single_folder: Path):
-    touches = realtouch.load(single_folder, split="train").touches()
-    assert list(touches.sample(no_contact_fraction=0)) == list(touches.with_contact())
-    assert list(touches.sample(4, 1)) == list(touches.shuffle(1)[:4])
-    assert len(touches.sample(3, no_contact_fraction=0.5)) == 3
-
-
 def test_clips_of_several_sizes_have_no_background(seq_folder: Path, tmp_path: Path):
     realtouch.resize(seq_folder, tmp_path / "small", width=48, height=36, split="train")
     both = realtouch.load(seq_folder, split="train") + realtouch.load(tmp_path / "small", split="train")
@@ -242,11 +207,3 @@ def test_what_cannot_be_used_is_named(single_folder: Path):
     ):
         with pytest.raises(InputError, match=words):
             ask()
-
-
-def test_pictures_are_replaced_by_those_of_another_format(seq_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "pictures"
-    for kind, ending in (("png", ".png"), ("jpeg", ".jpg"), ("png", ".png")):
-        realtouch.frames(seq_folder, out, kind=kind, split="train", overwrite=out.exists())
-        assert {path.suffix for path in (out / "images").rglob("*.*")} == {ending}
-    assert realtouch.verify(out).ok

@@ -11,12 +11,9 @@ from scipy.spatial.transform import Rotation
 
 import realtouch
 from realtouch.previews import (
-    CELL_M,
     CONTACT,
     SENSING_AREA_M,
-    CellMap,
     PlacedTouch,
-    TouchPreviewSpec,
     cell_map,
     draw_grid,
     draw_overlay,
@@ -25,6 +22,7 @@ from realtouch.previews import (
     plan_previews,
 )
 from realtouch.touch import Touch
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES
@@ -75,55 +73,6 @@ def test_what_was_felt_lands_where_it_was_felt(angle, flipped, centre_m, mark):
     assert (columns.mean() + 0.5, rows.mean() + 0.5) == pytest.approx((x, y), abs=0.5)
     covered = (drawn != 255).any(axis=2).sum()
     assert covered == pytest.approx(SENSING_AREA_M[0] * SENSING_AREA_M[1] * 8000.0**2, rel=0.02)
-
-
-def test_touches_side_by_side_give_back_the_world_that_they_felt():
-    cell = CellMap((480, 480), 4_000.0)
-    y, x = np.mgrid[0:480, 0:480]
-    world = np.stack([128 + 100 * np.sin(x / 40), 128 + 100 * np.cos(y / 30), 0 * x + 90], axis=2)
-    random = np.random.default_rng(0)
-    touches = []
-    for _ in range(90):
-        pose, centre_m = gel(random.uniform(-30, 30), True), tuple(random.uniform(-0.045, 0.045, 2))
-        rows, columns = np.mgrid[0:48, 0:64] + 0.5
-        corner, right, down = (
-            np.array(cell.point_px(felt_at_m(pose, centre_m, *place, (64, 48))))
-            for place in ((0, 0), (1, 0), (0, 1))
-        )
-        felt = corner + columns.reshape(-1, 1) * (right - corner) + rows.reshape(-1, 1) * (down - corner)
-        places = np.clip(felt.astype(int), 0, 479)
-        pixels = world[places[:, 1], places[:, 0]].reshape(48, 64, 3).astype(np.uint8)
-        touches.append(placed(pixels, centre_m, pose))
-    drawn = overlay(touches, cell).astype(float)
-    seen = (drawn != 255).any(axis=2)
-    assert seen.mean() > 0.6
-    assert np.abs(drawn - world)[seen].mean() < 3.0
-    assert np.quantile(np.abs(drawn - world)[seen], 0.99) < 12.0
-
-
-def test_what_was_felt_stays_visible_beneath_touches_of_bare_plate():
-    bare = np.full((60, 80, 3), GREY, np.uint8)
-    felt = bare.copy()
-    felt[20:40, 30:50] = (255, 40, 40)
-    touches = [placed(bare, (0.001 * n, 0.0), gel(0, False)) for n in range(6)]
-    touches.insert(2, placed(felt, (0.0, 0.0), gel(0, False)))
-    drawn = overlay(touches, cell_map(touches, 5.0))
-    middle = drawn[drawn.shape[0] // 2, drawn.shape[1] // 2].astype(int)
-    assert middle[0] > 240
-    assert middle[1] < 60
-
-
-@given(st.lists(st.tuples(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08)), min_size=1, max_size=4))
-def test_the_map_holds_the_cell_and_every_touch_whole(centres):
-    touches = [placed(np.zeros((3, 4, 3), np.uint8), centre, gel(30, True)) for centre in centres]
-    cell = cell_map(touches, 5.0)
-    assert cell.size_px[0] >= CELL_M[0] * 5000 - 1e-3
-    for touch, centre in zip(touches, centres, strict=True):
-        for column, row in ((0, 0), (4, 0), (0, 3), (4, 3)):
-            x, y = cell.point_px(felt_at_m(gel(30, True), centre, column, row, (4, 3)))
-            assert -0.01 <= x <= cell.size_px[0] + 0.01
-            assert -0.01 <= y <= cell.size_px[1] + 0.01
-        assert touch.pixels.shape == (3, 4, 3)
 
 
 @pytest.mark.parametrize("kind", ["seq", "single"])
@@ -188,20 +137,3 @@ def test_plans_name_the_round(seq_folder: Path) -> None:
         with pytest.raises(InputError, match=words):
             plan_previews(str(seq_folder), TouchPreviewSpec(kinds, "train", **spec))
     assert SIZE == (96, 72)
-
-
-def test_of_very_many_sizes_the_smallest_are_named() -> None:
-    touches = [placed(np.zeros((side, side, 3), np.uint8), (0, 0), gel(0, True)) for side in range(1, 30)]
-    with pytest.raises(InputError, match=r"sizes \(1 x 1, 2 x 2, 3 x 3, 4 x 4 pixels\)"):
-        overlay(touches, CellMap((1, 1), 1.0))
-
-
-def test_pictures_of_several_sizes_are_not_laid_over_each_other(
-    truth: list[RoundTruth], tmp_path: Path
-) -> None:
-    rows = factories.single_rows(truth[:1])
-    other = factories.make_round(8, TOUCHES, (64, 48))
-    rows[0]["sensor_image"][1] = factories.single_rows([other])[0]["sensor_image"][1]
-    record = realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single"))[0]
-    with pytest.raises(InputError, match=r"different sizes \(64 x 48, 96 x 72 pixels\).*realtouch resize"):
-        draw_overlay(record)

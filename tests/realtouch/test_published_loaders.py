@@ -116,23 +116,6 @@ def test_contact_frames_read_alike(published: Any, seq_folder: Path, tmp_path: P
     assert theirs.huggingface_dataset.features["pos_in_cell"].length == 5
 
 
-def test_resized_clips_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "small"
-    realtouch.resize(str(seq_folder), str(out), 48, 36, limit=1)
-    assert_same_seq(realtouch.load(out, "train")[0], published.TouchSeqDataset(hub_dataset(out))[0])
-
-
-def test_selected_rounds_read_alike(published: Any, single_folder: Path, tmp_path: Path) -> None:
-    out = tmp_path / "some"
-    realtouch.select(str(single_folder), str(out), contact=True, labels=[0, 2])
-    theirs = published.TouchSingleDataset(hub_dataset(out))
-    ours = realtouch.load(out)
-    assert len(ours) == len(theirs) == 2
-    for row in range(len(ours)):
-        assert ours[row].touch_count == 4
-        assert_same_single(ours[row], theirs[row])
-
-
 def test_selected_clips_read_alike(published: Any, seq_folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "some"
     realtouch.select(str(seq_folder), str(out), contact=True, limit=1)

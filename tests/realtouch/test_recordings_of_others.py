@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import os
@@ -40,6 +41,7 @@ def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = No
         "sep=;\r\nfile;label\r\npictures/0.jpg;a\r\npictures/1.jpg;b\r\n",
         ",file,label\n0,pictures/0.jpg,a\n1,pictures/1.jpg,b\n",
         "file,label\npictures\\0.jpg,a\n.\\pictures\\1.jpg,b\n",
+        'file, label, note\npictures/0.jpg, a, "x, y"\npictures/1.jpg, b,\n',
         'file,label,"a;b;c"\npictures/0.jpg,a,1\npictures/1.jpg,b,2\n',
     ],
 )
@@ -51,17 +53,6 @@ def test_tables_of_spreadsheets_and_other_systems(
     found = imported(home, tmp_path / "out")
     assert [found.label_names[label] for label in found.labels] == ["a", "b"]
     assert bytes(found[1].sensor_image.encoded(0)) == (home / "pictures" / "1.jpg").read_bytes()
-
-
-def test_a_table_is_named_from_the_working_folder(
-    home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    write_table(home, [line("pictures/0.jpg", "inside")])
-    write_table(tmp_path, [line("pictures/1.jpg", "outside")], "mine.csv")
-    monkeypatch.chdir(tmp_path)
-    for name, label in ((None, "inside"), ("mine.csv", "outside"), ("home/index.csv", "inside")):
-        out = tmp_path / f"out {name and name[0]}"
-        assert imported(home, out, table=name).label_names == (label,)
 
 
 def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]]:
@@ -124,6 +115,7 @@ def test_columns_that_contradict_what_is_said_of_them(options: dict[str, Any], w
     ("pose", "words"),
     [
         ("10 -20 3 0 0 0 1", "expected metres"),
+        ("0.0_1 0 0 0 0 0 1", "expected 7 finite numbers"),
         ("0.19 0 0 0 0 0 1", "expected metres"),
         ("0 0 -0.4 0 0 0 1", "expected metres"),
         ("0 0 0 0 0 0 2", "a quaternion of length 2; expected length one"),
@@ -261,6 +253,73 @@ def test_what_systems_leave_in_folders_and_tars_is_passed_over(home: Path, tmp_p
     assert len(imported(home, tmp_path / "from-folder")) == 1
 
 
+@pytest.mark.parametrize(
+    ("members", "words"),
+    [
+        ({"rgb.jpg": picture(1), "gel.png": picture(2)}, r"the images rgb\.jpg, gel\.png; expected one"),
+        ({"jpg": picture(1), "json": b'{"label": {"id": 1}}'}, r"the label \{'id': 1\}; expected a name"),
+        ({"jpg": picture(1), "label": "gr\u00fcn".encode("latin-1")}, "text that is not Unicode"),
+    ],
+)
+def test_samples_that_can_be_read_in_two_ways_are_refused(
+    members: dict[str, bytes], words: str, tmp_path: Path
+) -> None:
+    (tmp_path / "tars").mkdir()
+    write_tar(tmp_path / "tars" / "a.tar", [(f"0.{ending}", content) for ending, content in members.items()])
+    with pytest.raises(InputError, match=words):
+        imported(tmp_path / "tars", tmp_path / "out", layout="webdataset")
+
+
+def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> None:
+    (tmp_path / "tars").mkdir()
+    members = [("0.jpg", picture(1)), ("../1.jpg", picture(2)), ("a/../2.jpg", picture(3))]
+    write_tar(tmp_path / "tars" / "a.tar", members)
+    found = realtouch.import_images(tmp_path / "tars", tmp_path / "out", "webdataset")
+    assert [(item.id, item.reason) for item in found.shards[0].skipped] == [(1, "name"), (2, "name")]
+    whole = (tmp_path / "tars" / "a.tar").read_bytes()
+    (tmp_path / "tars" / "a.tar").write_bytes(gzip.compress(whole))
+    with pytest.raises(InputError, match=r"a\.tar' is compressed; expected a tar; next: unpack it"):
+        imported(tmp_path / "tars", tmp_path / "none", layout="webdataset")
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (pickle.dumps([[picture(1)], [picture(2)]]), "something else than a list of encoded images"),
+        (pickle.dumps([picture(1)], 2), "with pickle protocol 3 or higher"),
+        (pickle.dumps([picture(1)]) + pickle.dumps([picture(2)]), "holds more than one pickle"),
+    ],
+)
+def test_pickles_are_one_list(content: bytes, words: str, tmp_path: Path) -> None:
+    (tmp_path / "set").mkdir()
+    (tmp_path / "set" / "a.pkl").write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        imported(tmp_path / "set", tmp_path / "out", layout="sparsh")
+
+
+@pytest.mark.parametrize("ending", ["png", "webp"])
+def test_one_of_several_pictures_in_a_file_is_not_taken_for_all(
+    ending: str, home: Path, tmp_path: Path
+) -> None:
+    first, other = (Image.fromarray(decode_image(picture(level))) for level in (1, 99))
+    first.save(home / f"moving.{ending}", save_all=True, append_images=[other])
+    write_table(home, [line(f"moving.{ending}")])
+    with pytest.raises(InputError, match="an image of 2 pictures, one after the other; expected one"):
+        imported(home, tmp_path / "out")
+
+
+def test_the_summary_counts_rounds_and_touches_apart(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [{"file": f"pictures/{number}.jpg", "session": "one"} for number in range(4)]
+    write_table(home, [*lines, {"file": "none.jpg", "session": "one"}])
+    words = ("import", home, "--format", "folder", "--round-column", "session", "--out", tmp_path / "out")
+    assert call("realtouch", *words, "-w", 1) == 0
+    said = capsys.readouterr()
+    assert "made 1 round, 1 touch left out, in" in said.out + said.err
+    assert "left out 1 touch: missing" in said.out + said.err
+
+
 def test_samples_of_several_tars_may_have_equal_keys(tmp_path: Path) -> None:
     tars = tmp_path / "tars"
     tars.mkdir()
@@ -307,16 +366,6 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
             ):
                 realtouch.import_images(source, tmp_path / "none", layout)  # type: ignore[arg-type]
             assert not (tmp_path / "none").exists()
-
-
-def test_the_user_may_name_a_link(home: Path, tmp_path: Path) -> None:
-    write_table(home, [line("pictures/0.jpg")])
-    write_tar(tmp_path / "real.tar", [("a.jpg", picture(1))])
-    (tmp_path / "folder").symlink_to(home)
-    (tmp_path / "linked.tar").symlink_to(tmp_path / "real.tar")
-    (tmp_path / "table.csv").symlink_to(home / "index.csv")
-    assert len(imported(tmp_path / "folder", tmp_path / "1", table=str(tmp_path / "table.csv"))) == 1
-    assert len(imported(tmp_path / "linked.tar", tmp_path / "2", layout="webdataset")) == 1
 
 
 def test_what_is_stored_holds_no_text_of_libraries_nor_addresses_of_objects(

@@ -43,6 +43,7 @@ def test_a_damaged_file_raises_or_gives_frames_of_its_stream(
                 assert len(avi.frame(frame)) == avi.sizes[frame]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "layout",
     [

@@ -43,16 +43,3 @@ def test_sheets(seq_folder: Path) -> None:
     assert sheet[10, 10].tolist() == [255, 0, 0]
     assert sheet[10, 60].tolist() == [0, 0, 255]
     assert sheet[50, 60].tolist() == [255, 255, 255]
-
-
-def test_notebooks_show_rounds_and_touches(seq_folder: Path, single_folder: Path) -> None:
-    for folder in (seq_folder, single_folder):
-        dataset = realtouch.load(folder, "train")
-        shown = dataset[1]._repr_html_()
-        assert shown.count("<img") == 5
-        assert dataset[1].id in shown
-        assert "label 1" in shown
-        touch = dataset.touches()[1]
-        x_mm, y_mm = 1000 * np.asarray(touch.pos_in_cell_m)
-        assert f"label {touch.label}, touch 1, x {x_mm:.1f} mm, y {y_mm:.1f} mm" in touch._repr_html_()
-        assert touch._repr_html_().count("data:image/png;base64,") == 1

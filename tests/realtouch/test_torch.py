@@ -91,13 +91,6 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
     np.testing.assert_array_equal(data.__getitems__([4])[0][1], position_m)
 
 
-def test_ways_to_choose_a_frame_are_checked_at_once(seq_folder: Path) -> None:
-    from realtouch.torch import TouchTensors
-
-    with pytest.raises(InputError, match="unknown frame method 'finest'"):
-        TouchTensors(realtouch.load(seq_folder, "train"), frames="finest")
-
-
 def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
     from torchvision.transforms import v2
 
@@ -121,14 +114,6 @@ def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> 
     data = TouchTensors(realtouch.load(factories.write_set(tmp_path, {"train": rows}, "single")))
     with pytest.raises(IntegrityError, match=r"row 1, touch 2, field 'sensor_image'"):
         data.__getitems__([0, 7])
-
-
-def test_batches_equal_items(images: Any) -> None:
-    order = [14, 3, 3, 0]
-    for (one, label), index in zip(images.__getitems__(order), order, strict=True):
-        assert torch.equal(one, images[index][0])
-        assert type(one) is type(images[index][0])
-        assert label == images[index][1]
 
 
 @pytest.mark.parametrize("target", [None, "label", "round_id", "pos_in_cell", "gel_position", squared])
@@ -193,11 +178,6 @@ def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> Non
 
 def identity(touch: realtouch.Touch) -> tuple[int, int]:
     return touch.label, touch.touch_index
-
-
-def test_data_sets_pickle_small(images: Any) -> None:
-    _ = images[0]
-    assert len(pickle.dumps(images)) < 3000
 
 
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

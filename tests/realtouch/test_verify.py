@@ -14,11 +14,9 @@ import pytest
 import realtouch
 from realtouch.avi import write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
-from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 from tests.realtouch.test_damage import damaged_set
-from tests.sealed import sealed
 
 Found = tuple[int | None, int | None, str]
 
@@ -152,17 +150,6 @@ def test_metadata_that_cannot_be_given(
     assert found_in(folder) == [(0, None, field)]
 
 
-def test_as_many_positions_as_quaternions_in_a_pose(single_folder: Path, tmp_path: Path) -> None:
-    three = pa.array([[[0.0, 0.0, 0.0, 1.0]] * 3])
-    folder = with_column(tmp_path / "three", "info.object_pose.quaternion", three, single_folder)
-    for count in (3, 2):
-        table = pq.read_table(folder / "train.parquet")
-        place = table.column_names.index("info.object_pose.position")
-        table = table.set_column(place, table.column_names[place], pa.array([[[1.0, 2.0, 3.0]] * count]))
-        pq.write_table(table, folder / "train.parquet")
-        assert found_in(folder) == ([] if count == 3 else [(0, None, "info.object_pose")])
-
-
 def test_columns_that_are_not_there_are_no_damage(single_rows: list[dict], tmp_path: Path) -> None:
     for name in ("id", "label", "object_id"):
         folder = tmp_path / name
@@ -174,13 +161,6 @@ def test_columns_that_are_not_there_are_no_damage(single_rows: list[dict], tmp_p
             assert " touch" in repr(shown) or "touch_index=0" in repr(shown)
             assert f"{name}=" not in repr(shown)
             assert "<img" in shown._repr_html_()
-
-
-def test_a_damaged_field_is_shown_as_such(single_rows: list[dict], tmp_path: Path) -> None:
-    folder = damaged_set(tmp_path, single_rows, "single", lambda row: row.update(label=None))
-    dataset = realtouch.load(folder)
-    assert "label=unreadable" in repr(dataset[1])
-    assert "label=unreadable" in repr(dataset.touches()[5])
 
 
 def test_files_with_other_class_names(single_folder: Path, tmp_path: Path) -> None:
@@ -197,25 +177,6 @@ def test_files_with_other_class_names(single_folder: Path, tmp_path: Path) -> No
     assert found_in(tmp_path) == [(None, None, "label")]
 
 
-def test_files_of_two_kinds(single_folder: Path, seq_folder: Path) -> None:
-    files = [next((folder / "data").glob("train-00000*")) for folder in (single_folder, seq_folder)]
-    with pytest.raises(IntegrityError, match="field 'sensor_image': the column is not there"):
-        realtouch.load(files)
-    assert [(each.file, each.field) for each in realtouch.verify(files).findings] == [
-        (str(files[1]), "sensor_image")
-    ]
-
-
-def test_a_column_that_only_some_files_have(single_folder: Path, tmp_path: Path) -> None:
-    for file in (single_folder / "data").glob("train-*"):
-        table = pq.read_table(file)
-        pq.write_table(
-            table.drop_columns(["object_id"]) if "00001" in file.name else table, tmp_path / file.name
-        )
-    finding = realtouch.verify(tmp_path).findings[0]
-    assert (Path(finding.file).name, finding.field) == ("train-00001-of-00002.parquet", "object_id")
-
-
 def test_text_that_is_no_unicode(single_rows: list[dict], tmp_path: Path) -> None:
     factories.write_set(tmp_path, {"train": single_rows}, "single")
     file = tmp_path / "data" / "train-00000-of-00001.parquet"
@@ -228,17 +189,6 @@ def test_text_that_is_no_unicode(single_rows: list[dict], tmp_path: Path) -> Non
     with pytest.raises(IntegrityError, match="row 1, field 'id': a value that cannot be read"):
         _ = dataset[1].id
     assert "id=unreadable" in repr(dataset[1])
-
-
-def test_a_file_of_fewer_rows_than_the_manifest_says(single_folder: Path, tmp_path: Path) -> None:
-    realtouch.select(str(single_folder), str(tmp_path / "chosen"), labels=[0, 1])
-    file = next((tmp_path / "chosen" / "data").glob("train-*"))
-    pq.write_table(pq.read_table(file).slice(0, 1), file)
-    with pytest.raises(IntegrityError, match="1 rows; expected 2 by the manifest"):
-        realtouch.load(tmp_path / "chosen")
-    assert "1 rows; expected 2 by the manifest" in [
-        finding.problem for finding in realtouch.verify(tmp_path / "chosen").findings
-    ]
 
 
 REFERENCES = {
@@ -270,15 +220,3 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
         assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
     manifest = realtouch.clips_to_images(folder, tmp_path / "single")
     assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
-
-
-@pytest.mark.parametrize(("text", "damaged"), [('"operation"', '"operatioN"'), ('"select"', "[null]")])
-def test_a_manifest_without_operation_is_damage(
-    single_folder: Path, tmp_path: Path, text: str, damaged: str, capsys: pytest.CaptureFixture[str]
-) -> None:
-    realtouch.select(single_folder, tmp_path / "out", split="test")
-    manifest = tmp_path / "out" / "manifest.json"
-    manifest.write_text(sealed(json.loads(manifest.read_text().replace(text, damaged))))
-    assert call("realtouch", "info", tmp_path / "out") == 3
-    assert "spec.operation: Expected `str`, got " in capsys.readouterr().err
-    assert call("realtouch", "verify", tmp_path / "out") == 3

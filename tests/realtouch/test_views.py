@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import copy
 import pickle
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
 import realtouch
 from realtouch.touch import Touch
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.order import GlobalOrder
+from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -64,16 +61,6 @@ def test_the_pose_of_a_touch_reads_its_own_numbers_only(
         _ = Touch(record, 5).gel_pose
 
 
-def test_metadata_are_a_dict_of_the_caller(single_folder: Path) -> None:
-    record = realtouch.load(single_folder, "train")[0]
-    info = record.info
-    for same in (pickle.loads(pickle.dumps(info)), copy.deepcopy(info)):
-        assert list(same) == list(info) == ["gel_id", "notes", "object_pose"]
-        np.testing.assert_array_equal(same["object_pose"].as_matrix(), info["object_pose"].as_matrix())
-    before, info["gel_id"] = info["gel_id"], 7
-    assert record.info["gel_id"] == before
-
-
 def test_only_data_sets_of_one_kind_are_joined(single_folder: Path, seq_folder: Path) -> None:
     dataset = realtouch.load(single_folder, "train")
     for other in (realtouch.load(seq_folder, "train"), 5):
@@ -95,36 +82,6 @@ def test_classes_and_objects_are_given_one_by_one_or_together(single_folder: Pat
             touches.objects(objects)
 
 
-def test_a_missing_column_is_told_beside_all_that_are_there(single_rows: list[dict], tmp_path: Path) -> None:
-    layout = Layout(leave_out=("gel_pose_cell_frame.position",))
-    factories.write_set(tmp_path, {"train": single_rows}, "single", layout)
-    with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame\.position'; next"):
-        realtouch.load(tmp_path).touches().with_contact()
-
-
-def test_clips_are_no_images(seq_folder: Path) -> None:
-    with pytest.raises(InputError, match="no column 'sensor_image'"):
-        realtouch.load(seq_folder, "train").touches().images([0])
-
-
-def test_of_no_rounds_there_are_no_rows(single_folder: Path) -> None:
-    assert len(realtouch.load(single_folder, "train")[:0].touches().to_hf()) == 0
-
-
-def test_any_choice_of_touches_is_trained_on_file_by_file(single_folder: Path) -> None:
-    data = realtouch.load(single_folder, "train")
-    for touches in (
-        data.touches(),
-        data[[2, 0]].touches(),
-        data.touches()[::-2],
-        data.touches().sample(9, 1),
-    ):
-        places = GlobalOrder(touches._stored_parts(), None, 1).epoch(0).positions(np.arange(len(touches)))
-        assert sorted(places) == list(range(len(touches)))
-        rows = [(touch.object_id, touch.touch_index) for touch in (touches[int(place)] for place in places)]
-        assert rows == sorted(rows), "as they are stored"
-
-
 def test_heights_of_a_set_without_intended_positions(
     single_rows: list[dict], single_folder: Path, tmp_path: Path
 ) -> None:
@@ -134,20 +91,3 @@ def test_heights_of_a_set_without_intended_positions(
         touches.heights_m(), realtouch.load(single_folder, "train").touches().heights_m()
     )
     assert "<img" in touches[0]._repr_html_()
-
-
-def test_large_ids_are_not_rounded_beside_a_missing_one(single_rows: list[dict], tmp_path: Path) -> None:
-    factories.write_set(tmp_path, {"train": single_rows}, "single")
-    place = tmp_path / "data" / "train-00000-of-00001.parquet"
-    table = pq.read_table(place)
-    ids = pa.array([2**53 + 1, None, 2**62 + 1])
-    pq.write_table(table.set_column(table.column_names.index("object_id"), "object_id", ids), place)
-    dataset = realtouch.load(tmp_path)
-    assert (dataset[0].object_id, dataset[2].object_id) == (2**53 + 1, 2**62 + 1)
-    with pytest.raises(IntegrityError, match="row 1, field 'object_id'"):
-        _ = dataset[1].object_id
-    with pytest.raises(IntegrityError, match="row 1, field 'object_id': no value is stored"):
-        dataset.touches().objects(2**62 + 1)
-    touches = dataset[[0, 2]].touches()
-    assert set(touches.object_ids.tolist()) == {2**53 + 1, 2**62 + 1}
-    assert {touch.object_id for touch in touches.objects(2**62 + 1)} == {2**62 + 1}

@@ -6,11 +6,13 @@ import math
 
 from hypothesis import strategies as st
 
+from starstruck_gen.outlines import STAR, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.placement import Placement
-from starstruck_gen.shapes import OUTLINES, STAR, Crescent, Cross, Disc, Ring, Shape, Star
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.proportions import KINDS
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 
-names = st.sampled_from(sorted(OUTLINES))
+names = st.sampled_from(sorted(KINDS))
 radii_m = st.floats(0.002, 0.012)
 segments = st.integers(8, 256)
 

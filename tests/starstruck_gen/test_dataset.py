@@ -10,11 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.loader import SceneDataset, SceneMeshDataset, SceneRecord, load
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.sampling import sample_scene, scene_rng
+from starstruck_gen.rejection import sample_scene
 from starstruck_gen.scene import Scene
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_dataset import SceneMeshDataset, SceneRecord, load
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_seeds import scene_rng
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.scenes_on_the_fly import SceneDataset
 from tactile_toolkit.errors import InputError
 
 
@@ -30,7 +32,7 @@ SIZES = {"train": 80, "test": 12}
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> str:
     path = tmp_path_factory.mktemp("scenes")
-    generate(GenerateSpec(specified(), tuple(SIZES.items()), seed=9), str(path))
+    generate(SceneSetSpec(specified(), tuple(SIZES.items()), seed=9), str(path))
     return str(path)
 
 
@@ -100,20 +102,6 @@ def test_scene_does_not_depend_on_the_size_of_its_data_set(index, seed, split):
     assert small.id == large.id
 
 
-def test_views_share_the_behaviour_of_stored_data_sets(scenes):
-    assert [record.id for record in scenes[10:20:3]] == [10, 13, 16, 19]
-    assert [record.id for record in scenes[[5, -1]]] == [5, 79]
-    assert scenes[scenes.labels == 3].ids.tolist() == list(range(3, 80, 4))
-    assert scenes.filter_labels("2")[1].star_count == 2
-    assert {name: len(view) for name, view in scenes.by_label().items()} == dict.fromkeys("1234", 20)
-    assert (scenes[:3] + scenes[70:])[3].id == 70
-    assert type(scenes[:3]) is type(scenes)
-    with pytest.raises(IndexError):
-        scenes[80]
-    with pytest.raises(InputError, match="no column 'colour'"):
-        scenes.column("colour")
-
-
 def test_records_and_data_sets_cross_process_borders(scenes):
     record = scenes[5]
     copy = pickle.loads(pickle.dumps(record))
@@ -123,23 +111,10 @@ def test_records_and_data_sets_cross_process_borders(scenes):
     assert again[1].scene == record.scene
 
 
-def test_a_million_scenes_cost_nothing_until_asked_for():
-    scenes = SceneDataset(size=1_000_000, seed=3)
-    assert scenes[999_999].star_count == 1
-    assert len(pickle.dumps(scenes)) < 5_000
-
-
 def test_numbers_of_numpy_give_the_same_scenes():
     given, plain = SceneDataset(size=np.int64(3), seed=np.int64(5)), SceneDataset(size=3, seed=5)
     assert [record.scene for record in given] == [record.scene for record in plain]
-    scene = sample_scene(SceneSpec(), scene_rng(1), np.int64(2))
-    assert Scene.from_json(scene.to_json()) == scene
-
-
-def test_test_split_shares_no_id_and_no_scene_with_train():
-    train, test = (SceneDataset(split=split, size=50) for split in ("train", "test"))
-    assert not set(train.ids.tolist()) & set(test.ids.tolist())
-    assert not {record.scene for record in train} & {record.scene for record in test}
+    assert type(sample_scene(SceneSpec(), scene_rng(1), np.int64(2)).star_count) is int
 
 
 @pytest.mark.parametrize(
@@ -156,12 +131,6 @@ def test_test_split_shares_no_id_and_no_scene_with_train():
 def test_unusable_data_set_on_the_fly_is_refused(values, message):
     with pytest.raises(InputError, match=message):
         SceneDataset(**values)
-
-
-def test_stream_reads_the_same_records(folder):
-    stream = load(folder, "test", streaming=True)
-    assert stream.label_names == ("1", "2", "3", "4")
-    assert [record.scene for record in stream] == [record.scene for record in load(folder, "test")]
 
 
 def test_load_dataset_reads_classes_and_columns(folder):
@@ -196,9 +165,3 @@ def test_published_columns_alone_are_enough(folder, tmp_path):
     for name in ("placements", "scene", "seed", "distractor_count"):
         with pytest.raises(InputError, match="this data set stores no"):
             getattr(scenes[2], name)
-
-
-def test_other_data_is_refused(tmp_path):
-    pq.write_table(pa.table({"id": [1], "label": [0]}), tmp_path / "train-00000-of-00001.parquet")
-    with pytest.raises(InputError, match=r"rows of no kind .* is for scenes, with a column 'mesh\.faces'"):
-        load(str(tmp_path))

@@ -1,7 +1,6 @@
 from __future__ import annotations
 
 import io
-import pickle
 from pathlib import Path
 
 import numpy as np
@@ -9,9 +8,8 @@ import pytest
 from PIL import Image
 
 import starstruck_gen
-from starstruck_gen.gallery import plan_gallery
-from tactile_toolkit.catalog import Chosen
-from tactile_toolkit.errors import InputError
+from starstruck_gen.scene_gallery import plan_gallery
+from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
@@ -20,7 +18,7 @@ from tests.gallery_files import column, content_of, files_of, index_of
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("gallery") / "stars"
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", 12), ("test", 6)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 12), ("test", 6)))
     starstruck_gen.generate(spec, str(out), ("train", "test"), workers=1)
     return out
 
@@ -42,7 +40,7 @@ def test_scenes_are_filtered_by_what_stands_in_them(folder, tmp_path):
 
 
 def test_thumbnails_show_stars_on_clear_paper(folder, tmp_path):
-    build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
+    build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
     for number, record in enumerate(starstruck_gen.load(str(folder), "test")):
         content = (files_of(tmp_path / "site") / "thumbs" / f"{number:06d}.png").read_bytes()
         pixels = np.asarray(Image.open(io.BytesIO(content))).astype(int)
@@ -78,21 +76,10 @@ def test_the_published_set_has_no_placements_and_is_shown_too(folder, tmp_path):
     assert (files_of(tmp_path / "site") / "thumbs" / "000005.png").stat().st_size > 200
 
 
-def test_tasks_travel(folder, tmp_path):
-    chosen = Chosen(per_class=2)
-    for task in plan_gallery(str(folder), chosen).tasks:
-        assert pickle.loads(pickle.dumps(task)).make() == task.make()
-
-
-def test_a_split_that_is_not_there_is_named(folder):
-    with pytest.raises(InputError, match="no split 'holdout'"):
-        plan_gallery(str(folder), Chosen("holdout"))
-
-
 @pytest.mark.browser
 def test_stars_and_others_have_their_own_paint(folder, tmp_path):
     with browser() as chromium:
-        build_site(plan_gallery(str(folder), Chosen("test")), str(tmp_path / "site"))
+        build_site(plan_gallery(str(folder), RowFilter("test")), str(tmp_path / "site"))
         scenes = list(starstruck_gen.load(str(folder), "test"))
         place = max(range(6), key=lambda number: scenes[number].distractor_count)
         with opened(chromium, tmp_path / "site", width=900, height=620, link=f"#item-{place}") as found:

@@ -10,26 +10,27 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from starstruck_gen.card import summarise
-from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import GenerateSpec, SceneMaking, count_scenes, generate, make_rows
-from starstruck_gen.placement import Placement, build_meshes
-from starstruck_gen.sampling import SamplingExhausted
-from starstruck_gen.shapes import Disc, Shape, Star
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.acceptance import count_scenes
+from starstruck_gen.outlines import Disc, Star
+from starstruck_gen.placement import Placement
+from starstruck_gen.rejection import SamplingExhausted
+from starstruck_gen.scene_card import summarise
+from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec, generate, make_rows
+from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.making import plan_build
-from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import DataFolder, inspect_job, manifest_so_far, read_manifest, verify
+from tactile_toolkit.generation import plan_build
+from tactile_toolkit.store import inspect_job, open_folder, read_manifest, verify
 from tests.command_line import call
-from tests.processes import start_held
 
 
 @cache
-def small() -> GenerateSpec:
+def small() -> SceneSetSpec:
     """A function: its solids are proved, by what numba compiles on a new machine."""
-    return GenerateSpec(scenes=(("train", 2_100), ("test", 30)))
+    return SceneSetSpec(scenes=(("train", 2_100), ("test", 30)))
 
 
 def folder_hashes(path: Path) -> dict[str, str]:
@@ -45,7 +46,7 @@ def whole(tmp_path_factory) -> Path:
 
 
 def test_folder_holds_what_is_promised(whole):
-    manifest = read_manifest(DataFolder(str(whole)))
+    manifest = read_manifest(open_folder(str(whole)))
     assert manifest.complete
     assert manifest.kind == "starstruck"
     assert {split: entry["rows"] for split, entry in manifest.split_table().items()} == {
@@ -59,7 +60,7 @@ def test_folder_holds_what_is_promised(whole):
         "manifest.json",
         "previews/scenes.png",
     ]
-    assert verify(DataFolder(str(whole)), scene_schema()).ok
+    assert verify(open_folder(str(whole)), scene_schema()).ok
     shard = pq.ParquetFile(whole / "data" / "train-00000-of-00003.parquet")
     assert shard.schema_arrow.names[:4] == ["id", "label", "mesh.vertices", "mesh.faces"]
     assert [
@@ -68,7 +69,7 @@ def test_folder_holds_what_is_promised(whole):
 
 
 def test_published_size_is_3000_and_300_balanced():
-    spec = GenerateSpec()
+    spec = SceneSetSpec()
     assert (spec.rows("train"), spec.rows("test")) == (3_000, 300)
     sizes = {task.shard.split: 0 for task in plan_build(SceneMaking(spec), ("train", "test")).tasks}
     for task in plan_build(SceneMaking(spec), ("train", "test")).tasks:
@@ -77,27 +78,15 @@ def test_published_size_is_3000_and_300_balanced():
 
 
 def test_statistics_are_those_of_all_scenes(whole):
-    summaries = {summary.split: summary for summary in summarise(read_manifest(DataFolder(str(whole))))}
-    assert summaries["train"].acceptance.classes == (700, 700, 700)
+    found = summarise(read_manifest(open_folder(str(whole))))["train"]
+    assert found.classes == (700, 700, 700)
     rows = make_rows(SceneSpec(), "train", 0, 0, 2_100)
-    assert summaries["train"].acceptance == count_scenes(SceneSpec(), rows)
-    per_object = summaries["train"].acceptance.attempts_per_object
+    assert found == count_scenes(SceneSpec(), rows)
+    per_object = found.attempts_per_object
     assert per_object[0] == 1.0
     assert list(per_object) == sorted(per_object)
     stored = json.loads((whole / "manifest.json").read_text())["statistics"]["train"]
     assert sum(stored["distractors"]) == stored["objects"][0] == 2_100
-
-
-def test_scenes_are_small(whole):
-    for summary in summarise(read_manifest(DataFolder(str(whole)))):
-        limit = 1_500 if summary.rows > 100 else 2_500
-        assert summary.bytes_per_scene < limit
-
-
-def test_bytes_do_not_depend_on_workers_or_order(whole, tmp_path):
-    generate(small(), str(tmp_path / "parts"), ("test",))
-    generate(small(), str(tmp_path / "parts"), ("train",), workers=ProcessRunner(2))
-    assert folder_hashes(tmp_path / "parts") == folder_hashes(whole)
 
 
 def test_limit_gives_the_first_rows(whole, tmp_path):
@@ -125,75 +114,11 @@ def test_another_seed_or_specification_is_refused_and_named(whole):
     assert folder_hashes(whole) == before
 
 
-def test_second_run_makes_nothing(whole):
-    state = inspect_job(DataFolder(str(whole)), plan_build(SceneMaking(small()), ("train", "test")))
-    assert state.remaining == ()
-    calls = []
-    generate(small(), str(whole), on_progress=calls.append)
-    assert [(call.done, call.total) for call in calls] == [(0, 0)]
-
-
-def test_killed_run_resumes_to_the_same_bytes(tmp_path):
-    spec = GenerateSpec(scenes=(("train", 2_000), ("test", 10)))
-    words = (
-        "generate",
-        "--quiet",
-        "--scenes",
-        "train=2000,test=10",
-        "--workers",
-        1,
-        "--out",
-        tmp_path / "killed",
-    )
-    process = start_held("starstruck", 1, tmp_path / "held", *words)
-    process.kill()
-    process.communicate()
-    state = inspect_job(
-        DataFolder(str(tmp_path / "killed")), plan_build(SceneMaking(spec), ("train", "test"))
-    )
-    assert 1 <= len(state.finished) < len(state.finished) + len(state.remaining) == 3
-    generate(spec, str(tmp_path / "killed"))
-    generate(spec, str(tmp_path / "whole"), workers=1)
-    assert folder_hashes(tmp_path / "killed") == folder_hashes(tmp_path / "whole")
-
-
 def test_impossible_specification_leaves_nothing_behind(tmp_path):
-    crowded = GenerateSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
+    crowded = SceneSetSpec(scene=SceneSpec(stars=(1, 40), restarts=5))
     with pytest.raises(SamplingExhausted, match="a star"):
         generate(crowded, str(tmp_path / "set"))
     assert not (tmp_path / "set").exists()
-
-
-def test_exhausted_worker_says_so(tmp_path):
-    """The error of a worker process reaches the caller as what it is."""
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
-    spec = GenerateSpec(scene=nearly, scenes=(("train", 2_000),), seed=1)
-    with pytest.raises(SamplingExhausted, match="of 8"):
-        generate(spec, str(tmp_path / "set"), ("train",), workers=2)
-    assert not (tmp_path / "set").exists()
-
-
-def test_scene_that_cannot_be_made_late_leaves_the_folder_free_for_another_specification(tmp_path):
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=4, restarts=3)
-    with pytest.raises(
-        SamplingExhausted,
-        match=r"raise --cell-mm \(cell_m\), or in Python raise attempts or restarts of SceneSpec$",
-    ):
-        generate(GenerateSpec(nearly, (("train", 100),), seed=1), str(tmp_path), ("train",))
-    assert list(tmp_path.iterdir()) == []
-    assert generate(GenerateSpec(scenes=(("train", 3),)), str(tmp_path), ("train",)).complete
-
-
-def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept(tmp_path):
-    """Scene 2,304 of this split is the first that needs more restarts than are allowed."""
-    nearly = SceneSpec(stars=(8,), distractors=(0, 0), attempts=10, restarts=4)
-    spec = GenerateSpec(nearly, (("train", 3_000),))
-    with pytest.raises(SamplingExhausted, match="of 8"):
-        generate(spec, str(tmp_path / "set"), ("train",))
-    so_far = manifest_so_far(DataFolder(str(tmp_path / "set")))
-    assert not so_far.complete
-    assert [record.shard.index for record in so_far.shards] == [0, 1]
-    assert summarise(so_far)[0].acceptance.classes == (2_000,)
 
 
 @pytest.mark.parametrize(
@@ -216,25 +141,25 @@ def test_shards_finished_before_a_scene_that_cannot_be_made_are_kept(tmp_path):
 )
 def test_unusable_values_are_refused(values, message):
     with pytest.raises(InputError, match=message):
-        GenerateSpec(**values)
+        SceneSetSpec(**values)
 
 
 def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
-    given = GenerateSpec(
+    given = SceneSetSpec(
         SceneSpec(stars=range(1, 4), heights_m=[np.float64(0.005)]),
         {"train": np.int64(4)},
         seed=np.int64(3),
         limit=np.int32(2),
     )
-    plain = GenerateSpec(SceneSpec(), (("train", 4),), seed=3, limit=2)
+    plain = SceneSetSpec(SceneSpec(), (("train", 4),), seed=3, limit=2)
     assert given == plain
     assert json.dumps(given.to_dict()) == json.dumps(plain.to_dict())
-    assert GenerateSpec(scenes=plain.to_dict()["scenes"]).scenes == plain.scenes
+    assert SceneSetSpec(scenes=plain.to_dict()["scenes"]).scenes == plain.scenes
     generate(given, tmp_path / "path", ("train",))
     generate(plain, str(tmp_path / "text"), ("train",))
     assert folder_hashes(tmp_path / "path") == folder_hashes(tmp_path / "text")
     assert (
-        inspect_job(DataFolder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
+        inspect_job(open_folder(str(tmp_path / "path")), plan_build(SceneMaking(given), ("train",))).remaining
         == ()
     )
 
@@ -242,7 +167,7 @@ def test_ordinary_values_of_other_types_are_the_same_specification(tmp_path):
 @pytest.mark.parametrize("splits", [("holdout",), ("test",)])
 def test_nothing_to_make_is_refused(tmp_path, splits):
     with pytest.raises(InputError, match=r"unknown split 'holdout'|no scenes to make for test"):
-        generate(GenerateSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
+        generate(SceneSetSpec(scenes=(("train", 5),)), str(tmp_path / "set"), splits)
 
 
 def test_validate_proves_the_written_scenes(whole):
@@ -318,13 +243,6 @@ def test_validate_finds_what_is_wrong(whole, tmp_path, change, finding):
     assert checked.checked == 30
     assert [failure.id for failure in checked.failures] == [1_000_000_004]
     assert finding in checked.failures[0].problem
-
-
-def test_validate_refuses_what_holds_no_scenes(tmp_path):
-    with pytest.raises(InputError, match="does not exist"):
-        validate_folder(str(tmp_path / "nowhere"))
-    with pytest.raises(InputError, match="is empty; expected a data set"):
-        validate_folder(str(tmp_path))
 
 
 def test_a_dry_run_of_a_part_tells_what_that_part_would_make(tmp_path, capsys):

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import starstruck_gen
-from starstruck_gen import SceneSpec, sample_scene, scene_rng
-from starstruck_gen.make import GenerateSpec, generate
-from starstruck_gen.previews import plan_previews
-from starstruck_gen.scene import draw_scene
+from starstruck_gen import SceneSpec
+from starstruck_gen.scene_drawing import draw_scene
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from starstruck_gen.scene_previews import plan_previews
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import InputError
 
@@ -26,19 +26,8 @@ def crowded() -> SceneSpec:
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("previews") / "scenes"
-    generate(GenerateSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
+    generate(SceneSetSpec(crowded(), (("train", 9), ("test", 2)), seed=4), str(out))
     return out
-
-
-def test_the_plain_picture_is_as_before():
-    scene = sample_scene(SceneSpec(), scene_rng(5))
-    picture = np.asarray(draw_scene(scene.placements, (0.12, 0.12), 4.0))
-    assert picture.shape == (480, 480, 3)
-    assert np.array_equal(picture, np.asarray(scene.draw()))
-    for placement in scene.placements:
-        column, row = 240 + 4000 * placement.x_m, 240 - 4000 * placement.y_m
-        colour = (214, 140, 20) if placement.is_star else (92, 110, 132)
-        assert tuple(picture[int(row), int(column)]) == colour
 
 
 def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp_path):
@@ -56,38 +45,10 @@ def test_a_published_set_without_placements_is_drawn_from_its_meshes(folder, tmp
     assert (pixels[..., 0] - pixels[..., 2]).max() < 60  # nothing is as yellow as a star
 
 
-def test_digits_are_no_scenes(tmp_path):
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
-    from starstruck_gen.gallery import plan_gallery
-    from tactile_toolkit.read import feature_metadata, label_feature, vectors_type
-
-    columns = {
-        "id": pa.array([1], pa.int64()),
-        "label": pa.array([3], pa.int64()),
-        "mesh.vertices": pa.array([[[0.0, 0, 0], [1, 0, 0], [0, 1, 0]]], vectors_type(pa.float32())),
-        "mesh.faces": pa.array([[[0, 1, 2]]], vectors_type(pa.int32())),
-    }
-    places = {}
-    for names in (tuple("0123456789"), ("1", "2", "3", "4")):
-        table = pa.table(columns).replace_schema_metadata(feature_metadata({"label": label_feature(names)}))
-        places[names] = str(tmp_path / f"train-{len(names)}.parquet")
-        pq.write_table(table, places[names])
-    digits, scenes = places.values()
-    assert plan_gallery(scenes).size == 1
-    assert (
-        plan_previews(scenes, PreviewSpec(kinds=("sheet",))).pictures[0].what == "1 scene of train from above"
-    )
-    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d preview "):
-        plan_previews(digits, PreviewSpec())
-    with pytest.raises(InputError, match=r"holds digits; .*next: run `mnist3d gallery "):
-        plan_gallery(digits)
-
-
+@pytest.mark.thorough
 def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     out = tmp_path / "mixed"
-    generate(GenerateSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
+    generate(SceneSetSpec(SceneSpec(), (("train", 12),), seed=1), str(out), ("train",))
     (planned,) = plan_previews(str(out), PreviewSpec(kinds=("sheet",), per_class=3)).pictures
     assert (planned.name, planned.what) == ("mixed-train-sheet.png", "9 scenes of train from above")
     pixels = planned.draw()
@@ -105,14 +66,6 @@ def test_sheets_show_each_scene_in_the_row_of_its_class(tmp_path):
     tops = {count: {row for each, (row, _) in places if each == count} for count in (1, 2, 3)}
     assert all(len(rows) == 1 for rows in tops.values())
     assert max(tops[1]) < max(tops[2]) < max(tops[3])
-
-
-def test_the_usual_pictures_are_sheets_of_all_splits(folder):
-    plan = plan_previews(str(folder), PreviewSpec())
-    assert [picture.name for picture in plan.pictures] == ["scenes-train-sheet.png", "scenes-test-sheet.png"]
-    assert len(plan_previews(str(folder), PreviewSpec(kinds=("all",))).pictures) == 2
-    with pytest.raises(InputError, match="no pictures of kind 'scene'; expected sheet or all"):
-        plan_previews(str(folder), PreviewSpec(kinds=("scene",)))
 
 
 def test_bad_input_is_named(folder, tmp_path):

@@ -1,17 +1,17 @@
 from __future__ import annotations
 
-import json
 import math
 
 import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.loader import SceneDataset
-from starstruck_gen.placement import build_meshes, prism
-from starstruck_gen.sampling import sample_scenes
+from starstruck_gen.placement import Placement
+from starstruck_gen.prisms import prism
+from starstruck_gen.rejection import sample_scenes
 from starstruck_gen.scene import Scene
-from starstruck_gen.spec import SceneSpec
+from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import check_manifold
 from tests.starstruck_gen.strategies import placements, specs
@@ -62,86 +62,6 @@ def test_vertices_are_the_turned_scaled_moved_outline(placement):
     assert (vertices[1::2, 2] == np.float32(placement.height_m)).all()
 
 
-@given(specs(("circles",)), st.integers(0, 1_000))
-def test_json_and_back_is_exact(spec, index):
-    scene = sample_scenes(spec, "test", 0, index, 1)[0]
-    assert Scene.from_json(scene.to_json()) == scene
-
-
-def _object(**changes):
-    plain = {"shape": "star", "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": 0.01, "height_m": 0.005}
-    return {"star_count": 1, "placements": [{**plain, **changes}], "attempts": [1], "restarts": 0}
-
-
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        (_object(x_m=math.nan), "a number that is not finite"),
-        (_object(y_m=math.inf), "a number that is not finite"),
-        (_object(radius_m=-0.01), r"> 0.0 - at `\$\.placements\[0\]\.radius_m`"),
-        (_object(height_m=0), r"> 0.0 - at `\$\.placements\[0\]\.height_m`"),
-        (_object(angle_rad="0"), r"got `str` - at `\$\.placements\[0\]\.angle_rad`"),
-        (_object(x_m=10**400), "not a scene"),
-        (_object(shape=None), r"got `null` - at `\$\.placements\[0\]\.shape`"),
-        ({**_object(), "placements": ["star"]}, r"got `str` - at `\$\.placements\[0\]`"),
-        ({**_object(), "restarts": -1}, r">= 0 - at `\$\.restarts`"),
-        ({**_object(), "attempts": [1.5]}, r"got `float` - at `\$\.attempts\[0\]`"),
-        ({**_object(), "star_count": True}, r"got `bool` - at `\$\.star_count`"),
-        ([1, 2], "Expected `object`, got `array`"),
-        (3, "Expected `object`, got `int`"),
-    ],
-)
-def test_impossible_scene_is_refused_by_field(values, message):
-    with pytest.raises(InputError, match=message):
-        Scene.from_dict(values)
-    with pytest.raises(InputError, match="not a scene"):
-        Scene.from_json(json.dumps(values))
-
-
-def test_scene_that_is_no_json_is_not_written():
-    scene = Scene.from_dict(_object())
-    broken = Scene(1, (scene.placements[0]._replace(x_m=math.nan),), (1,), 0)
-    with pytest.raises(InputError, match="not finite"):
-        broken.to_json()
-
-
-def test_mesh_is_that_of_a_record_as_trimesh():
-    record = SceneDataset(size=1)[0]
-    mesh = record.scene.mesh().to_trimesh()
-    assert mesh.is_watertight
-    assert mesh.volume == pytest.approx(record.mesh.volume)
-
-
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("{", "must be JSON"),
-        ("[" * 100_000, "must be JSON"),
-        ("{}", "missing required field"),
-        ("[]", "not a scene"),
-    ],
-)
-def test_what_is_not_a_scene_is_refused(text, message):
-    with pytest.raises(InputError, match=message):
-        Scene.from_json(text)
-
-
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"star_count": 2}, "declares star_count 2 and places 3"),
-        ({"attempts": [1]}, "1 attempts for"),
-        ({"placements": [{**_object()["placements"][0], "shape": "sun"}]}, "unknown shape 'sun'"),
-        ({"placements": [{"shape": "box"}]}, "missing required field `x_m`"),
-        ({"restarts": "many"}, "not a scene"),
-    ],
-)
-def test_scenes_with_wrong_values_are_refused(changes, message):
-    values = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0].to_dict()
-    with pytest.raises(InputError, match=message):
-        Scene.from_json(json.dumps({**values, **changes}))
-
-
 def test_picture_shows_every_object_where_it_stands():
     scene = sample_scenes(SceneSpec(), "train", 0, 2, 1)[0]
     picture = scene.draw(px_per_mm=4.0)
@@ -155,22 +75,9 @@ def test_picture_shows_every_object_where_it_stands():
     assert pixels[0, 0].tolist() == pixels[-1, -1].tolist()
 
 
-def test_hole_of_a_ring_shows_the_plate():
-    values = {"shape": "ring", "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": 0.01, "height_m": 0.005}
-    ring = Scene.from_dict({"star_count": 0, "placements": [values], "attempts": [1], "restarts": 0})
-    pixels = np.asarray(ring.draw(cell_m=(0.03, 0.02), px_per_mm=2.0))
-    assert pixels.shape == (40, 60, 3)
-    assert pixels[20, 30].tolist() == pixels[0, 0].tolist()
-    assert pixels[20, 30 + 15].tolist() != pixels[0, 0].tolist()
-
-
 def test_object_inside_a_hole_stays_visible():
-    sizes = {"disc": 0.003, "ring": 0.01}
-    values = [
-        {"shape": shape, "x_m": 0, "y_m": 0, "angle_rad": 0, "radius_m": radius_m, "height_m": 0.005}
-        for shape, radius_m in sizes.items()
-    ]
-    scene = Scene.from_dict({"star_count": 0, "placements": values, "attempts": [1, 1], "restarts": 0})
+    placements = (Placement("disc", 0, 0, 0, 0.003, 0.005), Placement("ring", 0, 0, 0, 0.01, 0.005))
+    scene = Scene(0, placements, (1, 1), 0)
     pixels = np.asarray(scene.draw(cell_m=(0.03, 0.03), px_per_mm=6.0))
     plate, disc, hole = (pixels[place].tolist() for place in ((0, 0), (90, 90), (90, 90 + 24)))
     assert disc != plate == hole

@@ -8,11 +8,12 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 
-from starstruck_gen.columns import scene_schema
-from starstruck_gen.make import make_rows
-from starstruck_gen.shapes import Disc, Shape
-from starstruck_gen.spec import SceneSpec
-from starstruck_gen.validate import validate_folder
+from starstruck_gen.outlines import Disc
+from starstruck_gen.scene_checks import validate_folder
+from starstruck_gen.scene_generation import make_rows
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import table_of
 from tests.starstruck_gen.strategies import specs
@@ -107,9 +108,8 @@ def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change(
         assert part in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "side_m", [*(pytest.param(side, marks=pytest.mark.thorough) for side in (0.16, 0.2, 0.4)), 0.24]
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("side_m", [0.24, 0.16, 0.4])
 def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):
     """Up to a cell in which coordinates reach a power of two, the thinnest triangles are thick enough."""
     spec = SceneSpec(cell_m=(side_m, side_m), star=Shape("star", 1e-4), distractor_shapes=TINY)

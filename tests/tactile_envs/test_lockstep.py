@@ -67,6 +67,7 @@ def _walk(pair: Any, steps: int, compare: Any) -> None:
         compare(theirs, ours)
 
 
+@pytest.mark.one_at_a_desk
 def test_same_episodes(pair):
     """Labels and poses exactly, rewards to rounding, and depth to half a micrometre, in ten episodes.
 
@@ -84,10 +85,11 @@ def test_same_episodes(pair):
         off, pixels = off + int(far.sum()), pixels + far.size
 
     _walk(pair, 160, compare)
-    is_digit = type(native.current_data_points[0]).__name__ == "MeshRecord"
+    is_digit = type(native.current_data_points[0]).__name__ == "DigitRecord"
     assert off <= (3e-6 if is_digit else 2e-5) * pixels
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", SPARSE)
 def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
     """Rewards, weights, keys of info and statistics of every form with `-sparse`, over several episodes."""

@@ -58,6 +58,7 @@ def test_pixels_on_the_edge_of_a_triangle_are_raised_whichever_way_its_corners_r
     assert heights[:, :8].tolist() == expected.tolist()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", ["mnist3d", "starstruck", "wrench"])
 def test_what_is_drawn_is_what_pressing_gives(name, assets):
     """To a hundredth of a micrometre at pixels that show, but for those on the edge of an upright wall."""
@@ -108,6 +109,7 @@ def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
     assert len(MeshPool.of(meshes)) == len(meshes)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "of another program"])
 def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
     """Kernels read where its numbers say, whichever these are."""

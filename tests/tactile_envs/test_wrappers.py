@@ -75,11 +75,13 @@ which convert arrays alone: ``info`` holds poses, as that of the published class
 """
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", APPLY)
 def test_wrappers_of_gymnasium(assets, name):
     drive(APPLY[name](make(assets)))
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("name", "wrap"),
     [
@@ -173,23 +175,6 @@ class _Checked(ap_gym.ActivePerceptionVectorWrapper):
         return observation, reward.astype(np.float32), done, cut, info
 
 
-class _Masked(ap_gym.ActivePerceptionVectorWrapper):
-    """Makes predictions a part of what is done, and takes the loss away."""
-
-    def __init__(self, env: Any) -> None:
-        super().__init__(env)
-        nothing = gym.spaces.Tuple(())
-        self.single_action_space = ap_gym.ActivePerceptionActionSpace(self.env.single_action_space, nothing)
-        self.action_space = ap_gym.ActivePerceptionActionSpace(self.env.action_space, nothing)
-        self._loss_fn = ap_gym.ZeroLossFn()
-
-    def step(self, action: Any) -> Any:
-        observation, reward, done, cut, info = super().step(action["action"])
-        info["base_reward"] = reward
-        info["prediction"]["loss"] = np.zeros_like(info["prediction"]["loss"])
-        return observation, reward, done, cut, info
-
-
 class _BinaryReward(ap_gym.ActivePerceptionVectorWrapper):
     """Rewards answers that are right."""
 
@@ -221,6 +206,7 @@ class _Pictures(ap_gym.ActivePerceptionVectorWrapper):
         return {**observation, "pixels": np.asarray(self.env.render())}, *rest
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("sparse", [False, True])
 def test_the_stack_of_apple(assets, sparse):
     """From the image spaces that it looks for to the statistics and videos that it logs."""
@@ -246,14 +232,6 @@ def test_the_stack_of_apple(assets, sparse):
                     assert np.asarray(stats[kind][key])[valid].shape == (valid.sum(),)
             lengths = {len(curve) for curve in stats["vector"]["accuracy"]}
             assert lengths == {env.spec.max_episode_steps}
-
-
-def test_the_stack_of_apple_without_a_loss(assets):
-    """Predictions are actions there, and rewards say how good they were."""
-    env = _Checked(_Masked(ap_gym.ensure_active_perception_vector_env(make(assets))))
-    for _, reward, _, info in drive(env):
-        assert not info["prediction"]["loss"].any()
-        assert (info["base_reward"].astype(np.float32) == reward).all()
 
 
 def test_a_single_one_through_the_wrappers_of_ap_gym(assets):

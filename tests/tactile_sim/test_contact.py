@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 
@@ -16,14 +15,12 @@ import starstruck_gen
 import tactile_sim
 from realtouch.gallery import plan_gallery
 from realtouch.previews import CONTACT, draw_grid
-from tactile_sim.card import sheet_png
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place
 from tactile_toolkit.read import ShardedTable
-from tactile_toolkit.store import DataFolder, read_manifest
-from tactile_toolkit.touch import decode_image
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.command_line import call
 from tests.env_assets.factories import write_meshes
 from tests.realtouch.images_of_others import write_table
@@ -38,7 +35,7 @@ PRESS_M = 0.002125
 def scenes(tmp_path_factory):
     """Three scenes of objects 5 mm high."""
     folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), str(folder))
     return str(folder)
 
 
@@ -79,11 +76,6 @@ def _met(folder: Path) -> np.ndarray:
     return np.concatenate([record.gel_pose_cell_frame.position_m[:, 2] for record in rounds]) > PRESS_M + 1e-9
 
 
-def test_the_sets_are_what_the_tests_take_them_for(on_objects, in_cell):
-    assert _met(on_objects).all()
-    assert 0.2 < _met(in_cell).mean() < 0.8
-
-
 def test_contact_is_what_the_sensor_met(touches):
     view = realtouch.load(touches, "train").touches()
     met = _met(touches)
@@ -93,37 +85,6 @@ def test_contact_is_what_the_sensor_met(touches):
     np.testing.assert_allclose(view.heights_m(), np.where(met, 0.005, 0.0), atol=1e-6)
     assert len(view.with_contact(min_height_m=0.0051)) == 0
     assert len(view.sample(no_contact_fraction=0.0)) == met.sum()
-
-
-def test_info_and_cards_count_the_same_and_state_the_rule(touches, tmp_path, capsys):
-    assert call("realtouch", "info", touches, "--json") == 0
-    split = json.loads(capsys.readouterr().out)["splits"]["train"]
-    assert split["contact_share"] == _met(touches).mean()
-    assert "the height of the plate is known" in split["contact_rule"]
-    assert call("realtouch", "info", touches) == 0
-    said = capsys.readouterr().out
-    assert f"{_met(touches).mean():.1%}" in said
-    assert "is known" in said
-    realtouch.resize(touches, tmp_path / "small", 16, 12)
-    card = " ".join((tmp_path / "small" / "README.md").read_text().split())
-    assert f"| {100 * _met(touches).mean():.1f} % |" in card
-    assert "the height of the plate is known" in card
-    assert " 6 mm" not in card
-    assert "deepest touch" not in card
-    assert "18.88" not in card, "the window of a set is that of its own specification"
-
-
-def test_cards_speak_of_touches_that_meet_nothing_where_there_are_some(on_objects, in_cell, tmp_path):
-    for folder in (on_objects, in_cell):
-        realtouch.resize(folder, tmp_path / folder.name, 16, 12)
-        for card in (folder / "README.md", tmp_path / folder.name / "README.md"):
-            lines = [line for line in card.read_text().splitlines() if "select --contact" in line]
-            assert len(lines) == (0 if folder == on_objects else 1)
-            assert folder == on_objects or f"{(~_met(folder)).sum()} of 36 touches met no object" in lines[0]
-        own = " ".join((folder / "README.md").read_text().split())
-        assert f"| {100 * _met(folder).mean():.1f} % |" in own.partition("on the object")[2]
-        assert "| surface | as modelled |" in own
-        assert "lack the wear of gels and the texture of prints and the noise of a camera." in own
 
 
 def test_selected_touches_are_those_in_contact(touches, tmp_path):
@@ -151,32 +112,10 @@ def test_pictures_and_galleries_frame_them(touches):
 
 
 def test_pairs_are_drawn_by_the_same_rule(pairs):
-    manifest = read_manifest(DataFolder(pairs))
+    manifest = read_manifest(open_folder(pairs))
     assert manifest is not None
     assert [record.statistics["on_object"] for record in manifest.shards] == [8, 8]
     assert " 6 mm" not in Path(pairs, "README.md").read_text()
-
-
-def test_pairs_are_read_as_they_were_drawn(pairs, in_cell):
-    found = Pairs.open(pairs)
-    for domain in (found.depth, found.real):
-        assert len(domain) == 10
-        assert int(domain.contact.sum()) == 8
-    # Where the gel met nothing, the depth image is the bare plate.
-    levels = found.depth.images(range(10)).min(axis=(1, 2))
-    assert levels.tolist() == np.where(found.depth.contact, 0, 1).tolist()
-    touches = {f"{t.round_id}-{t.touch_index}": t for t in realtouch.load(in_cell, "train").touches()}
-    for row, name in enumerate(found.real.table.column("id")):
-        assert (found.real.image(row) == touches[name].image).all()
-        assert found.real.labels[row] == touches[name].label
-        assert found.real.object_ids[row] == touches[name].round.object_id
-
-
-def test_the_command_makes_the_same_pairs(scenes, in_cell, pairs, tmp_path):
-    sizes = ("--size", "32x24", "--count", 10, "--without-contact", 0.2)
-    words = ("--real", in_cell, "--split", "train", *sizes, "--out", tmp_path / "pairs", "-w", 1)
-    assert call("tactile-sim", "pairs", scenes, *words) == 0
-    assert Pairs.open(str(tmp_path / "pairs")).identity == Pairs.open(pairs).identity
 
 
 def test_depth_survives_its_picture(monkeypatch):
@@ -267,30 +206,6 @@ def test_recordings_without_labels_objects_and_poses_make_pairs(columns, scenes,
     assert not (tmp_path / "p").exists()
 
 
-def test_a_sheet_takes_rows_of_any_lengths():
-    """Objects that bound no solid are left out of the depth images alone."""
-    touches, depth = np.zeros((3, 8, 8, 3), np.uint8), np.zeros((1, 8, 8), np.float32)
-    sheet = decode_image(sheet_png([("touch", touches), ("depth", depth)]))
-    middle = sheet.shape[0] // 2
-    assert sheet[:middle, -20:].min() == 0
-    assert sheet[middle:, -20:].min() == 255
-
-
-def test_depth_is_shown_from_black_to_white():
-    shown = []
-    for depth in (0, 0.5, 1):
-        sheet = decode_image(sheet_png([("", np.full((1, 96, 96), depth, np.float32))]))
-        shown.append(sheet[sheet.shape[0] // 2, sheet.shape[1] // 2, 0])
-    assert shown == [0, 128, 255]
-
-
-def test_pairs_are_not_written_over_their_sources(scenes, in_cell):
-    for source in (scenes, str(in_cell)):
-        with pytest.raises(InputError, match="holds the source"):
-            make_pairs(scenes, str(in_cell), "train", PairsSpec((32, 24), 10), source, overwrite=True)
-    assert realtouch.verify(in_cell).ok
-
-
 def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
     low = write_meshes(tmp_path / "low", [block((0.02, 0.03, 0.003))], ("a",))
     spec = PairsSpec((32, 24), 1, 0.0, min_height_m=0.004)
@@ -298,18 +213,3 @@ def test_objects_that_are_too_low_for_a_touch_are_named(in_cell, tmp_path):
     with pytest.raises(InputError, match=words):
         make_pairs(str(low), str(in_cell), "train", spec, tmp_path / "out")
     assert not (tmp_path / "out").exists()
-
-
-def test_too_few_touches_in_contact_name_the_option(scenes, on_objects, tmp_path, capsys):
-    with pytest.raises(InputError, match=r"holds 0 touches with contact.*5\.0 mm.*--min-height-mm"):
-        make_pairs(
-            scenes, str(on_objects), "train", PairsSpec((32, 24), 4, min_height_m=0.006), tmp_path / "o"
-        )
-    code = call(
-        "realtouch", "select", on_objects, "--out", tmp_path / "o", "--contact", "--min-height-mm", "6"
-    )
-    assert code == 2
-    said = capsys.readouterr().err
-    assert "5.0 mm" in said
-    assert "--min-height-mm" in said
-    assert not (tmp_path / "o").exists()

@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pyarrow.parquet as pq
 import pytest
-import trimesh
 from typer.testing import CliRunner
 
 import realtouch
@@ -18,8 +17,8 @@ from tactile_sim.generation import TouchMaking
 from tactile_sim.optics import make_optics
 from tactile_sim.plan import REACH_M
 from tactile_sim.spec import PictureOptions
-from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.making import plan_build
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.generation import plan_build
 from tests.command_line import call
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 from tests.tactile_sim.solids import block
@@ -35,7 +34,7 @@ SPEC = tactile_sim.GenerateSpec((64, 48), "depth", plan=PLAN, image_format="png"
 def scenes(tmp_path_factory):
     """Seven scenes to train with, three to test."""
     folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 7), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 7), ("test", 3))), str(folder))
     return str(folder)
 
 
@@ -50,6 +49,7 @@ def touches(scenes, tmp_path_factory):
     return folder
 
 
+@pytest.mark.thorough
 def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, touches, tmp_path, monkeypatch):
     monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 60_000)
     whole, parts = tmp_path / "whole", tmp_path / "parts"
@@ -64,12 +64,6 @@ def test_the_same_bytes_with_workers_split_by_split_and_small_shards(scenes, tou
         one, other = realtouch.load(touches, split), realtouch.load(whole, split)
         assert [r.id for r in one] == [r.id for r in other]
         assert (one[2].sensor_image[3] == other[2].sensor_image[3]).all()
-
-
-def test_shards_of_very_many_rounds_are_larger(scenes, monkeypatch):
-    monkeypatch.setattr("tactile_toolkit.store.shards._MANY_SHARDS", 2)
-    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
-    assert [task.size for task in plan_build(TouchMaking.of(scenes, SPEC), ("train",)).tasks] == [4, 4, 4, 2]
 
 
 def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
@@ -132,7 +126,7 @@ def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path)
     """Where the sensor was, and how the object lay, as a table of given touches: the same images."""
     require_package()
     scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), scenes)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), scenes)
     solids = starstruck_gen.load(scenes, "test")
     oracle = Oracle(64, 64)
     rng = np.random.default_rng(3)
@@ -178,14 +172,6 @@ def test_the_published_loader_reads_it(touches):
         assert (one.sensor_image[2] == other.sensor_image[2]).all()
         position = one.info["object_pose"].translation
         assert (position == other.info["object_pose"].position_m).all()
-
-
-def test_another_specification_is_refused_by_its_difference(scenes, touches):
-    other = tactile_sim.GenerateSpec(
-        (64, 48), "depth", plan=tactile_sim.TouchPlan(2, 5, seed=4), image_format="png"
-    )
-    with pytest.raises(SpecMismatchError, match=r"options\.plan\.seed is 3 there, 4 was asked for"):
-        tactile_sim.generate(scenes, other, touches)
 
 
 def test_rounds_follow_from_seed_split_object_and_number():
@@ -285,6 +271,7 @@ def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
         tactile_sim.GenerateSpec(optics="lens")
 
 
+@pytest.mark.thorough
 def test_the_command_line_makes_shows_and_checks_a_set(scenes, tmp_path):
     from cli.tactile_sim import app
 
@@ -374,16 +361,6 @@ def test_a_look_that_misses_the_mesh_says_where_it_is(tmp_path, capsys):
     found, note = _rendered(capsys, *arguments, "--at-mm", "object")
     assert found["contact"] > 0.2
     assert found["sensor_z_m"] == pytest.approx(0.004 + 0.002125)
-    assert note == ""
-
-
-def test_a_look_at_the_object_meets_what_is_hollow_in_the_middle_or_larger_than_the_cell(tmp_path, capsys):
-    ring = trimesh.creation.annulus(0.09, 0.1, 0.005)
-    ring.apply_scale(1000).export(tmp_path / "ring.stl")
-    found, note = _rendered(
-        capsys, tmp_path / "ring.stl", "--at-mm", "object", "--out", tmp_path / "ring.png"
-    )
-    assert found["contact"] > 0.5
     assert note == ""
 
 

@@ -27,6 +27,7 @@ def in_python(tmp_path_factory):
     return package, np.frombuffer(made.stdout, np.float32).reshape(3, 16, 20, 3)
 
 
+@pytest.mark.thorough
 def test_pictures_of_a_made_up_sensor_are_unchanged(in_python):
     expected = numbers_of(recorded()["made_up_sensor"])
     assert made_up_sensor.sums(in_python[1]) == pytest.approx(expected, abs=1e-4)

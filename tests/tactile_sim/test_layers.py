@@ -8,7 +8,6 @@ import trimesh
 from hypothesis import given, strategies as st
 
 import tactile_sim
-from tactile_sim.spec import PictureOptions
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import reference
 from tests.tactile_sim.solids import ball, block, tilted
@@ -36,6 +35,8 @@ def _is_printed(x_m: np.ndarray, z_m: np.ndarray, slope: float) -> np.ndarray:
     return inside
 
 
+@pytest.mark.thorough
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("slope", [0.15, 0.5, 1.5])
 def test_layers_are_where_a_walk_along_the_line_of_sight_meets_them(slope):
     solid = tactile_sim.Pressable.of(_ramp(slope), layer_m=LAYER_M)
@@ -81,15 +82,6 @@ def test_a_print_that_leans_is_refused():
             tactile_sim.render_touch(solid, *poses)
 
 
-def test_tops_end_at_whole_layers_and_feet_stay_flat():
-    sensor = tactile_sim.full_view(64, 48)
-    for height_mm, layers in ((4.0, 10), (4.19, 10), (4.2, 11), (4.41, 11)):
-        solid = tactile_sim.Pressable.of(block((0.03, 0.03, height_mm / 1000)), layer_m=LAYER_M)
-        felt = tactile_sim.render_touch(solid, tactile_sim.pose(), tactile_sim.pose(), sensor)
-        assert felt.sensor_z_m == pytest.approx(layers * LAYER_M + sensor.press_m, abs=1e-12)
-        assert np.ptp(felt.depth_m) < 1e-12
-
-
 def test_layers_turn_and_move_with_their_solid():
     solid = tactile_sim.Pressable.of(ball(), layer_m=LAYER_M)
     sensor = tactile_sim.Sensor((65, 65), (0.01, 0.01))
@@ -101,33 +93,7 @@ def test_layers_turn_and_move_with_their_solid():
     assert np.percentile(np.abs(one.depth_m - other.depth_m)[near], 99) < 1e-12
 
 
-def test_layers_stay_near_the_solid():
-    sensor = tactile_sim.center_view(200, 200)
-    smooth, printed = (
-        tactile_sim.render_touch(
-            tactile_sim.Pressable.of(ball(), layer_m=layer_m), tactile_sim.pose(), tactile_sim.pose(), sensor
-        )
-        for layer_m in (0.0, LAYER_M)
-    )
-    heights = [each.sensor_z_m - each.depth_m for each in (smooth, printed)]
-    middle = np.hypot(*np.meshgrid(np.linspace(-7, 7, 200), np.linspace(-7, 7, 200))) < 3
-    rise = (heights[1] - heights[0])[middle]
-    assert rise.max() <= 0.51 * LAYER_M / np.sqrt(1 - (3 / 8) ** 2)
-    assert rise.min() >= -1.5 * LAYER_M
-    assert np.abs(rise).max() > 0.2 * LAYER_M
-
-
 @pytest.mark.parametrize("layer_m", [-0.0002, 0.2, float("nan"), "thin", None, 1e-6])
 def test_layers_that_cannot_be_are_refused(layer_m):
     with pytest.raises(InputError, match=r"expected 2e-05 to 0\.002 m"):
         tactile_sim.Pressable.of(block(), layer_m=layer_m)
-
-
-def test_options_of_commands_ask_for_layers():
-    """``--surface printed`` has layers of 0.2 mm unless others are asked for; a smooth surface has none."""
-    made = tactile_sim.GenerateSpec.of
-    assert made(PictureOptions(optics="depth")).layer_m == 0.0
-    assert made(PictureOptions(optics="depth", surface="printed")).layer_m == pytest.approx(0.0002)
-    assert made(PictureOptions(optics="depth", surface="printed", layer_mm=0.3)).layer_m == pytest.approx(
-        0.0003
-    )

@@ -11,7 +11,6 @@ import socket
 import subprocess
 import sys
 from fractions import Fraction
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -45,15 +44,11 @@ from tactile_sim.learned.cyclegan import (  # noqa: E402
     Batch,
     CycleGan,
     _mean_error,
-    by_taxim,
 )
 from tactile_sim.learned.evaluation import (  # noqa: E402
-    SmallCNN,
-    balanced_accuracy,
     evaluate,
 )
 from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
-    CycleganOptics,
     Generator,
     GeneratorWeights,
     depth_of,
@@ -67,7 +62,7 @@ from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
 )
 from tactile_sim.learned.training import train  # noqa: E402
 from tactile_sim.spec import TrainConfig  # noqa: E402
-from tactile_toolkit.store import DataFolder  # noqa: E402
+from tactile_toolkit.store import open_folder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
 FILES = ("depth_to_touch.npz", "touch_to_depth.npz", "losses.parquet")
@@ -252,7 +247,7 @@ def test_a_damaged_checkpoint_and_a_full_disk_are_named(pairs, trained, tmp_path
     def no_room(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr("tactile_toolkit.store.folder.os.fsync", no_room)
+    monkeypatch.setattr("tactile_toolkit.store.files.os.fsync", no_room)
     with pytest.raises(StorageError, match="No space left"):
         train(pairs, full, CONFIG, device="cpu")
     assert not [file for file in full.rglob("*") if file.is_file()]
@@ -329,7 +324,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert made.exit_code == 0, made.output
     assert realtouch.load(tmp_path / "touches", "train").touches().images().shape == (2, 32, 32, 3)
     larger = GeneratorWeights(read_weights(weights).arrays, (36, 36))
-    write_weights(DataFolder(str(tmp_path)), weights.name, larger)
+    write_weights(open_folder(str(tmp_path)), weights.name, larger)
     with pytest.raises(InputError, match="weights were trained with 36 x 36"):
         evaluate(tmp_path, pairs)
 
@@ -359,29 +354,6 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
         evaluate(trained, pairs, device="tpu")
 
 
-def test_tensorboard_holds_the_log_or_is_named(pairs, tmp_path, monkeypatch):
-    out = tmp_path / "weights"
-    with monkeypatch.context() as patch:
-        patch.setattr("tactile_sim.learned.training.find_spec", lambda name: name)
-        with pytest.raises(InputError, match="writes to local folders only, not to 'memory://weights'"):
-            train(pairs, "memory://weights", CONFIG, device="cpu", tensorboard=True)
-    if find_spec("tensorboard") is None:
-        with pytest.raises(InputError, match="pip install tensorboard"):
-            train(pairs, out, CONFIG, device="cpu", tensorboard=True)
-        assert not out.exists()
-        return
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    train(pairs, out, CONFIG, device="cpu", tensorboard=True)
-    found = EventAccumulator(str(out / "tensorboard"))
-    found.Reload()
-    log = pq.read_table(out / "losses.parquet")
-    told = found.Scalars("losses/touch_cycle")
-    assert [event.step for event in told] == log["step"].to_pylist()
-    np.testing.assert_allclose([event.value for event in told], log["touch_cycle"], rtol=1e-6)
-    assert [event.step for event in found.Images("samples")] == [2, 4, 6]
-
-
 def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     """One is this process, with the variables that `torchrun` gives to each."""
     out, config = tmp_path / "two", TrainConfig(2, 1, 4, steps=2, crop=1.0)
@@ -407,49 +379,27 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
     assert not verdicts[0]  # the first process speaks for all
     with pytest.raises(SpecMismatchError, match="trained by 2 processes"):
         train(pairs, out, config, device="cpu")
+    # Each process continues with the pictures that it had drawn.
+    state = torch.load(io.BytesIO((out / "checkpoint.pt").read_bytes()[32:]), weights_only=True)
+    for pool in state["pools"]:
+        model = CycleGan(config, "cpu")
+        model.load_state(state, pool)
+        assert repr(model.pool_state()) == repr(pool)
+    assert repr(state["pools"][0]) != repr(state["pools"][1])
 
 
-def test_what_is_known_without_pairs_is_learned(pairs, tmp_path):
-    """A touch of nothing looks as in the real set, and its depth is none; otherwise nothing says so."""
-    data = Pairs.open(pairs)
-    nothing = data.real.images(np.flatnonzero(~data.real.contact))
-    off = {}
-    for weight, steps in ((0, 1), (0, 120), (100, 120)):
-        others = dict.fromkeys(
-            ("pretrain_steps", "depth_cycle_weight", "touch_cycle_weight", "identity_weight"), 0
-        )
-        config = TrainConfig(
-            4, 0, 4, steps=steps, batch=2, crop=1.0, learning_rate=2e-3, background_weight=weight, **others
-        )
-        out = tmp_path / f"{weight}-{steps}"
-        train(pairs, out, config, device="cpu", deterministic=True)
-        sensor = tactile_sim.center_view(32, 32)
-        level_m = np.full((1, 32, 32), sensor.gel_m)
-        made = CycleganOptics(out / "depth_to_touch.npz").render(level_m, sensor, (32, 32))[0]
-        depth = depth_of(generator_of(read_weights(out / "touch_to_depth.npz")), nothing)
-        off[weight, steps] = np.abs(made - np.median(nothing, axis=0)).mean(), np.abs(depth - 1).mean()
-    assert off[100, 120][0] < 8 < off[0, 120][0]
-    # Without the weight, discriminators alone may teach it or not: that depends on the processor's rounding.
-    assert off[100, 120][1] < 0.05 < off[0, 1][1]
+def test_generators_are_compiled_where_that_is_asked_for(pairs, tmp_path, monkeypatch):
+    from cli.tactile_sim import app
 
-
-def test_the_start_learns_where_relief_belongs(pairs, tmp_path):
-    """Of pairs that simulation knows: the way back finds the depth of touches that it made."""
-    config = TrainConfig(4, 1, 1, steps=300, pretrain_steps=300, batch=4, crop=1.0, learning_rate=3e-3)
-    train(pairs, tmp_path, config, device="cpu", deterministic=True)
-    data = Pairs.open(pairs)
-    depth = data.depth.images(np.flatnonzero(data.depth.contact))
-    found = depth_of(generator_of(read_weights(tmp_path / "touch_to_depth.npz")), by_taxim(data)(depth))
-    assert np.corrcoef(found.ravel(), depth.ravel())[0, 1] > 0.7
-    log = pq.read_table(tmp_path / "losses.parquet")
-    assert log["touch_pretrain"][-1].as_py() < log["touch_pretrain"][0].as_py()
-
-
-def test_simulation_is_shown_in_the_first_steps_alone(trained):
-    log = pq.read_table(trained / "losses.parquet")
-    assert log["step"].to_pylist() == [1, 2, 3, 4, 5, 6]
-    for name in ("touch_pretrain", "depth_pretrain"):
-        assert [loss > 0 for loss in log[name].to_pylist()] == [True] * 3 + [False] * 3
+    compiled = []
+    monkeypatch.setattr(torch, "compile", lambda network: compiled.append(type(network)) or network)
+    settings = tmp_path / "train.toml"
+    settings.write_text("filters = 2\nblocks = 0\ndiscriminator_filters = 4\ncrop = 1.0\nsteps = 1\n")
+    words = ["train", pairs, "--config", str(settings), "--device", "cpu", "--out"]
+    for option, count in ([], 0), (["--compile"], 2):
+        done = CliRunner().invoke(app, [*words, str(tmp_path / str(count)), *option])
+        assert done.exit_code == 0, done.output
+        assert compiled == [Generator] * count
 
 
 def test_relief_is_free_only_near_the_contact():
@@ -506,23 +456,6 @@ def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
     config = TrainConfig(steps=100, discriminator_noise=0.1)
     assert [round(config.discriminator_noise_at(step), 3) for step in (0, 25, 50, 99)] == [0.1, 0.05, 0, 0]
     assert [config.rate(step) < config.learning_rate for step in (0, 49, 51)] == [False, False, True]
-
-
-def test_the_classifier_separates_bright_from_dark():
-    rng = np.random.default_rng(0)
-    labels = np.arange(64) % 2
-    pictures = rng.integers(0, 100, (64, 16, 16, 3)) + 100 * labels[:, None, None, None]
-    inputs = picture_channels(pictures.astype(np.uint8))
-    classifier = SmallCNN(2, 0, 60).learn(inputs[:32], labels[:32])
-    assert balanced_accuracy(classifier.predict(inputs[32:]), labels[32:]) == 1
-
-
-def test_a_sheet_of_an_evaluation_shows_touches_with_contact_from_first_to_last():
-    contact = np.arange(40) % 2
-    chosen = evaluation._Chosen(None, contact, contact, contact, contact == 1)
-    assert chosen.shown().tolist() == [1, 7, 13, 19, 25, 31]
-    few = evaluation._Chosen(None, contact[:6], contact[:6], contact[:6], contact[:6] == 1)
-    assert few.shown().tolist() == [1, 3, 5]
 
 
 def test_what_doubles_the_size_begins_as_linear_interpolation():

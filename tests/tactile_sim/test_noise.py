@@ -85,6 +85,7 @@ def test_noise_is_as_large_and_as_correlated_as_asked_for():
     assert slope == pytest.approx(1.4, abs=0.1)
 
 
+@pytest.mark.thorough
 def test_rounds_differ_in_gain_and_offset_as_asked_for():
     ramp = np.tile(np.linspace(40, 200, 64).astype(np.uint8)[None, None, :, None], (1, 64, 1, 3))
     values = {**VALUES, "frame_noise_std": 0.0, "episode_pattern_std": 0.0}
@@ -105,7 +106,7 @@ def test_sets_have_noise_of_their_own_for_each_touch(tmp_path):
     import starstruck_gen
 
     scenes = str(tmp_path / "scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), scenes)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), scenes)
     # All touches of the bare plate: what differs is noise.
     given = tactile_sim.TouchTable(
         [0.0] * 3, [0.0] * 3, object_x_m=[0.5] * 3, object_y_m=[0.5] * 3, object_turn_rad=[0.0] * 3

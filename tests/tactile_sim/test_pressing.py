@@ -69,6 +69,7 @@ def _rays(mesh: trimesh.Trimesh, object_pose, target, sensor):
     return found.reshape(x.shape)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("lean", [0.0, 0.2, 0.7])
 @pytest.mark.parametrize("solid", [ball(subdivisions=3), block()], ids=["ball", "block"])
 def test_every_pixel_is_where_a_ray_meets_the_surface(solid, lean):
@@ -110,25 +111,6 @@ def test_beyond_the_plate_lies_what_is_twice_its_longer_side_away():
     pressed = tactile_sim.render_touch(ball(), place, edge, sensor, cell_m=(0.08, 0.05))
     assert (pressed.depth_m[:, :16] == 0.002125).all()
     assert pressed.depth_m[:, 16:] == pytest.approx(np.full((24, 16), 0.002125 + 2 * 0.08), abs=1e-12)
-
-
-def test_windows_of_the_presets():
-    assert tactile_sim.full_view(64, 64).window_m == (0.01888, 0.01416)
-    assert tactile_sim.center_view(64, 64).window_m == (0.01416, 0.01416)
-    assert tactile_sim.center_view(320, 240).window_m == pytest.approx((0.01888, 0.01416), abs=1e-12)
-
-
-def test_several_touches_are_single_ones_in_a_row():
-    solids, sensor = [ball(), block(), ball(0.004)], tactile_sim.center_view(32, 32)
-    poses = np.stack([tactile_sim.pose(0.001 * k, turn_rad=0.3 * k) for k in range(3)])
-    targets = np.stack([tactile_sim.pose(0.002 * k) for k in range(3)])
-    together = _press(solids, poses, targets, sensor)
-    for k in range(3):
-        alone = _press(solids[k], poses[k], targets[k], sensor)
-        assert (alone.depth_m == together.depth_m[k]).all()
-        assert alone.sensor_z_m == together.sensor_z_m[k]
-    spread = _press(solids[0], poses[0], targets, sensor)
-    assert spread.depth_m.shape == (3, 32, 32)
 
 
 def _open_mesh():

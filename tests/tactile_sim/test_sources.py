@@ -10,7 +10,6 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-import realtouch
 import starstruck_gen
 import tactile_sim
 from tactile_sim.pairs import PairsSpec, make_pairs
@@ -25,7 +24,7 @@ SPEC = tactile_sim.GenerateSpec(
 @pytest.fixture(scope="module")
 def scenes(tmp_path_factory):
     folder = tmp_path_factory.mktemp("scenes")
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3))), str(folder))
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3))), str(folder))
     return folder
 
 
@@ -81,24 +80,6 @@ def test_equal_pairs_have_equal_manifests_that_name_no_place(scenes, touches, tm
     )
     make_pairs(str(scenes), str(tmp_path / "others"), "train", PairsSpec((32, 24), 10), tmp_path / "more")
     assert _manifest(tmp_path / "more")["spec"]["source"]["real"] != source["real"]
-
-
-def test_what_was_left_out_names_no_folder(touches, tmp_path):
-    """Of a source, also where a message names the file in which something is wrong."""
-    source = tmp_path / "private" / "touches"
-    (source / "data").mkdir(parents=True)
-    (file,) = (touches / "data").iterdir()
-    table = pq.read_table(file)
-    images = table["sensor_image"].to_pylist()
-    images[1] = [{**each, "bytes": b"no picture"} for each in images[1]]
-    place = table.schema.get_field_index("sensor_image")
-    field = table.schema.field(place)
-    pq.write_table(table.set_column(place, field, pa.array(images, field.type)), source / "data" / file.name)
-    realtouch.resize(source, tmp_path / "small", 16, 12)
-    text = (tmp_path / "small" / "manifest.json").read_text()
-    (skipped,) = json.loads(text)["shards"][0]["skipped"]
-    assert f"'{file.name}', row 1, touch 0" in skipped["message"]
-    assert "private" not in text
 
 
 def test_an_object_in_two_shards_is_left_out_once(with_an_open_mesh, touches, tmp_path, monkeypatch, capsys):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -11,15 +9,12 @@ import pytest
 import trimesh
 from typer.testing import CliRunner
 
-import realtouch
 import starstruck_gen
 import tactile_sim
 from cli.tactile_sim import app
 from tactile_toolkit.errors import InputError
 from tests.gallery_files import files_of
-from tests.hub_server import hub
 from tests.tactile_sim.solids import block
-from tests.tactile_toolkit.exchange.upload_client import logged_in
 
 pytestmark = [
     pytest.mark.sim,
@@ -39,35 +34,12 @@ def _call(*arguments: object) -> str:
 def made(tmp_path_factory) -> Path:
     """Touches of three scenes in two splits, as printed."""
     folder = tmp_path_factory.mktemp("way")
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 3), ("test", 3)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 3)))
     starstruck_gen.generate(scenes, str(folder / "scenes"))
     plan = tactile_sim.TouchPlan(1, 4, "object", seed=2)
     spec = tactile_sim.GenerateSpec((64, 48), "depth", plan=plan, layer_m=0.0002)
     tactile_sim.generate(str(folder / "scenes"), spec, folder / "touches")
     return folder / "touches"
-
-
-def _digests(folder: Path) -> dict[str, str]:
-    files = sorted(folder.glob("data/*.parquet"))
-    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
-
-
-def test_up_to_the_hub_and_back(made, tmp_path, monkeypatch):
-    with hub() as server, logged_in(server, server.account("someone"), monkeypatch):
-        assert "nothing was sent" in _call("upload", made, NAME, "--dry-run")
-        _call("upload", made, NAME, "--yes", "--quiet")
-        assert "holds all of it already" in _call("upload", made, NAME, "--yes")
-        _call("download", NAME, "--out", tmp_path / "copy", "--quiet")
-        assert _digests(tmp_path / "copy") == _digests(made)
-        assert "all as in manifest.json" in _call("verify", tmp_path / "copy")
-        there = realtouch.load(NAME, "test")
-        assert (there[1].sensor_image[2] == realtouch.load(made, "test")[1].sensor_image[2]).all()
-        _call("download", NAME, "--split", "test", "--out", tmp_path / "part", "--quiet")
-        assert list(_digests(tmp_path / "part")) == ["test-00000-of-00001.parquet"]
-    card = (tmp_path / "copy" / "README.md").read_text()
-    assert "printed, in layers of 0.2 mm" in card
-    assert "| noise | none |" in card
-    assert "lack the wear of gels and the noise of a camera." in " ".join(card.split())
 
 
 def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):
@@ -76,18 +48,6 @@ def test_a_gallery_and_a_preview_show_every_round(made, tmp_path):
     assert "Synthetic touches" in (tmp_path / "site" / "index.html").read_text()
     _call("preview", made, "--split", "test", "--out", tmp_path / "round.png", "--round", 1)
     assert (tmp_path / "round.png").stat().st_size > 1000
-
-
-def test_a_damaged_set_is_not_uploaded(made, tmp_path):
-    copy = tmp_path / "copy"
-    shutil.copytree(made, copy)
-    shard = next(copy.glob("data/test*.parquet"))
-    content = bytearray(shard.read_bytes())
-    content[len(content) // 2] ^= 1
-    shard.write_bytes(bytes(content))
-    result = CliRunner().invoke(app, ["upload", str(copy), NAME, "--yes"])
-    assert result.exit_code == 3
-    assert shard.name in result.output
 
 
 def _mesh(folder: Path, kind: str) -> Path:

@@ -24,7 +24,7 @@ def make_sources(folder: Path) -> tuple[str, str]:
     """Make six digits and touches of them, and return their folders."""
     digits, touches = (str(folder / name) for name in ("digits", "touches"))
     source = SyntheticSource(seed=1)
-    mnist3d.generate(mnist3d.GenerateSpec(source, limit=6), digits, splits=("train",))
+    mnist3d.generate(mnist3d.DigitSetSpec(source, limit=6), digits, splits=("train",))
     plan = tactile_sim.TouchPlan(rounds=1, touches=32, seed=3)
     spec = tactile_sim.GenerateSpec((32, 32), "taxim", plan=plan, image_format="png")
     tactile_sim.generate(digits, spec, touches)

@@ -9,8 +9,8 @@ import pyarrow as pa
 
 from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
+from tactile_toolkit.generation import Generator, Recipe, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.making import Layout, Making, Recipe
 from tactile_toolkit.mesh import MeshRow, SolidDataset, mesh_schema, open_solids
 from tactile_toolkit.places import open_place
 from tactile_toolkit.rows import column, meanings, row
@@ -55,7 +55,7 @@ class BoxSpec:
 
 
 @dataclass(frozen=True)
-class BoxMaking(Making):
+class BoxMaking(Generator):
     spec: BoxSpec
     kind = KIND
 
@@ -63,7 +63,7 @@ class BoxMaking(Making):
         return {"train": range(self.spec.boxes)}
 
     def layout(self):
-        return Layout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, wanted=8)
+        return StorageLayout(ParquetStyle(100), ("numpy", "trimesh"), smallest=2, largest=4, wanted=8)
 
     def schema(self, split):
         return schema()

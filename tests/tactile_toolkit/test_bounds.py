@@ -50,7 +50,7 @@ from pathlib import Path
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh.files import read_mesh
 import pyarrow.parquet
-from tactile_toolkit.read.parquet import Shard
+from tactile_toolkit.read import Shard
 before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 try:
     {code}
@@ -249,6 +249,7 @@ BOMBS = {
 }
 
 
+@pytest.mark.thorough
 def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp_path: Path) -> None:
     for name, (content, _) in BOMBS.items():
         (tmp_path / name).write_bytes(content())
@@ -273,15 +274,7 @@ def test_meshes_that_state_more_than_they_hold_are_refused_before_it_is_made(tmp
     assert peak < 128
 
 
-def test_large_surfaces_are_read_as_ever(tmp_path: Path) -> None:
-    (tmp_path / "ok.glb").write_bytes(glb(9_000, 9_000, placed=100))
-    (tmp_path / "ok.obj").write_bytes(TRIANGLE + b"f 1 2 3\n" * 500_000)
-    (tmp_path / "ok.3mf").write_bytes(zipped(nested(3, 10)))
-    (tmp_path / "ok.stl").write_bytes(b"solid a\n" + FACET * 50_000 + b"endsolid a\n")
-    found = {file.name: len(read_mesh(file).faces) for file in tmp_path.iterdir()}
-    assert found == {"ok.glb": 300_000, "ok.obj": 500_000, "ok.3mf": 4_000, "ok.stl": 50_000}
-
-
+@pytest.mark.thorough
 def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     count = 6_000_000
     monkeypatch.setenv(UNPACKED_VARIABLE, "64")
@@ -307,6 +300,7 @@ def test_a_damaged_header_of_numpy_is_named(tmp_path: Path) -> None:
     file = tmp_path / "labels.npy"
     np.save(file, np.arange(20))
     content = file.read_bytes()
+    read = 0
     for place in range(128):
         for value in (content[place] ^ 1, content[place] ^ 8, ord("("), ord("'"), 0, 255):
             file.write_bytes(content[:place] + bytes([value]) + content[place + 1 :])
@@ -314,4 +308,8 @@ def test_a_damaged_header_of_numpy_is_named(tmp_path: Path) -> None:
                 found = open_npy(str(file))
             except InputError:
                 continue
-            assert all(length >= 0 for length in found.shape)
+            read += 1
+            assert found.nbytes <= 160, "no more than the file holds"
+            if found.dtype == np.int64 and found.shape == (20,):
+                assert found.tolist() == list(range(20))
+    assert 0 < read < 400

@@ -7,10 +7,8 @@ import os
 import pickle
 import re
 import threading
-import time
 import warnings
 from pathlib import Path
-from typing import IO
 
 import pytest
 
@@ -24,7 +22,7 @@ from tactile_toolkit.cache import (
     prune_cache,
 )
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.forked import run_forked, start_forked
 
 
@@ -64,15 +62,6 @@ def test_the_least_recently_used_leaves_first(tmp_path, durable):
     assert names(tmp_path / "things") == ["c", "d"]
 
 
-def test_small_files_keep_about_the_limit_between_looks(tmp_path):
-    """A look comes by chance: once in the mean for a 32nd of the limit, so hardly ever after half of it."""
-    cache = disk_cache(tmp_path, 10_000)
-    for number in range(300):
-        assert put(cache, f"{number:03d}", 70)
-        assert sum(file.stat().st_size for file in tmp_path.iterdir()) <= 15_000
-    assert len(names(tmp_path)) > 100
-
-
 def test_a_file_appears_whole_or_not_at_all(tmp_path):
     def fail(stream):
         stream.write(b"half")
@@ -84,15 +73,6 @@ def test_a_file_appears_whole_or_not_at_all(tmp_path):
         cache.write("x", 10, fail)
     assert names(tmp_path) == []
     assert put(cache, "x", 10)
-
-
-def test_stale_temporary_files_leave_as_others_do(tmp_path):
-    """What a killed writer left counts, and leaves first because it was used longest ago."""
-    left = tmp_path / ".writing-0123456789abcdef0123456789abcdef-x"
-    left.write_bytes(bytes(600))
-    os.utime(left, (1, 1))
-    assert put(disk_cache(tmp_path, 1000), "y", 600)
-    assert names(tmp_path) == ["y"]
 
 
 def test_what_is_removed_while_it_is_written_is_written_again(tmp_path):
@@ -128,30 +108,6 @@ def test_making_room_while_another_thread_is_writing(tmp_path):
     thread.join()
     assert written == [True]
     assert cache.path("slow").stat().st_size == 600
-
-
-def _write_slowly(folder: Path, go: Path) -> bool:
-    def fill(stream: IO[bytes]) -> None:
-        stream.write(bytes(600))
-        stream.flush()
-        go.with_name("begun").touch()
-        while not go.exists():
-            time.sleep(0.01)
-
-    return disk_cache(folder, 1000).write("slow", 600, fill)
-
-
-def test_making_room_while_another_process_is_writing(tmp_path):
-    cache, go = tmp_path / "cache", tmp_path / "go"
-    writer = start_forked(_write_slowly, cache, go)
-    while not (tmp_path / "begun").exists():
-        assert writer.is_running, writer.err
-        time.sleep(0.01)
-    for number in range(30):
-        assert put(disk_cache(cache, 1000), str(number), 300)
-    go.touch()
-    assert (writer.end(), writer.out) == (0, "True\n"), writer.err
-    assert (cache / "slow").stat().st_size == 600
 
 
 def test_a_folder_that_cannot_be_written_is_told_once(tmp_path):
@@ -244,7 +200,7 @@ def test_a_cache_in_the_home_of_nobody_is_named(monkeypatch, variable):
     with pytest.raises(InputError, match=f"{variable} '~nobody-of-that-name/x': no home folder is known"):
         cache_folder()
     with pytest.raises(InputError, match="no home folder is known"):
-        DataFolder("~nobody-of-that-name/x")
+        open_folder("~nobody-of-that-name/x")
 
 
 def _write(folder: Path, writer: int) -> None:
@@ -267,23 +223,6 @@ def test_processes_keep_the_limit_together(tmp_path):
         most = max(most, sum(sizes))
     assert [writer.end() for writer in writers] == [0] * 4, [writer.err for writer in writers]
     assert 100_000 < most <= 250_000, "what was renamed while it was listed is seen twice"
-
-
-def test_a_folder_is_not_looked_through_for_each_file(tmp_path, monkeypatch):
-    """As many files again cost as many looks again, not four times as many."""
-    counts = []
-    make_room = DiskCache._make_room
-
-    def counted(self, folder, needed_bytes):
-        counts.append(len(list(folder.iterdir())))
-        return make_room(self, folder, needed_bytes)
-
-    monkeypatch.setattr(DiskCache, "_make_room", counted)
-    cache = disk_cache(tmp_path, 100_000)
-    for number in range(1_000):
-        assert put(cache, str(number), 1_000)
-    assert sum(counts) < 50 * 1_000
-    assert len(counts) < 450
 
 
 BLOCK = f"{'0123456789abcdef' * 2}-00000-00001.arrow"

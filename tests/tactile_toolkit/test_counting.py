@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import pytest
 
-from tactile_toolkit.wording import class_name, counted
+from tactile_toolkit.wording import class_name, with_count
 
 
 @pytest.mark.parametrize(
@@ -18,7 +18,7 @@ from tactile_toolkit.wording import class_name, counted
     ],
 )
 def test_one_thing_is_one(count, things, words):
-    assert counted(count, things) == words
+    assert with_count(count, things) == words
 
 
 def test_a_class_without_a_name_is_its_number():

@@ -14,7 +14,6 @@ from realtouch.kind import KIND as TOUCHES
 from starstruck_gen.kind import KIND as SCENES
 from tactile_sim.kind import KIND as SIMULATED
 from tactile_toolkit.kind import DatasetKind, kinds
-from tests.processes import printed_by
 
 ALL = (DIGITS, TOUCHES, SCENES, SIMULATED, WRENCH)
 
@@ -36,11 +35,3 @@ def test_what_a_kind_names_is_there(kind: DatasetKind) -> None:
         assert callable(getattr(import_module(module), name)), path
     folder = Path(data_cards.__path__[0])
     assert list(folder.glob(kind.card_template.replace("{}", "*")))
-
-
-def test_looking_at_kinds_imports_nothing_heavy():
-    code = (
-        "import sys; from tactile_toolkit.kind import kinds; kinds();"
-        "print(*{'numpy', 'pyarrow', 'trimesh', 'datasets', 'PIL'} & set(sys.modules))"
-    )
-    assert printed_by(code).strip() == ""

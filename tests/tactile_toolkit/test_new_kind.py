@@ -10,23 +10,19 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.exchange.upload import check_folder, collect
-from tactile_toolkit.making import forecast, generate
-from tactile_toolkit.run import Finish, Part
-from tactile_toolkit.store import DataFolder, read_manifest
+from tactile_toolkit.generation import forecast, generate
+from tactile_toolkit.run import Part
+from tactile_toolkit.store import open_folder, read_manifest
 from tests.tactile_toolkit import boxes
 from tests.tactile_toolkit.toy import folder_bytes
 
 MAKING = boxes.BoxMaking(boxes.BoxSpec(9, seed=4))
 
 
-def test_it_is_one_file_of_under_eighty_lines() -> None:
-    lines = Path(boxes.__file__).read_text(encoding="utf-8").splitlines()
-    assert len([line for line in lines if line.strip()]) < 80
-
-
+@pytest.mark.thorough
 def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Path) -> None:
     whole = tmp_path / "whole"
-    view = forecast(MAKING, whole, None, 1)
+    view = forecast(MAKING, whole)
     assert (view.rows_to_make, view.splits[0]["shards"], whole.exists()) == (9, 5, False)
     made = generate(MAKING, whole, workers=2)
     assert (made.complete, len(made.shards)) == (True, 5)
@@ -45,15 +41,15 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
         boxes.BoxSpec(largest_mm=5.0)
     # parts
     for index in range(3):
-        generate(MAKING, tmp_path / "parts", workers=Part(index, 3))
-    generate(MAKING, tmp_path / "parts", workers=Finish())
+        generate(MAKING, tmp_path / "parts", part=Part(index, 3))
+    generate(MAKING, tmp_path / "parts", finish=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(whole)
     # without input
     boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train", 1)
     assert folder_bytes(tmp_path / "recipe") == folder_bytes(whole)
     assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card
-    folder = DataFolder(str(whole))
+    folder = open_folder(str(whole))
     assert list(check_folder(boxes.KIND, folder)) == []
     card = (whole / "README.md").read_text(encoding="utf-8")
     assert "| `width_m` | float64 | m | extent along x |" in card
@@ -81,5 +77,5 @@ def test_a_forecast_says_that_the_first_items_give_no_row(tmp_path: Path) -> Non
             return [row if row.id >= self.least else Skipped(row.id, "no", f"not {row.id}") for row in rows]
 
     spec = boxes.BoxSpec(9)
-    found = forecast(Reluctant(spec), tmp_path / "set", None, 1)
+    found = forecast(Reluctant(spec), tmp_path / "set")
     assert (found.rows_to_make, found.sampled, found.bytes) == (9, 0, 0)

@@ -6,7 +6,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from tactile_toolkit.wording import plain, plain_number, plain_pairs
+from tactile_toolkit.builtin_values import to_builtin, to_builtin_number, to_builtin_pairs
 
 
 @pytest.mark.parametrize(
@@ -29,15 +29,15 @@ from tactile_toolkit.wording import plain, plain_number, plain_pairs
     ],
 )
 def test_numbers_and_collections_become_plain(given, kind, expected):
-    found = plain(given, kind)
+    found = to_builtin(given, kind)
     assert found == expected
     assert type(found) is type(expected)
     assert json.loads(json.dumps(found)) == json.loads(json.dumps(expected))
 
 
 def test_number_too_large_for_a_float_stays_for_the_checks_that_follow():
-    assert plain_number(10**400, float) == 10**400
+    assert to_builtin_number(10**400, float) == 10**400
 
 
 def test_pairs_are_taken_as_a_mapping_too():
-    assert plain_pairs({"train": np.int64(3)}) == plain_pairs([["train", 3]]) == (("train", 3),)
+    assert to_builtin_pairs({"train": np.int64(3)}) == to_builtin_pairs([["train", 3]]) == (("train", 3),)

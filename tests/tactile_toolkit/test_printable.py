@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import copy
 import json
-import pickle
 from io import StringIO
 
 import pyarrow as pa
@@ -13,10 +11,11 @@ import yaml
 from hypothesis import example, given, strategies as st
 
 from cli.output import Sink
-from tactile_toolkit.cards.card import column_type_text, markdown_table
-from tactile_toolkit.cards.facts import head_text, yaml_features
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.wording import markdown_code, markdown_text, printable, printable_json
+from tactile_toolkit.cards.card_features import yaml_features
+from tactile_toolkit.cards.card_head import head_text
+from tactile_toolkit.cards.card_tables import column_type_text, markdown_table
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.shown_text import markdown_code, markdown_text, printable, printable_json
 
 WILD = [
     "[/b0]",
@@ -127,14 +126,3 @@ def test_classes_in_a_card_are_text(name):
     assert told == f"ClassLabel: {markdown_text(name)}, b|c"
     assert told.isprintable()
     assert len(markdown_table(("type",), [(told,)]).splitlines()) == 3
-
-
-def test_a_path_with_words_of_a_next_step_stays_whole() -> None:
-    path = "/sets/a; next: remove it/b"
-    error = InputError(f"{path!r} is missing", next="choose another")
-    assert error.what == f"{path!r} is missing"
-    assert str(error) == f"{path!r} is missing; next: choose another"
-    for copied in (copy.copy(error), pickle.loads(pickle.dumps(error))):
-        assert (copied.what, str(copied)) == (error.what, str(error))
-    assert IntegrityError.in_file(path, " is damaged").what == f"{path!r} is damaged"
-    assert ItemError("blank", path, next="leave it out").what == path

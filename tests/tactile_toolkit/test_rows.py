@@ -8,8 +8,9 @@ import numpy as np
 import pyarrow as pa
 import pytest
 
+from tactile_toolkit.cards import facts_table, summarise_columns
 from tactile_toolkit.read import vectors_type
-from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of
+from tactile_toolkit.rows import column, meanings, plain_schema, row, table_of, with_role
 
 OBJECTS = pa.list_(pa.struct([("name", pa.string()), ("x_m", pa.float64())]))
 
@@ -60,3 +61,46 @@ def test_a_table_holds_the_rows(objects):
         {"id": 3, "base.points": [[3.0, 3.0]] * 2, "objects": expected, "tags": ["a"] * 3},
     ]
     assert table_of([], schema).equals(schema.empty_table())
+
+
+@row
+class Print:
+    split: str = column(pa.string())
+    words: tuple = column(pa.list_(pa.string()), role="facet", title="Warnings")
+    height_mm: float = column(pa.float64(), "mm", role="measure", title="Height", decimals=1)
+    touches: int = column(pa.int64(), role="sum", title="Touches")
+    story: str = column(pa.string(), role="hidden", default="")
+
+
+class Splits:
+    @staticmethod
+    def split_table():
+        return {"train": {"rows": 3}, "test": {"rows": 0}}
+
+
+def test_a_split_is_summed_up_by_the_roles_of_its_columns():
+    rows = [
+        Print("train", ("thin",), 1.25, 1000),
+        Print("train", ("thin", "tall"), 9.0, 200),
+        Print("train", (), 2.0, 30),
+    ]
+    table = table_of(rows, plain_schema(Print))
+    assert table.column_names == ["split", "words", "height_mm", "touches"]
+    declared = with_role(Print, "facet", "measure", "sum")
+    train, test = summarise_columns(Splits, table, declared)
+    assert train.to_dict() == {
+        "split": "train",
+        "rows": 3,
+        "words": {"tall": 1, "thin": 2},
+        "height_mm": (1.25, 2.0, 9.0),
+        "touches": 1230,
+    }
+    assert (test.facets, test.measures, test.sums) == ({"words": {}}, {"height_mm": ()}, {"touches": 0})
+    assert facts_table([train, test], declared) == (
+        ("", "train", "test"),
+        [
+            ("Warnings", "tall: 1, thin: 2", "none"),
+            ("Height, mm", "1.2 to 9.0 (median 2.0)", "-"),
+            ("Touches", "1,230", "0"),
+        ],
+    )

@@ -13,7 +13,7 @@ from cli.options import process_count
 from tactile_toolkit import cache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import ProcessRunner
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tactile_toolkit.system import usable_cores
 
 
@@ -31,8 +31,8 @@ def test_a_deleted_working_folder_is_a_sentence(tmp_path: Path, monkeypatch: pyt
     (tmp_path / "gone").mkdir()
     monkeypatch.chdir(tmp_path / "gone")
     (tmp_path / "gone").rmdir()
-    assert DataFolder(str(tmp_path)).exists()
-    for relative in (lambda: DataFolder("set"), lambda: list(ProcessRunner(1).run(abs, [1]))):
+    assert open_folder(str(tmp_path)).exists()
+    for relative in (lambda: open_folder("set"), lambda: list(ProcessRunner(1).run(abs, [1]))):
         with pytest.raises(InputError, match="the working folder was deleted; next: change to a folder"):
             relative()
 

@@ -1,4 +1,4 @@
-"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names, helps.
+"""What users and stored data rely on, as text: bytes, pixels, courses of environments, names.
 
 ``python -m tests.unchanged.record`` writes it again after a change that was meant, and what notebooks show;
 review shows the rest.
@@ -20,23 +20,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import typer.main
 from PIL import Image
-from typer.testing import CliRunner
 
 import mnist3d
-import mnist3d.previews
+import mnist3d.digit_previews
 import realtouch
 import realtouch.previews
 import starstruck_gen
-import starstruck_gen.previews
+import starstruck_gen.scene_previews
+from mnist3d.digit_preview_spec import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.touch_options import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
-from tactile_toolkit.printing import PlateSpec, arrange, measure
-from tactile_toolkit.printing.plates import draw_map
+from tactile_toolkit.printing import PlateSpec, arrange
+from tactile_toolkit.printing.plate_map import draw_map
 from tests.env_assets.factories import write_assets
 from tests.notebooks.running import main as record_notebooks
 from tests.realtouch.factories import make_round, seq_rows, single_rows, write_set
@@ -64,8 +63,6 @@ PACKAGES = (
     "tactile_envs",
 )
 OUR_PACKAGES = {name.partition(".")[0] for name in PACKAGES} | {"tactile_toolkit"}
-COMMAND_LINES = ("mnist3d", "starstruck", "realtouch", "tactile_sim", "env_assets")
-"""Modules of ``cli``."""
 LIBRARIES = (
     "pyarrow",
     "numpy",
@@ -78,12 +75,10 @@ LIBRARIES = (
     "av",
 )
 """Their versions decide bytes."""
-HELP_LIBRARIES = ("click", "rich", "typer")
-"""Their versions decide how help is laid out."""
 
 
-def library_versions(names: tuple[str, ...] = LIBRARIES) -> dict[str, str]:
-    return {name: version(name) for name in names}
+def library_versions() -> dict[str, str]:
+    return {name: version(name) for name in LIBRARIES}
 
 
 def public_names(package: str) -> list[str]:
@@ -134,37 +129,15 @@ def _functions(name: str, public: Any) -> Iterator[tuple[str, Any]]:
             yield f"{name}.{method}", function
 
 
-def helps(texts: dict[str, str]) -> str:
-    """Join the help of a command line and of all its commands."""
-    return "\n".join(line.rstrip() for text in texts.values() for line in text.splitlines()) + "\n"
-
-
-def help_of_commands(command_line: str) -> dict[str, str]:
-    """Return the help of a command line, by an empty name, and of each of its commands.
-
-    As a terminal of 100 columns shows it.
-    """
-    app = import_module(f"cli.{command_line}").app
-    names = ["", *typer.main.get_command(app).commands]
-    return {name: _help(app, [name] if name else []) for name in names}
-
-
-def _help(app: typer.Typer, arguments: list[str]) -> str:
-    settings = {"TERMINAL_WIDTH": "100", "COLUMNS": "100", "NO_COLOR": "1"}
-    result = CliRunner().invoke(app, [*arguments, "--help"], env=settings)
-    assert result.exit_code == 0, result.output
-    return result.output
-
-
 def data_sets(folder: Path) -> dict[str, Any]:
     """Make a small data set of each kind below a folder and return the digests of all Parquet files."""
     source = SyntheticSource(seed=1)
-    mnist3d.generate(mnist3d.GenerateSpec(source, per_class=1), folder / "digits", splits=("test",))
+    mnist3d.generate(mnist3d.DigitSetSpec(source, per_class=1), folder / "digits", splits=("test",))
     coarse = mnist3d.SolidSpec(profile="linear", target_vertices=2000, join_bodies=True)
     mnist3d.generate(
-        mnist3d.GenerateSpec(source, coarse, limit=2), folder / "coarse", splits=("printed_test",)
+        mnist3d.DigitSetSpec(source, coarse, limit=2), folder / "coarse", splits=("printed_test",)
     )
-    scenes = starstruck_gen.GenerateSpec(scenes=(("train", 30), ("test", 9)))
+    scenes = starstruck_gen.SceneSetSpec(scenes=(("train", 30), ("test", 9)))
     starstruck_gen.generate(scenes, folder / "scenes")
     rounds = [make_round(index, 6, (64, 48), (12, 16)) for index in range(3)]
     clips = str(write_set(folder / "clips", {"train": seq_rows(rounds)}, "seq"))
@@ -186,30 +159,32 @@ def data_sets(folder: Path) -> dict[str, Any]:
 def styles() -> dict[str, str]:
     """Return how shards of digits and scenes are stored, which decides the bytes of sets of any size."""
     return {
-        package: repr(import_module(f"{package}.columns").PARQUET_STYLE)
-        for package in ("mnist3d", "starstruck_gen")
+        rows.partition(".")[0]: repr(import_module(rows).PARQUET_STYLE)
+        for rows in ("mnist3d.digit_rows", "starstruck_gen.scene_rows")
     }
 
 
 def pictures(sets: Path) -> dict[str, str]:
     """Draw the sets of :func:`data_sets` and a plate, and return digests of the pixels."""
     plans = (
-        mnist3d.previews.plan_previews(
-            str(sets / "coarse"), PreviewSpec(kinds=("sheet", "steps"), per_class=2)
+        mnist3d.digit_previews.plan_previews(
+            str(sets / "coarse"), DigitPreviewSpec(kinds=("sheet", "steps"), per_class=2)
         ),
-        starstruck_gen.previews.plan_previews(str(sets / "scenes"), PreviewSpec(split="test", per_class=2)),
+        starstruck_gen.scene_previews.plan_previews(
+            str(sets / "scenes"), PreviewSpec(split="test", per_class=2)
+        ),
         realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])
-    layout = arrange(measure(objects, PlateSpec(100, 80, 3.0, 2.0), 1.0))
+    layout = arrange(objects, PlateSpec(100, 80, 3.0, 2.0))
     drawn["plate"] = np.asarray(Image.open(io.BytesIO(draw_map(layout, 1))))
     return {name: hashlib.sha256(pixels.tobytes()).hexdigest() for name, pixels in drawn.items()}
 
 
 def synthetic_touches(folder: Path) -> dict[str, Any]:
     """Make small sets of touches below a folder and return their digests, and what else decides them."""
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),)), folder / "scenes")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),)), folder / "scenes")
     touch_sets(folder / "scenes", folder)
     files = sorted(folder.glob("touches-*/data/*.parquet"))
     digests = {str(file.relative_to(folder)): hashlib.sha256(file.read_bytes()).hexdigest() for file in files}
@@ -247,7 +222,6 @@ def main() -> None:
         courses = {name: environments.course(name, Path(folder) / "assets") for name in environments.COURSES}
     found = {
         "libraries": library_versions(),
-        "help_libraries": library_versions(HELP_LIBRARIES),
         "names": {package: public_names(package) for package in PACKAGES},
         "fields": {package: defaults_and_limits(package) for package in PACKAGES},
         "styles": styles(),
@@ -262,9 +236,6 @@ def main() -> None:
         "training": {name: _line(values) for name, values in losses.items()},
     }
     (FOLDER / "record.json").write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
-    for command_line in COMMAND_LINES:
-        text = helps(help_of_commands(command_line))
-        (FOLDER / f"{command_line}.txt").write_text(text, encoding="utf-8")
     record_notebooks()
 
 

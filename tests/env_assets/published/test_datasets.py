@@ -14,10 +14,8 @@ import trimesh
 import env_assets
 import mnist3d
 import realtouch
-import starstruck_gen
 from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import TOUCHES_PER_ROUND, write_meshes
-from tests.processes import printed_by
 from tests.realtouch import factories
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
@@ -63,18 +61,6 @@ def test_points_are_those_of_the_package(digits, published):
 )
 def test_choosing_rows(digits, published, index):
     assert_same_points(digits[index], published[index])
-
-
-def test_choosing_labels(digits, published):
-    assert_same_points(digits.filter_labels([3, 5]), published.filter_labels([3, 5]))
-    assert_same_points(digits.filter_labels(8), published.filter_labels(8))
-    assert [len(part) for part in digits.by_labels] == [len(part) for part in published.by_labels] == [1] * 10
-
-
-def test_negative_and_wrong_numbers(digits):
-    assert digits[-1].id == digits[9].id
-    with pytest.raises(IndexError):
-        digits[10]
 
 
 def test_rows_behind_it_answer_as_those_of_the_hub(packages, digits, published):
@@ -150,13 +136,6 @@ def test_the_prefetching_thread_of_the_package(packages, digits):
     assert list(found.values()) == [volumes] * 4
 
 
-def test_points_can_be_kept(digits):
-    kept = env_assets.as_mesh_dataset(digits.records, cache_size="full")
-    assert kept[0] is kept[0]
-    assert digits[0] is not digits[0]
-    assert kept[1:3].cache_size == "full"
-
-
 def test_equal_vertices_are_merged_as_in_the_package(packages, tmp_path):
     """A published mesh may store a corner several times and is closed only once these are merged."""
     datasets = pytest.importorskip("datasets")
@@ -170,14 +149,6 @@ def test_equal_vertices_are_merged_as_in_the_package(packages, tmp_path):
     assert not ours[0].record.mesh.is_watertight
     assert all(point.mesh.is_watertight for point in ours)
     assert_same_points(ours, packages.SimpleMeshDataset(rows))
-
-
-def test_scenes_on_the_fly(packages):
-    scenes = env_assets.as_mesh_dataset(starstruck_gen.SceneDataset(size=30))
-    assert isinstance(scenes, packages.MeshDataset)
-    assert scenes.label_names == ("1", "2", "3")
-    assert [len(part) for part in scenes.by_labels] == [10, 10, 10]
-    assert scenes[7].mesh.is_watertight
 
 
 def test_touches_are_those_of_the_package(packages, assets):
@@ -214,18 +185,6 @@ def test_classes_without_rounds_are_empty_as_in_the_package(packages, assets):
     assert len(pickle.loads(pickle.dumps(ours[[]]))) == 0
 
 
-def test_another_kind_is_refused(packages, assets):
-    rounds = realtouch.load(str(assets / "real-single"))
-    with pytest.raises(
-        InputError, match=r"a data set of meshes was expected, found TouchSingleDataset; next:"
-    ):
-        env_assets.as_mesh_dataset(rounds)
-    with pytest.raises(InputError, match=r"touches with one image each was expected, found MeshDataset"):
-        env_assets.as_touch_dataset(mnist3d.load(str(assets / "mnist3d"), "test"))
-    with pytest.raises(InputError, match="found list"):
-        env_assets.as_mesh_dataset([])
-
-
 def test_rounds_of_unlike_length_are_refused(packages, tmp_path):
     made = [factories.make_round(number, 3 + number, (32, 24), frames=(4, 5)) for number in range(2)]
     factories.write_set(
@@ -235,28 +194,3 @@ def test_rounds_of_unlike_length_are_refused(packages, tmp_path):
     with pytest.raises(InputError, match="3 to 4 touches; the environments need the same number in every"):
         env_assets.as_touch_dataset(rounds)
     assert env_assets.as_touch_dataset(rounds[1:]).huggingface_dataset.features["pos_in_cell"].length == 4
-
-
-WITHOUT = """
-import sys
-class Hidden:
-    def find_spec(self, name, path=None, target=None):
-        if name.split(".")[0] == "tactile_mnist":
-            raise ImportError(name, name=name)
-sys.meta_path.insert(0, Hidden())
-import env_assets
-for name in ("make", "as_mesh_dataset"):
-    try:
-        tool = getattr(env_assets, name)
-        tool("TactileMNIST-Depth-train-v0", provider=None)
-    except Exception as error:
-        print(type(error).__name__, error)
-"""
-
-
-def test_without_the_package_the_extra_is_named():
-    lines = printed_by(WITHOUT).splitlines()
-    assert len(lines) == 2
-    for line in lines:
-        assert line.startswith("MissingExtraError")
-        assert "'tactile-mnist', which is not installed; next: pip install 'aiohttp>=3.10' ap-gym==" in line

@@ -11,7 +11,6 @@ import pytest
 
 import env_assets
 import realtouch
-import tactile_sim
 from tactile_toolkit.errors import InputError
 from tests.env_assets.published.rollouts import (
     CONTACT_HEIGHT_M,
@@ -130,11 +129,6 @@ def expected_target(env_id: str, record: Any, pose: Any, meshes: Any) -> Any:
     return record.label
 
 
-def test_several_objects_come_up(case, rollout):
-    ids = {point.id for step in rollout.steps for point in step.points}
-    assert len(ids) == 1 if case[1] == "wrench" else len(ids) > 3
-
-
 def test_episodes_end_at_the_step_limit(case, rollout):
     """The step after the last one of an episode begins the next."""
     limit = case[2]
@@ -143,13 +137,6 @@ def test_episodes_end_at_the_step_limit(case, rollout):
         assert step.terminated.tolist() == [ends] * ENVS
         assert not step.truncated.any()
     assert any(expected)
-
-
-def test_same_seed_same_observations(case, rollout, provider):
-    again = played(case[0], provider, steps=20)
-    for one, other in zip(rollout.observations[:21], again.observations, strict=True):
-        for name, values in one.items():
-            np.testing.assert_array_equal(values, other[name], err_msg=name)
 
 
 @pytest.mark.parametrize("env_id", [case[0] for case in SIMULATED], ids=IDS)
@@ -197,18 +184,6 @@ def test_settings_and_variants(provider, own_statistics):
     assert rollout.steps[2].terminated.all()
 
 
-def test_pictures_of_the_cell(provider, own_statistics):
-    env = env_assets.make("TactileMNIST-Depth-train-v0", provider=provider, num_envs=2)
-    try:
-        env.reset(seed=SEED)
-        frames = np.asarray(env.render())
-    finally:
-        env.close()
-    assert frames.shape == (2, 480, 640, 3)
-    red = (frames[..., 0].astype(int) - frames[..., 2] > 60).mean()
-    assert red > 0.002, "the digit is seen"
-
-
 def test_taxim(provider, own_statistics):
     pytest.importorskip("taxim.taxim_jax", reason="Taxim (extra `env`) is not installed")
     env = env_assets.make("TactileMNIST-train-v0", provider=provider, config={"sensor_output_size": (32, 24)})
@@ -235,45 +210,6 @@ def test_cycle_gan(provider, own_statistics):
         env.close()
 
 
-def test_cycle_gan_with_weights_of_ones_own(provider, own_statistics, tmp_path):
-    """What `tactile-sim train` writes, of any size, renders as `tactile-sim generate` does with it."""
-    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
-    from tactile_sim.learned.networks import CycleganOptics, Generator, initialise, weights_bytes, weights_of
-
-    network, file = Generator(filters=4, blocks=2), tmp_path / "depth_to_touch.npz"
-    initialise(network, seed=5)
-    file.write_bytes(weights_bytes(weights_of(network, (32, 32))))
-    name = "TactileMNIST-CycleGAN-train-v0"
-    env = env_assets.make(name, provider=provider, num_envs=2, weights=file)
-    try:
-        observation, info = env.reset(seed=SEED)
-        for _ in range(2):
-            shades = CycleganOptics(file).shades(info["depth"], tactile_sim.center_view(32, 32), (64, 64))
-            np.testing.assert_allclose(observation["sensor_img"], shades, atol=1e-4)
-            observation, *_, info = env.step(env.action_space.sample())
-    finally:
-        env.close()
-    with pytest.raises(InputError, match=r"weights do not apply .* its sensor is 'depth'"):
-        env_assets.make("TactileMNIST-Depth-train-v0", provider=provider, weights=file)
-    with pytest.raises(InputError, match="cannot be read as weights"):
-        env_assets.make(name, provider=provider, weights=tmp_path / "absent.npz")
-
-
-def test_noise_of_recorded_touches(assets, provider, own_statistics):
-    """Randomised environments lay recorded touches over the simulated ones: ours, not those of the Hub."""
-    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
-    config = {"sensor_backend": "torch"}
-    env = env_assets.make("TactileMNIST-Depth-DR-train-v0", provider=provider, num_envs=1, config=config)
-    try:
-        noise = env.unwrapped.config.sensor_noise
-        linked = [file.resolve() for file in Path(noise.real_base_depth_dataset).rglob("*.parquet")]
-        assert linked == [assets / "real-single" / "data" / "train-00000-of-00001.parquet"]
-        assert noise.frame_noise_std == 0.0, "the rest is as registered"
-        env.reset(seed=SEED)
-    finally:
-        env.close()
-
-
 def test_recorded_touches(assets, provider, own_statistics):
     """Each observation is an image of the round, taken near where the agent wanted it."""
     rounds = {record.id: record for record in realtouch.load(str(assets / "real-single"))}
@@ -294,21 +230,6 @@ def test_recorded_touches(assets, provider, own_statistics):
             labels = [rounds[point.id].label for point in points]
             assert np.asarray(info["prediction"]["target"]).tolist() == labels
             assert not (terminated & truncated).any()
-    finally:
-        env.close()
-
-
-def test_volumes_of_recorded_touches(provider, own_statistics):
-    volumes_m3 = provider.volumes_m3("mnist3d", "printed_train")
-    by_id = dict(zip(provider.meshes("mnist3d", "printed_train").ids.tolist(), volumes_m3, strict=True))
-    env = env_assets.make("TactileMNISTVolumeRealSnap-train-v0", provider=provider, num_envs=2)
-    try:
-        env.reset(seed=SEED)
-        for _ in range(5):
-            expected = [by_id[point.object_id] for point in env.unwrapped.current_data_points]
-            *_, info = env.step(env.action_space.sample())
-            normalised = (np.array(expected) - volumes_m3.mean()) / volumes_m3.std()
-            np.testing.assert_allclose(info["prediction"]["target"][:, 0], normalised, rtol=1e-5)
     finally:
         env.close()
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -57,11 +56,6 @@ def test_no_such_split(assets, provider):
     refused("TactileMNISTRealSnap-test-v0", provider, "no split 'test' in .*it has train")
 
 
-def test_no_such_data_set(tmp_path):
-    message = refused(ENV, env_assets.AssetProvider(tmp_path), "mnist3d")
-    assert "mnist3d generate" in message
-
-
 @pytest.mark.parametrize(
     ("env_id", "name", "instead"),
     [
@@ -75,14 +69,6 @@ def test_no_such_data_set(tmp_path):
 )
 def test_another_kind_of_data_set(assets, env_id, name, instead):
     refused(env_id, with_place(assets, name, assets / instead), "next:")
-
-
-def test_clips_instead_of_images(assets, seq_folder):
-    refused(
-        "TactileMNISTRealSnap-train-v0",
-        with_place(assets, "real-single", seq_folder),
-        "touches with one image each was expected, found TouchSeqDataset",
-    )
 
 
 def test_other_label_names(assets, tmp_path):
@@ -117,26 +103,6 @@ def test_a_source_of_plain_records_is_checked_too(tmp_path):
             return mnist3d.load(str(folder), split)
 
     refused(ENV, Source(), "mesh 0 of")
-
-
-def test_a_source_may_give_a_plain_list(provider):
-    class Source:
-        def meshes(self, name: str, split: str = "train") -> Any:
-            return list(provider.meshes(name, split))
-
-    made = env_assets.make(ENV, provider=Source(), num_envs=1)
-    try:
-        data = made.unwrapped.config.dataset
-        assert data.label_names == tuple("0123456789")
-        assert [point.id for point in data] == provider.meshes("mnist3d").ids.tolist()
-    finally:
-        made.close()
-
-    class Wrong:
-        def meshes(self, name: str, split: str = "train") -> Any:
-            return [1, 2]
-
-    refused(ENV, Wrong(), "a sequence of records with id, label")
 
 
 @pytest.mark.parametrize(
@@ -189,18 +155,6 @@ def test_a_single_environment_that_cannot_be_reset_is_not_made(provider):
 def test_rounds_shorter_than_an_episode(provider):
     words = "rounds of 24 touches, an episode of 23 steps needs 25"
     refused("TactileMNISTRealSnap-train-v0", provider, words, {"step_limit": 23})
-
-
-def test_touched_objects_without_a_mesh(assets, tmp_path):
-    folder = tmp_path / "assets"
-    shutil.copytree(assets, folder)
-    shutil.rmtree(folder / "mnist3d")
-    printed = write_meshes(folder / "mnist3d", [box((0.03, 0.03, 0.01))]) / "data"
-    (printed / "train-00000-of-00001.parquet").rename(printed / "printed_train-00000-of-00001.parquet")
-    provider = env_assets.AssetProvider(folder)
-    wanted = realtouch.load(str(folder / "real-single")).column("object_id").tolist()
-    words = f"touches of 3 objects without a mesh, such as object {min(wanted)}"
-    refused("TactileMNISTVolumeRealSnap-train-v0", provider, words)
 
 
 @pytest.mark.parametrize("name", ["step_limits", "dataset"])

@@ -103,8 +103,3 @@ def test_the_published_environment_runs_on_our_data_set(report):
     assert report["steps"] == 16
     assert report["image"] == [64, 64, 1]
     assert "data/train-00000-of-00001.parquet" in report["fetched"]
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_the_same_is_seen_through_our_provider(report, env_id):
-    assert report["same"][env_id]

@@ -13,10 +13,8 @@ import trimesh
 from typer.testing import CliRunner
 
 import env_assets
-import mnist3d
 from cli.env_assets import app
 from tactile_toolkit.errors import InputError
-from tests.env_assets.factories import write_meshes
 from tests.env_assets.published.rollouts import roll
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
@@ -97,53 +95,6 @@ def test_meshes_of_another_split_are_not_taken(tmp_path, in_classes):
     write(tmp_path / "meshes" / "train" / ("tools" if in_classes else "."), solids_mm())
     with pytest.raises(InputError, match="has no split 'test', only 'train'; next: put meshes into"):
         env_assets.make("ABCVolume-Depth-test-v0", assets=tmp_path / "meshes")
-
-
-def test_the_fast_renderer_feels_the_same(folder):
-    images = []
-    for renderer in ("opengl", "fast"):
-        env = env_assets.make("Minecraft-Depth-v0", assets=folder, num_envs=2, renderer=renderer)
-        try:
-            images.append(np.array([step["sensor_img"] for step in roll(env, 8, 3).observations]))
-        finally:
-            env.close()
-    assert np.median(np.abs(images[0] - images[1])) < 1e-3
-
-
-def test_what_may_be_given(folder, tmp_path, packages, assets):
-    """Folders of classes, one file, data sets by folder, opened ones, lists, and the package's own."""
-    import datasets
-
-    by_class = write(tmp_path / "by-class" / "round", {"a.stl": trimesh.creation.cylinder(6, 20)}).parent
-    write(
-        by_class / "flat",
-        {"b.stl": trimesh.creation.box((20, 30, 5)), "a.stl": trimesh.creation.box([9] * 3)},
-    )
-    as_set = write_meshes(
-        tmp_path / "set", [trimesh.creation.box((0.02, 0.03, h)) for h in (0.01, 0.02)], ("a", "b")
-    )
-    theirs = packages.SimpleMeshDataset(datasets.load_dataset(str(as_set), split="train"))
-    digits = mnist3d.load(str(assets / "mnist3d"), split="test")
-    for given, count, names in [
-        (by_class, 3, ("flat", "round")),
-        (str(as_set), 2, ("a", "b")),
-        (digits, 10, tuple("0123456789")),
-        (list(digits)[:3], 3, None),
-        (theirs, 2, ("a", "b")),
-    ]:
-        env = env_assets.make("Minecraft-Depth-v0", assets=given, num_envs=1, renderer="fast")
-        try:
-            env.reset(seed=0)
-            data = env.unwrapped.config.dataset
-            assert len(data) == count
-            assert names is None or data.label_names == names
-        finally:
-            env.close()
-    one = env_assets.make("MinecraftPose-Depth-v0", assets=folder / "train" / "nut.stl", renderer="fast")
-    assert one.unwrapped.config.dataset.label_names == ("nut",)
-    one.close()
-    place = env_assets.AssetProvider(tmp_path / "nowhere", places={"abc": as_set})
-    env_assets.make("ABCVolume-Depth-train-v0", provider=place, num_envs=1, renderer="fast").close()
 
 
 def test_objects_are_laid_flat_as_the_package_does(packages):

@@ -1,7 +1,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
 import numpy as np
 import pytest
@@ -22,7 +22,7 @@ from env_assets.wrench.spec import (
 )
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.store import DataFolder, verify
+from tactile_toolkit.store import open_folder, verify
 
 
 def middles_mm(spec: WrenchSpec) -> tuple[tuple[float, float, float], ...]:
@@ -49,14 +49,8 @@ def section_of(mesh, z_mm: float):
     return mesh.to_manifold().slice(z_mm)
 
 
-# Small, middling and large ones at a desk; all of them in CI.
-SIZES = [
-    size if size in ("M3", "M10", "M24") else pytest.param(size, marks=pytest.mark.thorough)
-    for size in WIDTHS_ACROSS_FLATS_MM
-]
-
-
-@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("size", WIDTHS_ACROSS_FLATS_MM)
 @pytest.mark.parametrize("single", [False, True])
 def test_every_size_of_the_table_is_a_printable_solid(size, single):
     spec = WrenchSpec.for_size(size, single=single)
@@ -100,20 +94,6 @@ def test_the_frame_is_that_of_a_pose():
     across = handle.covered[:, np.abs(handle.x_m).argmin()]
     assert across.sum() * 0.1 == pytest.approx(spec.handle_mm, abs=0.15)
     assert handle.y_m[across].mean() == pytest.approx(0, abs=1e-4)
-
-
-def test_top_and_bottom_are_alike_and_edges_are_cut():
-    spec = WrenchSpec.for_size(13)
-    mesh = wrench_mesh(spec)
-    whole = section_of(mesh, spec.thickness_mm / 2).area()
-    for z_mm in (0.3, spec.thickness_mm - 0.3):
-        cut = section_of(mesh, z_mm)
-        moved = section_of(mesh, spec.thickness_mm / 2).offset(-0.3, miter_limit=4.0)
-        assert cut.area() < whole
-        assert (cut - moved).area() + (moved - cut).area() < 0.001 * whole
-    sharp = wrench_mesh(replace(spec, chamfer_mm=0.0))
-    outline = section_of(sharp, spec.thickness_mm / 2).area()
-    assert sharp.volume_m3 * 1e9 == pytest.approx(outline * spec.thickness_mm, rel=1e-5)
 
 
 @settings(max_examples=settings.default.max_examples // 12)
@@ -240,7 +220,7 @@ def test_the_table_is_that_of_iso_272():
 def test_a_written_wrench_is_whole_and_loads_everywhere(tmp_path):
     spec = WrenchSpec.for_size("M10")
     write_wrench(spec, str(tmp_path / "wrench"), mesh_file=tmp_path / "wrench.stl")
-    folder = DataFolder(str(tmp_path / "wrench"))
+    folder = open_folder(str(tmp_path / "wrench"))
     assert verify(folder, wrench_schema(), check_card=check_card).ok
     assert check_card(folder) == []
     provider = env_assets.AssetProvider(tmp_path)

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from mnist3d.make import GenerateSpec, generate
-from mnist3d.solid import SolidSpec
+from mnist3d.digit_generation import DigitSetSpec, generate
+from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.synthetic import SyntheticSource
 
 
@@ -16,7 +16,7 @@ from mnist3d.sources.synthetic import SyntheticSource
 def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Two splits of digits, not to be changed."""
     folder = tmp_path_factory.mktemp("cards") / "digits"
-    spec = GenerateSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
+    spec = DigitSetSpec(SyntheticSource(), SolidSpec(target_vertices=2_000), per_class=1)
     generate(spec, str(folder), ("test", "holdout"))
     return folder
 

@@ -17,14 +17,14 @@ from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
 from tactile_toolkit.places import open_place
-from tactile_toolkit.store import DataFolder, Progress, build
+from tactile_toolkit.store import Progress, build, open_folder
 from tests.realtouch import factories
 
 ALL = {"ids": None, "labels": None, "limit": None, "per_class": None}
 
 
 def scenes(folder: Path, seed: int) -> str:
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 3),), seed=seed), folder)
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 3),), seed=seed), folder)
     return str(folder)
 
 
@@ -44,7 +44,7 @@ def divided(source: str, out: str, **run: Any) -> None:
 
 def flat(source: str, out: str, **run: Any) -> None:
     choices = [("train", starstruck_gen.load(source), np.arange(3))]
-    build(DataFolder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
+    build(open_folder(out), plan_tables(SCENES, open_place(source), choices, ALL, out), **run)
 
 
 def resized(source: str, out: str, **run: Any) -> None:
@@ -55,6 +55,7 @@ def flat_touches(source: str, out: str, **run: Any) -> None:
     realtouch.export(source, out, "flat", **run)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("make", "copy"),
     [(scenes, merged), (scenes, divided), (scenes, flat), (touches, resized), (touches, flat_touches)],
@@ -74,6 +75,7 @@ def test_a_source_that_is_replaced_between_planning_and_copying_is_refused(
     assert not out.exists()
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("copy", [merged, divided, flat])
 def test_so_is_one_in_a_store(copy: Callable[..., None], tmp_path: Path) -> None:
     made, store = scenes(tmp_path / "made", 1), fsspec.filesystem("memory")

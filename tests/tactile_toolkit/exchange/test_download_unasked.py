@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store import DataFolder, read_record, verify
+from tactile_toolkit.store import open_folder, read_record
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.sets import NAME, big_parquet, fetch, script, two_sets
-from tests.tactile_toolkit.toy import SCHEMA, folder_bytes
+from tests.tactile_toolkit.toy import folder_bytes
 
 BARE = "someone/bare"
 TEST, TRAIN = (f"data/{split}-00000-of-00001.parquet" for split in ("test", "train"))
@@ -51,17 +51,6 @@ def test_a_folder_stays_as_it_is_while_the_hub_gives_no_answer(out, tmp_path, mo
     assert folder_bytes(out) == before
 
 
-def test_nothing_of_a_set_of_ours_is_lost(server, tmp_path):
-    out = tmp_path / "toy"
-    fetch(server, tmp_path, script(NAME, out=out))
-    flip_a_byte(out / "data" / "train-00000-of-00004.parquet")
-    before = folder_bytes(out)
-    assert fetch(server, tmp_path, script(NAME, out=out), **OFFLINE)[0] == 4
-    assert folder_bytes(out) == before
-    assert fetch(server, tmp_path, script(NAME, out=out))[1] == ["data/train-00000-of-00004.parquet"]
-    assert verify(DataFolder(str(out)), SCHEMA).ok
-
-
 def test_a_hub_in_trouble_is_waited_for_where_the_cache_is_not_enough(server, out, tmp_path):
     before = folder_bytes(out)
     flip_a_byte(out / TRAIN)
@@ -82,20 +71,9 @@ def test_a_download_whose_card_did_not_arrive_is_not_done(server, tmp_path):
     server.faults.fail("*/README.md", 503, times=99)
     assert fetch(server, tmp_path, script(NAME, out=out))[0] == 4
     server.faults.clear()
-    record = read_record(DataFolder(str(out)))
+    record = read_record(open_folder(str(out)))
     assert record is not None
     assert not record.finished
     assert fetch(server, tmp_path, script(NAME, out=out))[3] is False
     assert (out / "README.md").read_bytes() == b"# Newer"
     assert fetch(server, tmp_path, script(NAME, out=out))[3] is True
-
-
-@pytest.mark.parametrize("name", ["README.md", "LICENSE", "previews/mine.png"])
-def test_a_folder_of_somebody_is_refused(server, tmp_path, name):
-    own = tmp_path / "project"
-    (own / name).parent.mkdir(parents=True)
-    (own / name).write_text("mine")
-    code, kind, words = fetch(server, tmp_path, script(NAME, out=own))
-    assert (code, kind) == (2, "InputError")
-    assert "is not empty" in words
-    assert folder_bytes(own) == {name: b"mine"}

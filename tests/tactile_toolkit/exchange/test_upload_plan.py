@@ -9,18 +9,18 @@ from tempfile import TemporaryDirectory
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.make import GenerateSpec, generate
-from tactile_toolkit.cards import configs, folder_facts
+from starstruck_gen.scene_generation import SceneSetSpec, generate
+from tactile_toolkit.cards import configs, folder_summary
 from tactile_toolkit.exchange.upload import LocalFile, collect, compare
 from tactile_toolkit.hub import HubRepository
-from tactile_toolkit.store import DataFolder, HubFile, read_manifest
+from tactile_toolkit.store import HubFile, open_folder, read_manifest
 
 
 @pytest.fixture
 def folder(tmp_path) -> Path:
     """Two splits of scenes."""
     place = tmp_path / "stars"
-    generate(GenerateSpec(scenes=(("train", 9), ("test", 3))), str(place))
+    generate(SceneSetSpec(scenes=(("train", 9), ("test", 3))), str(place))
     return place
 
 
@@ -69,7 +69,7 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
     (folder / "notes.txt").write_text("mine")
     (folder / "secret").mkdir()
     (folder / "secret" / "token").write_text("hf_secret")
-    manifest = read_manifest(DataFolder(str(folder)))
+    manifest = read_manifest(open_folder(str(folder)))
     assert manifest is not None
     assert sorted(collect(folder, manifest)) == [
         "README.md",
@@ -81,7 +81,7 @@ def test_the_payload_is_the_data_set_and_nothing_else(folder):
 
 
 def test_shards_beside_foreign_ones_are_named(folder):
-    facts = folder_facts(DataFolder(str(folder)))
+    facts = folder_summary(open_folder(str(folder)))
     assert [entry["path"] for entry in configs(facts, ["notes.txt"])[0]["data_files"]] == [
         "data/train-*",
         "data/test-*",

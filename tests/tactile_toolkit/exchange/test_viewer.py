@@ -10,15 +10,12 @@ import pytest
 import yaml
 
 import mnist3d
-from mnist3d.make import GenerateSpec, generate
+from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.cards import check_card
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.upload import UploadOptions, prepare_upload, run_upload
-from tactile_toolkit.store import DataFolder, verify
-from tests.command_line import call
+from tactile_toolkit.store import open_folder, verify
 from tests.hub_server import HubServer, hub
-from tests.realtouch.factories import make_round, seq_rows, write_set
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, settings, start_here
 from tests.tactile_toolkit.toy import folder_bytes
@@ -35,7 +32,7 @@ pytestmark = pytest.mark.filterwarnings(
 def made(tmp_path_factory) -> Path:
     """Digits as they are by default, so that their size is what users will see."""
     folder = tmp_path_factory.mktemp("viewer") / "digits"
-    generate(GenerateSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
+    generate(DigitSetSpec(SyntheticSource(), per_class=1), str(folder), SPLITS)
     return folder
 
 
@@ -105,11 +102,12 @@ def test_each_row_is_shown_in_3d_and_the_fast_columns_stay_the_default(server, m
     assert again.sent == (), "the same rows give the same files"
 
 
+@pytest.mark.thorough
 def test_a_copy_of_the_repository_is_whole_with_and_without_it(sent, made, tmp_path):
     for path, content in sent.items():
         (tmp_path / "copy" / path).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / "copy" / path).write_bytes(content)
-    copy = DataFolder(str(tmp_path / "copy"))
+    copy = open_folder(str(tmp_path / "copy"))
     assert verify(copy, check_card=check_card).findings == ()
     assert mnist3d.load(str(tmp_path / "copy"), split="test").ids.tolist()
     (tmp_path / "copy" / "viewer" / "test-00000-of-00001.parquet").unlink()
@@ -133,12 +131,13 @@ print(len([file for path in plan.record.files if path.startswith("viewer/")]), a
 """
 
 
+@pytest.mark.thorough
 def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     server.create(NAME, sent)
     out = tmp_path / "whole"
     done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(DataFolder(str(out)), check_card=check_card).findings == ()
+    assert verify(open_folder(str(out)), check_card=check_card).findings == ()
     whole = folder_bytes(out)
     del whole[".download.json"]
     expected = folder_bytes(made)
@@ -147,7 +146,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     part = tmp_path / "part"
     done = run_here(DOWNLOAD.format(splits=("test",), out=str(part)), settings(server, tmp_path), tmp_path)
     assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(DataFolder(str(part)), check_card=check_card).findings == ()
+    assert verify(open_folder(str(part)), check_card=check_card).findings == ()
     assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
 
 
@@ -160,24 +159,3 @@ def test_an_upload_without_it_takes_it_back(server, sent, made):
     assert upload(made).sent == ()
     head = yaml.safe_load(held(server)["README.md"].decode().split("---\n")[1])
     assert [config["config_name"] for config in head["configs"]] == ["default"]
-
-
-def test_tables_go_to_the_hub_and_come_back(server, made, tmp_path):
-    tables, out = tmp_path / "tables", tmp_path / "back"
-    assert call("mnist3d", "export", made, "--format", "flat", "--out", tables, "-q") == 0
-    upload(tables)
-    assert "- name: mesh\n    dtype: mesh" in held(server)["README.md"].decode()
-    done = run_here(DOWNLOAD.format(splits=(), out=str(out)), settings(server, tmp_path), tmp_path)
-    assert done.stdout.split() == ["0", "True"], done.stdout + done.stderr
-    assert verify(DataFolder(str(out)), check_card=check_card).findings == ()
-    with pytest.raises(InputError, match="--viewer shows meshes in 3D"):
-        upload(tables, viewer=True)
-
-
-def test_touches_have_nothing_to_show_in_3d(server, tmp_path):
-    import realtouch
-
-    clips = write_set(tmp_path / "clips", {"train": seq_rows([make_round(0, 2, (64, 48), (9, 12))])}, "seq")
-    realtouch.resize(str(clips), tmp_path / "small", width=48, height=36)
-    with pytest.raises(InputError, match=r"--viewer shows meshes in 3D, and .*small' holds none"):
-        prepare_upload(str(tmp_path / "small"), NAME, UploadOptions(viewer=True))

@@ -1,34 +1,22 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import re
-import shutil
 import signal
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
 from tactile_toolkit.errors import (
-    BusyError,
     InputError,
     IntegrityError,
     ItemError,
     StorageError,
-    ToolkitError,
 )
-from tactile_toolkit.gallery import Gallery, site as site_module
-from tactile_toolkit.gallery.site import (
-    ASSETS,
-    MOST_ITEMS,
-    PAGE_FILE,
-    THREE,
-    asset,
-    build_site,
-    site_folder,
-)
+from tactile_toolkit.gallery import PAGE_FILE, Gallery, build_site, site as site_module
+from tactile_toolkit.gallery.page import ASSETS, THREE, asset
+from tactile_toolkit.gallery.site import MOST_ITEMS
 from tactile_toolkit.run import InlineRunner, ProcessRunner
 from tests.forked import run_forked, start_forked
 from tests.gallery_files import files_of, index_of
@@ -98,22 +86,11 @@ def test_no_other_foreign_code_lies_in_the_package():
     assert max(file.stat().st_size for file in code) < 20_000
 
 
+@pytest.mark.thorough
 def test_same_gallery_same_bytes_whoever_works(tmp_path):
     build(tmp_path / "a")
     build_site(toy_gallery(), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-
-
-def test_portions_do_not_show(tmp_path):
-    build(tmp_path / "a")
-    build(tmp_path / "b", toy_gallery(portion=3))
-    assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")
-
-
-def test_progress_reaches_the_whole(tmp_path):
-    told: list[tuple[int, int]] = []
-    build(tmp_path / "site", on_progress=lambda done, total: told.append((done, total)))
-    assert told == [(0, 20), (8, 20), (16, 20), (20, 20)]
 
 
 def test_another_folder_is_refused_even_with_overwrite(tmp_path):
@@ -184,21 +161,6 @@ def test_a_gallery_that_somebody_changed_is_kept(tmp_path, changed):
 UNFINISHED = ".writing-0123456789abcdef0123456789abcdef-files"
 
 
-def test_hidden_files_of_the_user_stay(tmp_path):
-    """Whatever their names begin with, unless it is the unique name of an unfinished file."""
-    notes = tmp_path / "site" / ".gallery-notes" / "thesis.txt"
-    left = tmp_path / "site" / UNFINISHED / "thumbs" / "000000.png"
-    for file in (notes, left):
-        file.parent.mkdir(parents=True)
-        file.write_text("years of work")
-    with pytest.raises(InputError, match=r"holds '\.gallery-notes', which is not part of a gallery"):
-        build(tmp_path / "site", overwrite=True)
-    assert notes.exists()
-    shutil.move(notes.parent, tmp_path)
-    build(tmp_path / "site")
-    assert not left.parent.parent.exists()
-
-
 @pytest.mark.parametrize("link", ["FILES/assets/mine", "FILES", PAGE_FILE, "files-mine", ".mine", UNFINISHED])
 def test_links_are_not_followed(tmp_path, link):
     out, mine = tmp_path / "site", tmp_path / "mine"
@@ -221,52 +183,6 @@ def test_links_are_not_followed(tmp_path, link):
     assert (mine.read_bytes() if mine.is_file() else folder_bytes(mine)) == before
 
 
-def _build_and_die(out: Path, calls: int, overwrite: bool) -> None:
-    called = []
-
-    def cut(call: Callable[..., object]) -> Callable[..., object]:
-        def called_once(*arguments: object, **options: object) -> object:
-            if len(called) == calls:
-                os.kill(os.getpid(), signal.SIGKILL)
-            called.append(arguments)
-            return call(*arguments, **options)
-
-        return called_once
-
-    for name in ("rename", "replace", "unlink", "rmdir"):
-        setattr(os, name, cut(getattr(os, name)))
-        setattr(Path, name, cut(getattr(Path, name)))
-    build(out, overwrite=overwrite)
-
-
-@pytest.mark.thorough
-def test_a_run_that_is_killed_while_its_site_appears_can_be_given_again(tmp_path):
-    """``new``: nothing is there; ``empty``: an empty folder; ``former``: another gallery, to be replaced."""
-    places = [tmp_path / name for name in ("new.1", "empty.0", "empty.1")]
-    former = [tmp_path / f"former.{calls}" for calls in (0, 1, 2, 3, 4, 9, 23)]
-    for place in places[1:]:
-        place.mkdir()
-    for place in former:
-        build(place, toy_gallery(4))
-    for place in (*places, *former):
-        killed = start_forked(_build_and_die, place, int(place.suffix[1:]), place in former)
-        assert killed.end() == -signal.SIGKILL, killed.err
-    shown = {place.name: len(index_of(place)["ids"]) for place in former}
-    assert set(shown.values()) == {4, 20}, shown
-    for place in former:
-        assert len(entries(files_of(place) / "items")) == shown[place.name], "of the gallery that is shown"
-    assert not any((place / PAGE_FILE).exists() for place in places)
-    build(tmp_path / "same")
-    for place in (*places, *former):
-        build(place, overwrite=place in former)
-        assert folder_bytes(place) == folder_bytes(tmp_path / "same"), place
-
-
-def test_an_empty_folder_is_used(tmp_path):
-    (tmp_path / "site").mkdir()
-    assert build(tmp_path / "site").items == 20
-
-
 @pytest.mark.parametrize("there", [False, True])
 @pytest.mark.parametrize("error", [InputError("no"), IntegrityError("damaged"), KeyboardInterrupt()])
 def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, error):
@@ -275,19 +191,11 @@ def test_a_failure_in_the_middle_leaves_things_as_they_were(tmp_path, there, err
         build(out)
     before = folder_bytes(tmp_path)
     tasks = (ToyTask(0, 8), ToyTask(8, 16, error=error))
-    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
+    broken = Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 16})
     with pytest.raises(type(error)):
         build(out, broken, overwrite=True)
     assert folder_bytes(tmp_path) == before
     assert entries(tmp_path) == (["site"] if there else [])
-
-
-def test_a_worker_that_dies_leaves_nothing(tmp_path):
-    tasks = (ToyTask(0, 8), ToyTask(8, 16, die=True))
-    broken = Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 16})
-    with pytest.raises(ToolkitError):
-        build_site(broken, str(tmp_path / "site"), ProcessRunner(2))
-    assert entries(tmp_path) == []
 
 
 KILLED = """
@@ -339,20 +247,6 @@ def test_no_room_leaves_nothing_and_says_so(tmp_path):
     assert entries(tmp_path) == []
 
 
-def test_what_a_living_run_is_making_is_not_cleared_up(tmp_path):
-    living: list[str] = []
-
-    def another(done: int, _total: int) -> None:
-        if done == 8:
-            living.extend(entries(tmp_path))
-            build(tmp_path / "b")
-            assert entries(tmp_path) == sorted([*living, "b"])
-
-    build(tmp_path / "a", on_progress=another)
-    assert len(living) == 1
-    assert entries(tmp_path) == ["a", "b"]
-
-
 def test_a_place_that_cannot_be_written_is_named(tmp_path):
     (tmp_path / "file").write_text("x")
     with pytest.raises(StorageError, match="Not a directory"):
@@ -381,18 +275,6 @@ def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
     assert entries(tmp_path) == []
 
 
-def test_the_place_of_a_site_is_looked_at_before_it_is_made(tmp_path):
-    out = tmp_path / "site"
-    assert site_folder(toy_gallery(), str(out)) == out
-    assert entries(tmp_path) == []
-    build(out)
-    with pytest.raises(InputError, match="--overwrite"):
-        site_folder(toy_gallery(4), str(out))
-    assert site_folder(toy_gallery(4), str(out), overwrite=True) == out
-    with pytest.raises(InputError, match="there is no toy to show"):
-        site_folder(toy_gallery(0), str(out), overwrite=True)
-
-
 def test_hostile_words_are_harmless_in_every_file(tmp_path):
     build(tmp_path / "site", toy_gallery(4, hostile=True))
     page = (tmp_path / "site" / "index.html").read_text()
@@ -412,82 +294,7 @@ def test_hostile_words_are_harmless_in_every_file(tmp_path):
 def test_item_errors_of_a_task_pass_through(tmp_path):
     tasks = (ToyTask(0, 1, error=ItemError("odd", "an odd one")),)
     with pytest.raises(ItemError, match="an odd one"):
-        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), (), tasks, {"train": 1}))
-
-
-@pytest.mark.parametrize(
-    ("there", "overwrite"),
-    [
-        ("nothing", False),
-        ("nothing", True),
-        ("an empty folder", False),
-        ("an empty folder", True),
-        ("a gallery", True),
-    ],
-)
-def test_files_put_in_its_place_meanwhile_are_kept(tmp_path, there, overwrite):
-    out = tmp_path / "site"
-    if there == "a gallery":
-        build(out)
-    elif there == "an empty folder":
-        out.mkdir()
-
-    def put(done: int, _total: int) -> None:
-        if done == 8:
-            (out / "files-mine").mkdir()
-            (out / "files-mine" / "thesis.txt").write_text("years of work")
-
-    with pytest.raises(InputError, match=r"not part of a gallery .* nothing was changed"):
-        build(out, toy_gallery(16), overwrite=overwrite, on_progress=put)
-    assert (out / "files-mine" / "thesis.txt").read_text() == "years of work"
-    whole = build(tmp_path / "same").files if there == "a gallery" else 0
-    assert len(folder_bytes(out)) == 1 + whole
-    assert entries(tmp_path) == (["same", "site"] if whole else ["site"])
-
-
-@pytest.mark.parametrize("there", [False, True])
-def test_of_two_runs_to_one_place_only_the_first_makes_it(tmp_path, there):
-    out = tmp_path / "site"
-    if there:
-        build(out, toy_gallery(9))
-    refused: list[str] = []
-
-    def another(done: int, _total: int) -> None:
-        if done == 8:
-            with pytest.raises(BusyError, match=r"process \d+ on .* holds .*site") as caught:
-                build(out, toy_gallery(4), overwrite=there)
-            refused.append(str(caught.value))
-
-    build(out, overwrite=there, on_progress=another)
-    assert len(refused) == 1
-    assert len(index_of(out)["ids"]) == 20
-    assert entries(out) == [files_of(out).name, PAGE_FILE]
-
-
-def test_a_file_that_comes_in_the_last_moment_is_kept(tmp_path, monkeypatch):
-    out = tmp_path / "site"
-    build(out)
-    former = files_of(out)
-    replace = Path.replace
-
-    def late(self: Path, target: Path) -> Path:
-        (former / "items" / "thesis.txt").write_text("years of work")
-        return replace(self, target)
-
-    monkeypatch.setattr(Path, "replace", late)
-    build(out, toy_gallery(4), overwrite=True)
-    assert len(index_of(out)["ids"]) == 4
-    assert (former / "items" / "thesis.txt").read_text() == "years of work"
-
-
-def test_who_stands_in_the_folder_stays_in_it(tmp_path, monkeypatch):
-    out = tmp_path / "site"
-    out.mkdir()
-    monkeypatch.chdir(out)
-    inode = out.stat().st_ino
-    assert build(Path()).path == str(out)
-    build(Path(), toy_gallery(4), overwrite=True)
-    assert (out.stat().st_ino, len(index_of(Path())["ids"])) == (inode, 4)
+        build(tmp_path / "site", Gallery("toy", "Toys", ("toy", "toys"), (), tasks, {"train": 1}))
 
 
 def test_a_link_stays_a_link(tmp_path):

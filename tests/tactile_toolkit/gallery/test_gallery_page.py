@@ -4,33 +4,21 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from tactile_toolkit.gallery import Item, build_site, packed_mesh
+from tactile_toolkit.gallery import build_site
 from tactile_toolkit.run import InlineRunner
 from tests.gallery_browser import Opened, browser, opened
 from tests.gallery_files import files_of
-from tests.gallery_toy import CORNERS_M, FACES, HOSTILE, ToyTask, toy_gallery
+from tests.gallery_toy import HOSTILE, toy_gallery
 
 pytestmark = pytest.mark.browser
 
 COUNT = 1_000
-
-
-@dataclass(frozen=True)
-class OneItem:
-    """Work of one item that is there already."""
-
-    item: Item
-    size: int = 1
-
-    def make(self) -> list[Item]:
-        return [self.item]
 
 
 @pytest.fixture(scope="module")
@@ -100,50 +88,6 @@ def test_filters_show_what_the_data_holds(chromium, site):
         assert chip(found, "Parity", "even").get_attribute("aria-pressed") == "false"
         titles = found.page.locator("#facets legend, #facets .field > span").all_inner_texts()
         assert titles == ["Class", "Parity", "Writer"]
-
-
-def test_clear_all_takes_back_the_sorting_too_and_keeps_the_focus(chromium, site):
-    with opened(chromium, site) as found:
-        clear = found.page.get_by_role("button", name="Clear all")
-        assert clear.get_attribute("aria-disabled") == "true"
-        found.page.get_by_label("Sort by").select_option(label="Volume, largest first")
-        assert shown(found)[0] != "0"
-        assert clear.get_attribute("aria-disabled") == "false"
-        clear.focus()
-        found.page.keyboard.press("Enter")
-        assert found.page.get_by_label("Sort by").input_value() == ""
-        assert shown(found)[0] == "0"
-        assert focused(found) == "clear"
-
-
-@pytest.mark.parametrize("what", ["sort", "search", "filter"])
-def test_the_best_match_comes_into_view(chromium, site, what):
-    with opened(chromium, site) as found:
-        page = found.page
-        page.get_by_role("listbox").press("End")
-        assert page.evaluate("scrollY") > 1_000
-        if what == "sort":
-            page.get_by_label("Sort by").select_option(label="Volume, smallest first")
-        elif what == "search":
-            page.get_by_label("Search by id").fill("9")
-        else:
-            chip(found, "Parity", "even").click()
-        first = page.locator('.tile[aria-posinset="1"]').bounding_box()
-        covered = page.locator(".top").bounding_box()["height"]
-        assert covered <= first["y"] < page.viewport_size["height"] / 2
-
-
-def test_search_by_id_puts_the_exact_one_first(chromium, site):
-    with opened(chromium, site) as found:
-        found.page.keyboard.press("/")
-        assert focused(found) == "search"
-        found.page.keyboard.type("42")
-        expected = [str(n) for n in range(COUNT) if "42" in str(n)]
-        assert count_text(found) == f"{len(expected)} of 1,000 toys"
-        assert shown(found)[0] == "42"
-        assert sorted(shown(found)) == sorted(expected)
-        found.page.keyboard.type("no such id")
-        assert count_text(found) == "0 of 1,000 toys"
 
 
 def test_sorting_keeps_unknown_values_last(chromium, site):
@@ -277,16 +221,6 @@ def test_all_by_keyboard(chromium, site):
         assert active(found) == "0"
 
 
-def test_the_ends_of_the_list_are_ends(chromium, site):
-    with opened(chromium, site, link="#item-999") as found:
-        found.stage()
-        assert found.page.get_by_role("button", name="Next item").is_disabled()
-        found.page.get_by_role("button", name="Previous item").click()
-        found.page.wait_for_function("document.getElementById('item-title').textContent.endsWith(' 998')")
-        found.page.get_by_role("button", name="Close").click()
-        assert active(found) == "998"
-
-
 def test_everything_operable_has_a_name(chromium, site):
     with opened(chromium, site, link="#item-3") as found:
         found.stage()
@@ -326,24 +260,6 @@ def test_light_and_dark_follow_the_system_and_can_be_read(chromium, site, dark):
             ("body", "body"), ("#count", "body"), (".tile .id", ".tile"), ("#facts dt", "dialog"),
         ):  # fmt: skip
             assert contrast(found, selector, behind) >= 4.5, selector
-
-
-def test_the_reader_may_choose_light_or_dark(chromium, site):
-    with opened(chromium, site, dark=True) as found:
-        button = found.page.locator("#theme")
-        assert button.inner_text() == "Theme: auto"
-        button.click()
-        assert button.inner_text() == "Theme: light"
-        assert found.page.locator("html").get_attribute("data-theme") == "light"
-        found.page.reload()
-        found.page.wait_for_function("gallery.index !== null")
-        assert found.page.locator("html").get_attribute("data-theme") == "light"
-        button.click()
-        found.page.locator(".tile").first.click()
-        assert found.stage()[4, 4].mean() < 80
-        found.page.evaluate("theme.next()")
-        found.page.emulate_media(color_scheme="light")
-        assert found.stage()[4, 4].mean() > 180  # the view is painted again
 
 
 def test_phone_width_needs_no_sideways_scrolling(chromium, site):
@@ -410,19 +326,3 @@ def test_without_webgl_the_thumbnail_is_shown(chromium, site):
         found.page.get_by_text("The 3D view cannot be shown here").wait_for()
         assert found.page.locator("dialog img.fallback").evaluate("node => node.decode().then(() => true)")
         assert "Volume" in found.page.locator("#facts").inner_text()
-
-
-@pytest.mark.parametrize("size_mm", [0.02, 500.0])
-def test_objects_of_any_size_are_seen_and_can_be_neared(chromium, tmp_path, size_mm):
-    mesh = packed_mesh(CORNERS_M * (size_mm / 30), FACES)
-    task = ToyTask(0, 1)
-    item = replace(task.make()[0], content={"notes": [], "mesh": mesh})
-    gallery = replace(toy_gallery(1), tasks=(OneItem(item),))
-    build_site(gallery, str(tmp_path / "site"), InlineRunner())
-    with opened(chromium, tmp_path / "site", link="#item-0") as found:
-        ground = found.stage()[0, 0]
-        assert (np.abs(found.stage() - ground).max(axis=2) > 40).mean() > 0.05
-        found.page.locator(".stage canvas").focus()
-        for _ in range(8):
-            found.page.keyboard.press("+")
-        assert (np.abs(found.stage() - ground).max(axis=2) > 40).mean() > 0.3

@@ -13,21 +13,21 @@ import pytest
 import trimesh
 from hypothesis import given, strategies as st
 
-from tactile_toolkit.catalog import choose_rows, short_name
+from tactile_toolkit.catalog import choose_rows
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.gallery.items import (
-    STEP_MM,
+from tactile_toolkit.gallery import (
     THUMBNAIL_PX,
-    Facet,
     Gallery,
-    Item,
+    GalleryItem,
     packed_mesh,
     relief_thumbnail,
     require_mesh,
     thumbnail,
 )
-from tactile_toolkit.gallery.site import index_of, script_json
-from tactile_toolkit.wording import natural_key
+from tactile_toolkit.gallery.page import index_of, script_json
+from tactile_toolkit.gallery.viewer_mesh import STEP_MM
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.rows import Column
 from tests.gallery_toy import CORNERS_M, FACES
 
 
@@ -130,16 +130,6 @@ def test_a_relief_fills_its_tile_whatever_its_size(sides_m):
     assert relief_thumbnail(np.add(box.vertices, (0.5, -0.25, 1.0)), box.faces) == content
 
 
-def test_smoothed_edges_keep_the_colour_of_the_ink():
-    paper, ink = np.array([245.0, 243, 238]), np.array([40.0, 40, 40])
-    shares = np.linspace(0, 1, 9)[:, None]
-    pixels = np.round((1 - shares) * paper + shares * ink).astype(np.uint8)[None]
-    small = read_png(thumbnail(pixels, opaque_from=205))[0]
-    assert small[0, 3] == 0
-    assert np.abs(small[2:, :3].astype(int) - 40).max() <= 4
-    assert (np.diff(small[:, 3].astype(int)) > 0).all()
-
-
 def test_rows_are_chosen_per_class_then_limited():
     labels = np.array([1, 0, 1, 1, 0, 2])
 
@@ -163,20 +153,23 @@ def test_values_are_in_the_order_people_count_in():
     assert sorted(set(counted), key=natural_key) == counted
 
 
-def test_a_site_does_not_tell_where_the_data_set_lay(tmp_path):
-    (tmp_path / "secret" / "digits").mkdir(parents=True)
-    assert short_name(str(tmp_path / "secret" / "digits")) == "digits"
-    assert short_name("somebody/touches") == "somebody/touches"
-
-
-def test_splits_stand_in_the_order_of_the_data():
-    facets = (Facet("split", "Split"), Facet("label", "Class"))
-    splits = {"train": 1, "test": 1, "holdout": 1}
+def test_values_of_a_facet_stand_in_their_order_and_unknown_ones_are_named():
+    splits = ("train", "test", "holdout")
+    facets = (
+        Column(None, name="split", role="facet", title="Split", values=splits),
+        Column(None, name="label", role="facet", title="Class"),
+        Column(None, name="gel", role="facet", title="Gel"),
+        Column(None, name="warnings", role="facet", title="Warnings"),
+    )
+    gels = {"test": None, "holdout": 12, "train": 2}
     items = [
-        Item(split, split, {"split": (split,), "label": (split,)}, {}, b"", {})
-        for split in ("test", "holdout", "train")
+        GalleryItem(split, split, {"split": split, "label": split, "gel": gel, "warnings": []}, b"", {})
+        for split, gel in gels.items()
     ]
-    columns = index_of(Gallery("toy", "Toys", ("toy", "toys"), facets, (), (), splits), items)["facets"]
+    gallery = Gallery("toy", "Toys", ("toy", "toys"), facets, (), dict.fromkeys(splits, 1))
+    columns = index_of(gallery, items)["facets"]
     assert columns[0]["values"] == ["train", "test", "holdout"]
     assert columns[1]["values"] == ["holdout", "test", "train"]
     assert columns[0]["rows"] == [[1], [2], [0]]
+    assert columns[2]["values"] == ["2", "12", "unknown"]
+    assert columns[3] == {"title": "Warnings", "values": ["none"], "rows": [[0], [0], [0]]}

@@ -15,8 +15,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.store import build, open_folder
 from tests.hub_server import HubServer, hub
 from tests.tactile_toolkit.hub.client import run_here, settings
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
@@ -42,7 +41,7 @@ CONTENT = big_parquet()
 @functools.cache
 def _toy_files() -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
-        build(DataFolder(folder), toy_plan(), InlineRunner())
+        build(open_folder(folder), toy_plan())
         return folder_bytes(Path(folder))
 
 

@@ -11,7 +11,6 @@ import pytest
 from huggingface_hub import constants
 
 from tactile_toolkit.errors import HubError, InputError
-from tactile_toolkit.hub import calls
 from tactile_toolkit.hub.calls import call_with_retry, failure_of, not_cached, page_of
 from tactile_toolkit.redaction import redact
 from tests.hub_server import HubServer, hub
@@ -86,22 +85,6 @@ def test_revision_and_file(server, tmp_path):
     assert text.startswith("4 HubError the Hub refused reading Hub data set 'someone/set' (404): ")
 
 
-def test_gated(server, tmp_path):
-    server.create("someone/gate", {"README.md": b"#"}, gated="manual")
-    text = said(server, tmp_path, reading("someone/gate"), repo="someone/gate")
-    assert "is gated; next: accept its terms at http://127.0.0.1" in text
-    assert "hf auth login" in text
-
-
-def test_a_bad_token(server, tmp_path):
-    words = "4 HubError reading Hub data set 'someone/set' needs a token that the Hub knows; next: log in"
-    assert said(server, tmp_path, reading(), token="hf_NobodyHasThisToken0000").startswith(words)
-    stored = tmp_path / "hf" / "token"
-    stored.parent.mkdir(exist_ok=True)
-    stored.write_text("hf_NobodyHasThisToken0000")
-    assert said(server, tmp_path, reading()).startswith(words)
-
-
 def test_a_token_that_is_no_header_is_not_quoted(server, tmp_path):
     token = "hf_SecretSecret\x01Secret"
     for action in (reading(), reading().replace("fetch", "api.whoami() or fetch")):
@@ -138,12 +121,6 @@ def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
     assert "next: check the network, HF_ENDPOINT" in text
 
 
-def test_a_name_that_is_none(server, tmp_path):
-    text = said(server, tmp_path, "with hub_failures('a b'): api.dataset_info('a/b/c d')")
-    assert text.startswith("2 InputError not a name of a repository: ")
-    assert text.endswith("; next: give USER/NAME")
-
-
 def test_a_full_disk(server, tmp_path):
     """A real limit of the file system on how large a file may grow stands for a full disk."""
     limited = "import resource; resource.setrlimit(resource.RLIMIT_FSIZE, (500, resource.RLIM_INFINITY))"
@@ -168,31 +145,6 @@ def test_trouble_that_passes_is_waited_for(server, tmp_path):
     assert first.endswith("; trying again in 0.01 s")
     assert "the Hub answered 429" in second
     assert result == "someone/set"
-
-
-def test_trouble_that_stays_is_given_up(server, tmp_path):
-    server.faults.fail("/api/datasets/*", 502, times=99)
-    text = said(server, tmp_path, ASK.replace("on_wait=print", ""))
-    assert text.startswith(
-        "4 HubError the Hub answered 502 while reading Hub data set 'someone/set'; next: try"
-    )
-    assert "again in some minutes" in text
-    assert sum("/api/datasets/" in request.path for request in server.requests) == 3
-
-
-def test_a_broken_connection_is_tried_again_and_a_refusal_is_not(server, tmp_path):
-    server.faults.refuse_body("/api/datasets/*", after=0)
-    assert (
-        said(server, tmp_path, ASK.replace("print(call", "str(call").replace("on_wait=print", "")) == "done"
-    )
-    before = len(server.requests)
-    text = said(server, tmp_path, ASK.replace("api.dataset_info('someone/set')", "api.dataset_info('no/no')"))
-    assert "was not found" in text
-    assert sum("/api/datasets/" in request.path for request in server.requests[before:]) == 1
-
-
-def test_waits_grow():
-    assert list(calls.WAITS_S) == sorted(set(calls.WAITS_S))
 
 
 def test_errors_of_others_pass_untouched():
@@ -227,15 +179,6 @@ def test_scrubbing(text, shown):
     assert redact(text) == shown
     assert redact(shown) == shown
     assert str(InputError(text)) == shown
-
-
-def test_of_long_words_the_beginning_of_the_first_line_is_told():
-    letters = "".join(map(chr, range(0x4E00, 0x4E00 + 400)))
-    failure = failure_of(OSError(f"  {letters}\nmore"), "someone/set")
-    assert failure is not None
-    said = str(failure.error)
-    assert [letter for letter in said if ord(letter) >= 0x4E00] == list(letters[:300])
-    assert "more" not in said
 
 
 @pytest.mark.parametrize("words", ["Authorization: Bearer AbCdEf123456", "https://host/a?sig=AbCdEf123456"])

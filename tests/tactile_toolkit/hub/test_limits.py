@@ -85,20 +85,6 @@ def test_an_answer_that_comes_byte_by_byte_is_given_up(server, tmp_path, monkeyp
     assert fetch(server, tmp_path, script(BIG))[1][-1] == SHARD
 
 
-def test_a_slow_reader_does_not_make_a_slow_server(monkeypatch):
-    monkeypatch.setattr(remote, "ANSWER_S", 0.05)
-
-    def pieces():
-        for number in range(5):
-            yield bytes([number])
-
-    found = []
-    for piece in calls._timed(pieces):
-        time.sleep(0.02)
-        found.append(piece)
-    assert found == list(pieces())
-
-
 PAGE = b"<!DOCTYPE html><title>Hotel</title><form>Please log in</form>"
 
 

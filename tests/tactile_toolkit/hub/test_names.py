@@ -2,10 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
@@ -72,27 +68,9 @@ def test_numbered_files_belong_to_the_split_of_their_folder():
     }, "shards in data decide"
 
 
-def test_a_local_copy_of_the_conversion_branch_has_its_splits(tmp_path):
-    for part in ("default/train/0000", "default/test/0000", "default/test/0001"):
-        place = tmp_path / f"{part}.parquet"
-        place.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table({"id": [1]}), place)
-    assert set(open_place(str(tmp_path)).splits) == {"train", "test"}
-    shards = open_place(str(tmp_path)).shards("test")
-    assert [Path(shard.path).relative_to(tmp_path).as_posix() for shard in shards] == [
-        "default/test/0000.parquet",
-        "default/test/0001.parquet",
-    ]
-
-
 @pytest.mark.parametrize("name", ["~nobody-of-that-name/x", "x" * 5000, "a\0b", "nowhere"])
 def test_names_that_no_place_can_have_are_refused(name):
     for names in (name, [name]):
         with pytest.raises(InputError, match="does not exist; expected a folder, a Parquet file") as caught:
             open_place(names)
         assert len(str(caught.value)) < 500
-
-
-def test_no_files_are_no_data_set():
-    with pytest.raises(InputError, match="no files given"):
-        open_place([])

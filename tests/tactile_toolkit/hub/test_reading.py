@@ -44,6 +44,21 @@ def test_a_file_cut_short_in_the_cache_is_repaired_and_an_intact_one_is_not_fetc
     assert len(server.content_requests(SHARD)) == 2
 
 
+COUNTED = """
+import os
+synced = set()
+os.fsync = lambda handle: synced.add(os.fstat(handle).st_ino)
+from tactile_toolkit.hub.repository import open_repository
+(path,) = open_repository({name!r}).local_paths([{path!r}])
+print(os.stat(path).st_ino in synced)
+"""
+
+
+def test_a_file_is_on_the_disk_before_it_counts_as_intact(server, tmp_path):
+    done = run_here(COUNTED.format(name=BIG, path=SHARD), settings(server, tmp_path), tmp_path)
+    assert done.stdout.strip() == "True", done.stderr
+
+
 def test_what_the_manifest_does_not_list_is_not_handed_out(server, tmp_path):
     repository = server.repository(NAME)
     shard = "data/test-00000-of-00002.parquet"
@@ -70,20 +85,6 @@ def test_two_processes_fetch_a_file_once(server, tmp_path):
     assert len(found) == 1
     assert Path(found.pop().strip().removeprefix("path ")).read_bytes() == CONTENT
     assert [request.sent for request in server.content_requests(SHARD)] == [len(CONTENT)]
-
-
-LATE = """
-from tactile_toolkit.hub.repository import open_repository
-looked = open_repository({name!r})
-open_repository({name!r}).local_paths([{path!r}])  # as another process does meanwhile
-looked.fetch([looked.file({path!r})])
-"""
-
-
-def test_a_process_that_looked_before_another_had_fetched_a_file_takes_that(server, tmp_path):
-    done = run_here(LATE.format(name=BIG, path=SHARD), settings(server, tmp_path), tmp_path)
-    assert done.returncode == 0, done.stderr
-    assert len(server.content_requests(SHARD)) == 1
 
 
 OTHERS = """
@@ -129,7 +130,7 @@ def test_a_stream_stays_at_the_commit_that_it_began_with(server, tmp_path):
 
 STREAM = """
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 try:
     (shard,) = open_place([{address!r}]).shards(streaming=True)
     {meanwhile}

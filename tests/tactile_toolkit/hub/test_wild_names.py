@@ -83,13 +83,6 @@ def test_what_goes_with_shards_has_plain_names_too(server, tmp_path, home, name)
     assert outside(tmp_path, home) == before
 
 
-def test_names_that_nobody_wants_do_no_harm(server, home):
-    """Repositories have all sorts of files; only what is fetched must have a plain name."""
-    server.create(BIG, {SHARD: CONTENT, ".gitattributes": b"", "notes/../x": b"", "a\\b": b""})
-    place = fetch(server, home, script(BIG, out=home / "out"))[0]
-    assert sorted(folder_bytes(Path(place))) == [".download.json", SHARD]
-
-
 def test_two_files_that_are_one_elsewhere_are_refused(server, home):
     other = "Data/train-00000-of-00001.parquet"
     server.create(BIG, {SHARD: CONTENT, other: CONTENT})
@@ -108,19 +101,6 @@ def test_a_manifest_of_the_hub_is_read_as_warily(server, tmp_path, home):
         assert "someone/wild/manifest.json" in words
     assert outside(tmp_path, home) == before
     assert not (home / "deep").exists()
-
-
-def test_a_file_of_somebody_in_the_folder_is_not_overwritten(server, home):
-    out = home / "out"
-    fetch(server, home, script(BIG, out=out))
-    (out / "reports").mkdir()
-    (out / "reports" / "mine.txt").write_text("mine")
-    server.repository(BIG).commit({"reports/mine.txt": Blob(b"theirs", is_lfs=False)}, "a report")
-    before = folder_bytes(out)
-    code, kind, words = fetch(server, home, script(BIG, out=out))
-    assert (code, kind) == (2, "InputError")
-    assert "holds a file of your own where the data set has one ('reports/mine.txt')" in words
-    assert folder_bytes(out) == before
 
 
 @pytest.mark.parametrize("part", ["oid", "sha256"])

@@ -5,6 +5,7 @@ Outcomes of the files next to the repository are those of the references that `s
 
 from __future__ import annotations
 
+import gzip
 import io
 import json
 import math
@@ -22,7 +23,7 @@ import trimesh
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
 from tactile_toolkit.mesh.gltf import read_glb
-from tactile_toolkit.mesh.readers import cut_polygons
+from tactile_toolkit.mesh.polygons import cut_polygons
 from tests.real_input import SHARED
 
 CASES = SHARED / "cases" / "solid"
@@ -113,12 +114,21 @@ TEXTS = {
     "crlf.stl": CUBE_STL.replace("\n", "\r\n").encode(),
     "one_line.stl": CUBE_STL.replace("endsolid", "\nendsolid").replace("    ", " ").encode(),
     "name.stl": CUBE_STL.replace("part", "\u96f6\u4ef6 facet").encode("gbk"),
+    "padded.stl": CUBE_STL.encode() + b"\0" * 40,
+    "dos.stl": CUBE_STL.encode() + b"\x1a",
     "normals.stl": CUBE_STL.replace("normal 0 0 0", "normal -nan(ind) nan inf").encode(),
     "mark.obj": b"\xef\xbb\xbf" + CUBE_OBJ.encode(),
     "tabs.obj": CUBE_OBJ.replace(" ", "\t").replace("\n", "\t \r\n").encode(),
     "comments.obj": CUBE_OBJ.replace("\n", " # \u96f6 f 1 2 3\n").encode("gbk"),
     "slashes.obj": CUBE_OBJ.replace("f ", "vt 0 0\nl 1 2\np 3\nf ").encode(),
     "cr.obj": CUBE_OBJ.replace("\n", "\r").encode(),
+    "quads.obj": obj_text(
+        cube().vertices_mm,
+        [[1, 3, 2, 0], [6, 7, 5, 4], [4, 5, 1, 0], [3, 7, 6, 2], [2, 6, 4, 0], [5, 7, 3, 1]],
+    ).encode(),
+    "from_last.obj": (CUBE_OBJ.partition("f ")[0] + "v 9 9 9\n" * 2).encode()
+    + b"".join(b"f %d %d/7 %d//7\n" % tuple(c - 10 for c in each) for each in cube().faces.tolist())
+    + b"v 9 9 9\n",
     "continued.obj": CUBE_OBJ.replace("v ", "v \\\n").encode(),
 }
 
@@ -135,14 +145,27 @@ DAMAGED = {
     "letters.stl": (CUBE_STL.replace("vertex 10", "vertex ten", 1).encode(), "'ten' is not a number"),
     "half.stl": (CUBE_STL.replace("endfacet", "", 1).encode(), "is not a facet"),
     "tail.stl": (pack_mesh(cube(), ".stl") + bytes(92), "776 bytes, a binary STL file of 12 triangles"),
+    "underscore.stl": (CUBE_STL.replace("vertex 10", "vertex 1_0").encode(), "'1_0' is not a number"),
+    "packed.stl": (gzip.compress(pack_mesh(cube(), ".stl")), "its content is gzip; expected STL"),
+    "archive.obj": (pack_mesh(cube(), ".3mf"), "its content is a zip archive; expected OBJ"),
+    "model.ply": (pack_mesh(cube(), ".glb"), "its content is binary glTF; expected PLY"),
+    "utf16.stl": (CUBE_STL.encode("utf-16-le"), "neither text nor binary STL"),
+    "far.stl": (CUBE_STL.replace("vertex 10", "vertex 1e30", 1).encode(), "1e+30 mm long"),
     "page.stl": (b"<html>not found</html>\n" * 9, "begins with '<html>not found</html>'"),
     "short.obj": (b"v 1 2\nf 1 1 1\n", "fewer than three coordinates"),
     "beyond.obj": (CUBE_OBJ.replace("f ", "f 99 ").encode(), "names vertex 98, counted from 0"),
-    "zero.obj": (CUBE_OBJ.replace("f ", "f 0 ").encode(), "a face names vertices 0 to 4 of 8"),
+    "zero.obj": (CUBE_OBJ.replace("f ", "f 0 ").encode(), "a face names vertex 0 of 8 so far"),
+    "underscore.obj": (CUBE_OBJ.replace("f 2 ", "f 0_2 ").encode(), "'0_2' is not a number"),
+    "huge.obj": (CUBE_OBJ.replace("f ", f"f {10**30} ").encode(), "faces name vertices 1 to 1000000"),
     "surface.obj": (b"surf 0 1 0 1 1 2\n", "free-form surface"),
-    "word.obj": (CUBE_OBJ.replace("f ", "f one ").encode(), "has no corners; expected the numbers"),
+    "word.obj": (CUBE_OBJ.replace("f ", "f one ").encode(), "'one' is not a number; expected an integer"),
     "format.ply": (b"ply\nformat text 1.0\nend_header\n", "the format is 'text'"),
     "page.ply": (b"<html>", "no header"),
+    "underscore.ply": (
+        pack_mesh(cube(), ".ply")[:0] + b"ply\nformat ascii 1.0\nelement vertex 1\n"
+        b"property int x\nend_header\n1_0\n",
+        "'1_0' is not a number",
+    ),
     "type.ply": (b"ply\nformat ascii 1.0\nelement vertex 1\nproperty half x\nend_header\n0\n", "half x"),
     "text.glb": (b"{}", "not binary glTF"),
 }
@@ -292,6 +315,15 @@ def test_torn_corners_are_welded_and_counted(ending: str, tmp_path: Path) -> Non
             assert report.notes == ()
 
 
+def test_a_corner_far_away_does_not_weld_the_others(tmp_path: Path) -> None:
+    """Measured by it, all others would be near: two facets fewer, and half of the cube were a solid."""
+    path = tmp_path / "far.stl"
+    path.write_text(CUBE_STL.replace("vertex 10", "vertex 1e9", 1))
+    mesh = read_mesh(path, unit="mm")
+    assert (len(mesh.faces), mesh.notes) == (12, ())
+    assert not inspect(mesh).is_solid
+
+
 def test_what_is_open_stays_as_it_is() -> None:
     open_box = Mesh(cube().vertices_m, cube().faces[1:])
     for ending in (".stl", ".ply", ".glb"):
@@ -431,6 +463,11 @@ def test_strips_fans_and_sparse_values_are_read() -> None:
         ({"nodes": [{"mesh": 0, "skin": 0}]}, "skin"),
         ({"nodes": [{"mesh": 0, "weights": [0.5]}]}, "morph targets"),
         ({"nodes": [{"children": [0]}]}, "in a circle"),
+        ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 2]}]}, "a quaternion of length 2; expected length one"),
+        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 1] * 3, 0, 0, 0, 1]}]}, "that distorts"),
+        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 0, 0] * 3, 1], "scale": [2, 2, 2]}]}, "next to parts"),
+        ({"asset": {"version": "2.0", "minVersion": "2.1"}}, r"needs glTF 2\.1"),
+        ({"asset": {"version": "3.0"}}, r"needs glTF 3\.0"),
         ({"nodes": [{"mesh": 7}]}, "names meshes 7; there are 1"),
         ({"nodes": [{"mesh": -1}]}, "names meshes -1"),
         ({"buffers": [{"byteLength": 9, "uri": "part.bin"}]}, "keeps data elsewhere"),
@@ -570,6 +607,22 @@ def test_extensions_of_3mf(head: str, inside: str, words: str, tmp_path: Path) -
     assert words in str(outcome)
     if not words:
         assert outcome == pytest.approx(8000)
+
+
+@pytest.mark.parametrize(
+    ("resources", "build", "words"),
+    [
+        (TWO + TWO, ITEM, "has several objects '1'"),
+        (TWO, "", "holds nothing to build$"),
+        (TWO.replace('x="10', 'x="10,', 1), ITEM, "is not a number; expected one such as"),
+        (TWO.replace('x="10', 'x="1_0', 1), ITEM, "is not a number"),
+        (TWO.replace('v1="1"', 'v1="1.5"', 1), ITEM, "'1.5' is not a number; expected an integer"),
+    ],
+)
+def test_what_3mf_does_not_allow_is_named(resources: str, build: str, words: str, tmp_path: Path) -> None:
+    """lib3mf refuses them, too, or reads another solid."""
+    with pytest.raises(InputError, match=words):
+        read_mesh(package(tmp_path / "a.3mf", resources, build))
 
 
 def test_relations_name_the_root_model(tmp_path: Path) -> None:

@@ -190,6 +190,7 @@ def two_hulls(rng: np.random.Generator) -> Any:
 SOLIDS = [sheared_box, wedge, two_blocks_joined, cut_from_both_sides, dented, flat_ball, two_hulls]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("make", SOLIDS)
 @settings(deadline=None)
 @given(seed=st.integers(0, 2**32 - 1))
@@ -198,9 +199,8 @@ def test_no_wall_is_left_out(make: Any, seed: int) -> None:
     require_same(turned(vertices, seed), faces)
 
 
-@pytest.mark.parametrize(
-    "taper_deg", [*(pytest.param(taper, marks=pytest.mark.thorough) for taper in (15, 17)), 18]
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("taper_deg", [18, 15])
 @pytest.mark.parametrize("side", [-1, 1])
 @pytest.mark.parametrize("axes", [(0, 1, 2), (1, 2, 0), (2, 0, 1)])
 def test_ways_that_lead_aslant_out_of_both_boxes_are_found(taper_deg: float, side: int, axes: Any) -> None:

@@ -27,9 +27,9 @@ def squared(record: Any) -> int:
 
 
 @pytest.fixture(scope="module")
-def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
+def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.DigitDataset:
     folder = tmp_path_factory.mktemp("digits") / "set"
-    spec = mnist3d.GenerateSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
+    spec = mnist3d.DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=2_000), per_class=1)
     mnist3d.generate(spec, folder, splits=("test",))
     return mnist3d.load(str(folder))
 
@@ -37,8 +37,8 @@ def digits(tmp_path_factory: pytest.TempPathFactory) -> mnist3d.MeshDataset:
 SCENES = starstruck_gen.SceneDataset(size=6, seed=1)
 
 
-def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
-    from mnist3d.torch import DigitTensors
+def test_points_lie_on_the_surface_evenly(digits: mnist3d.DigitDataset) -> None:
+    from mnist3d.digit_tensors import DigitTensors
 
     data = DigitTensors(digits, points=4000, seed=3)
     points, label = data[4]
@@ -63,10 +63,10 @@ def test_points_lie_on_the_surface_evenly(digits: mnist3d.MeshDataset) -> None:
     assert not torch.equal(DigitTensors(digits, points=4000, seed=4)[4][0], points)
 
 
-def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
+def test_voxels_are_the_inside(digits: mnist3d.DigitDataset) -> None:
     """Against the mesh itself, point by point, and by volume."""
-    from mnist3d.torch import DigitTensors
-    from starstruck_gen.torch import SceneTensors
+    from mnist3d.digit_tensors import DigitTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     random = np.random.default_rng(0)
     for data, record, size_m in (
@@ -88,9 +88,9 @@ def test_voxels_are_the_inside(digits: mnist3d.MeshDataset) -> None:
         np.testing.assert_array_equal(record.mesh.contains(centres), grid[layer, row, column] == 1)
 
 
-def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
+def test_height_maps_and_meshes(digits: mnist3d.DigitDataset) -> None:
     from env_assets.height_map import top_surface
-    from mnist3d.torch import DigitTensors
+    from mnist3d.digit_tensors import DigitTensors
 
     heights, volume_m3 = DigitTensors(digits, "height_map", pitch_m=0.0005, target="volume_m3")[3]
     assert (tuple(heights.shape), heights.dtype) == ((1, 200, 200), torch.float32)
@@ -111,57 +111,8 @@ def test_height_maps_and_meshes(digits: mnist3d.MeshDataset) -> None:
     assert doubled[3][1] == digits[3].id
 
 
-@pytest.mark.own_process
-def test_workers_give_what_this_process_gives() -> None:
-    """In one process for all, which takes a second to start."""
-    for form, method, workers in (("points", "fork", 2), ("mesh", "fork", 2), ("mesh", "spawn", 1)):
-        workers_give_what_this_process_gives(form, method, workers)
-
-
-def workers_give_what_this_process_gives(form: Any, method: str, workers: int) -> None:
-    from torch.utils.data import DataLoader
-
-    from starstruck_gen.torch import SceneTensors, collate_meshes
-
-    data = SceneTensors(SCENES, form, points=50, target=squared)
-    collate = {"collate_fn": collate_meshes} if form == "mesh" else {}
-    loader = DataLoader(data, batch_size=4, num_workers=workers, multiprocessing_context=method, **collate)
-    batches = list(loader)
-    assert [len(target) for _, target in batches] == [4, 2]
-    assert torch.cat([target for _, target in batches]).tolist() == [data[i][1] for i in range(6)]
-    if form == "points":
-        assert torch.equal(
-            torch.cat([points for points, _ in batches]), torch.stack([data[i][0] for i in range(6)])
-        )
-        return
-    batch = batches[0][0]
-    parts = batch.vertices.split(batch.vertex_counts.tolist())
-    faces = batch.faces.split(batch.face_counts.tolist())
-    start = 0
-    for place in range(4):
-        vertices, own = data[place][0]
-        assert torch.equal(parts[place], vertices)
-        assert torch.equal(faces[place] - start, own)
-        start += len(vertices)
-
-
-def test_epochs_reach_workers_that_live_on() -> None:
-    from torch.utils.data import DataLoader
-
-    from starstruck_gen.torch import SceneTensors
-
-    data = SceneTensors(SCENES, points=20, target=None)
-    loader = DataLoader(data, batch_size=6, num_workers=1, persistent_workers=True)
-    (first,), (again,) = list(loader), list(loader)
-    data.set_epoch(5)
-    (other,) = list(loader)
-    assert torch.equal(first, again)
-    assert torch.equal(other, torch.stack([data[index] for index in range(6)]))
-    assert not torch.equal(other, first)
-
-
 def test_what_cannot_be_is_refused() -> None:
-    from starstruck_gen.torch import SceneTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     for given, words in (
         ({"representation": "soup"}, "no representation 'soup'"),
@@ -190,10 +141,3 @@ def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
     said = printed_by(code)
     assert said.startswith("MissingExtraError a torch data set of solids needs the package 'torch'")
     assert "the extra `torch`" in said
-
-
-def test_grids_of_integers_too_large_for_numpy_are_refused() -> None:
-    from starstruck_gen.torch import SceneTensors
-
-    with pytest.raises(InputError, match="at most"):
-        SceneTensors(SCENES, extent_m=(10**30, 1, 1), pitch_m=1)

@@ -10,15 +10,12 @@ import pytest
 from hypothesis import given, strategies as st
 from PIL import Image
 
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.pictures.sheets import (
-    ACCENTS,
-    INK,
+from tactile_toolkit.pictures import (
     PlannedPicture,
     Tile,
     bar_length_mm,
-    file_stem,
     in_rows,
     plan_kinds,
     png_bytes,
@@ -27,7 +24,8 @@ from tactile_toolkit.pictures.sheets import (
     with_scale_bar,
     write_pictures,
 )
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.pictures.lettering import INK
+from tactile_toolkit.store import open_folder
 
 
 def box(x_mm: float, y_mm: float, z_mm: float) -> Mesh:
@@ -100,11 +98,13 @@ def test_pictures_before_a_failing_one_stay_and_nothing_half_written_is_left(tmp
     told: list[tuple[int, int]] = []
     with pytest.raises(InputError):
         write_pictures(
-            DataFolder(str(tmp_path)), [good, PlannedPicture("bad.png", "", fails)], lambda *n: told.append(n)
+            open_folder(str(tmp_path)),
+            [good, PlannedPicture("bad.png", "", fails)],
+            lambda *n: told.append(n),
         )
     assert [path.name for path in tmp_path.iterdir()] == ["good.png"]
     assert told == [(1, 2)]
-    (written,) = write_pictures(DataFolder(str(tmp_path)), [good])
+    (written,) = write_pictures(open_folder(str(tmp_path)), [good])
     assert (written.width, written.height) == (3, 2)
     assert written.bytes == (tmp_path / "good.png").stat().st_size
 
@@ -121,32 +121,6 @@ def test_kinds_are_settled_once():
     assert planned("a", "all") == ["a", "b", "c"]
     with pytest.raises(InputError, match="'d'; expected a, b, c or all"):
         planned("d")
-
-
-def test_what_was_not_named_may_be_left_out_what_was_named_may_not():
-    picture = PlannedPicture("a.png", "", lambda: np.zeros((1, 1), np.uint8))
-
-    def plot() -> list[PlannedPicture]:
-        raise MissingExtraError("a plot", "matplotlib", "pictures")
-
-    plans = {"sheet": lambda: [picture], "plot": plot}
-    found = plan_kinds(("all",), plans)
-    assert found.pictures == (picture,)
-    assert "pip install 'matplotlib>=3.10' (the extra `pictures`)" in found.left_out[0]
-    with pytest.raises(MissingExtraError):
-        plan_kinds(("sheet", "plot"), plans)
-    with pytest.raises(MissingExtraError):
-        plan_kinds((), {"plot": plot})
-
-
-def test_names_of_files_are_plain(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "a set.v1").mkdir()
-    assert file_stem("a set.v1") == "a-set.v1"
-    (tmp_path / "b.parquet").touch()
-    assert file_stem(str(tmp_path / "b.parquet")) == "b"
-    assert file_stem("USER/some-set") == "some-set"
-    assert file_stem(".") == tmp_path.name
 
 
 # ---------------------------------------------------------------- sheets
@@ -191,13 +165,6 @@ def test_tiles_lie_in_rows_of_one_height_whatever_is_written_around_them():
     assert lengths[1] - lengths[0] == 6 + 22, "the room of a line"
 
 
-def test_a_sheet_without_words_is_its_tiles():
-    drawn = sheet([Tile(np.zeros((10, 20), np.uint8))] * 3, 2, gap_px=4, margin_px=4)
-    assert drawn.shape == (4 + 2 * 14, 4 + 2 * 24, 3)
-    assert (drawn[4:14, 4:24] == 0).all()
-    assert (drawn[18:28, 28:48] == 255).all()
-
-
 @given(st.lists(st.integers(1, 9), min_size=1, max_size=6), st.integers(1, 5))
 def test_each_group_begins_a_row(sizes, most):
     tile = Tile(np.zeros((1, 1), np.uint8))
@@ -209,9 +176,3 @@ def test_each_group_begins_a_row(sizes, most):
     assert [labels[start] for start in starts] == [f"g{n}" for n in range(len(sizes))]
     for start, size in zip(starts, sizes, strict=True):
         assert all(cells[start * columns : start * columns + size])
-
-
-def test_accents_are_colours_of_the_palette_that_they_name():
-    palette = "E69F00 56B4E9 009E73 F0E442 0072B2 D55E00 CC79A7 000000"  # Okabe and Ito 2008
-    assert {bytes(colour).hex().upper() for colour in ACCENTS} <= set(palette.split())
-    assert len(set(ACCENTS)) == len(ACCENTS)

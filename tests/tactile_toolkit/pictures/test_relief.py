@@ -8,11 +8,10 @@ from hypothesis import given, strategies as st
 
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.pictures.render import (
-    Body,
+    DrawnBody,
     View,
     box_downsample,
     draw_bodies,
-    relief,
 )
 from tests.processes import printed_by
 
@@ -45,7 +44,7 @@ def test_a_view_has_three_directions_at_right_angles(azimuth, elevation):
 
 
 def test_a_box_from_above_covers_its_area_to_the_pixel():
-    picture = (Body(box(20, 10, 5), CLAY),), (260, 160), 10_000.0, TOP
+    picture = (DrawnBody(box(20, 10, 5), CLAY),), (260, 160), 10_000.0, TOP
     covered = (draw_bodies(*picture) < 250).any(axis=2)
     rows, columns = np.nonzero(covered)
     assert (np.ptp(columns) + 1, np.ptp(rows) + 1) == (200, 100)
@@ -55,20 +54,12 @@ def test_a_box_from_above_covers_its_area_to_the_pixel():
 
 def test_what_is_closer_hides_what_is_behind():
     high, low = box(4, 4, 4), box(10, 10, 1)
-    red, green = Body(lifted(high, 0.01), (250, 0, 0)), Body(low, (0, 250, 0))
+    red, green = DrawnBody(lifted(high, 0.01), (250, 0, 0)), DrawnBody(low, (0, 250, 0))
     for bodies in ((red, green), (green, red)):
         drawn = draw_bodies(bodies, (100, 100), 8_000.0, TOP)
         assert drawn[50, 50, 0] > 100
         assert drawn[50, 50, 1] == 0
         assert drawn[14, 50, 1] > 100
-
-
-def test_a_mesh_in_millimetres_is_drawn_coarser():
-    mesh = box(38e3, 19e3, 8e3)
-    drawn = relief(mesh.vertices_m, mesh.faces)
-    assert drawn.shape[1] == pytest.approx(2 * drawn.shape[0], rel=0.01)
-    assert 4000 < drawn.shape[1] < 4200
-    assert (drawn < 250).mean() > 0.98
 
 
 @given(st.integers(1, 4), st.integers(1, 6), st.integers(1, 6), st.integers(0, 255))
@@ -85,7 +76,7 @@ def colours_of(pixels: np.ndarray) -> np.ndarray:
 
 
 def test_sides_of_a_box_are_flat_and_its_edges_sharp():
-    bodies = (Body(box(20, 10, 8), CLAY),)
+    bodies = (DrawnBody(box(20, 10, 8), CLAY),)
     drawn = draw_bodies(bodies, (240, 180), 9_000.0)
     assert len(colours_of(drawn)) == 3 + 1  # three sides are seen, and the paper
 
@@ -96,7 +87,7 @@ def test_a_round_surface_is_lit_as_the_surface_that_its_triangles_stand_for():
 
     views = []
     for made in (trimesh.creation.icosphere(3, 0.01), trimesh.creation.uv_sphere(0.01, [36, 36])):
-        body = Body(Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
+        body = DrawnBody(Mesh(np.asarray(made.vertices), np.asarray(made.faces, np.int32)), CLAY)
         views.append(draw_bodies((body,), (120, 120), 5_000.0).astype(int))
     inside = np.hypot(*(np.indices((120, 120)) - 59.5)) < 45
     assert np.abs(views[0] - views[1])[inside].max() <= 6
@@ -105,7 +96,7 @@ def test_a_round_surface_is_lit_as_the_surface_that_its_triangles_stand_for():
 
 
 def test_what_is_not_lit_keeps_its_colour_on_paper_of_any_colour():
-    body, paper = Body(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
+    body, paper = DrawnBody(box(20, 10, 5), CLAY, lit=False), (10, 20, 30)
     drawn = draw_bodies((body,), (120, 90), 3_000.0, paper=paper)
     assert {tuple(colour) for colour in colours_of(drawn).tolist()} == {CLAY, paper}
 
@@ -113,34 +104,26 @@ def test_what_is_not_lit_keeps_its_colour_on_paper_of_any_colour():
 def test_a_mesh_that_is_inside_out_is_lit_all_the_same():
     right = box(20, 10, 5)
     wrong = Mesh(right.vertices_m, right.faces[:, ::-1])
-    views = [draw_bodies((Body(mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
+    views = [draw_bodies((DrawnBody(mesh, CLAY),), (120, 90), 3_000.0) for mesh in (right, wrong)]
     assert np.array_equal(*views)
-
-
-def test_bodies_far_from_the_origin_are_drawn_the_same():
-    views = []
-    for height_m in (0.0, 0.5):
-        body = Body(lifted(box(20, 10, 5), height_m), CLAY)
-        views.append(draw_bodies((body,), (240, 180), 4_000.0) < 250)
-    near, far = (view.any(axis=2) for view in views)
-    assert (near & far).sum() / (near | far).sum() > 0.99
 
 
 DRAW = """
 import hashlib, numpy as np
-from tactile_toolkit.pictures.sheets import ACCENTS
-from tactile_toolkit.pictures.render import Body, draw_bodies
-from tactile_toolkit.pictures.sheets import png_bytes
+from tactile_toolkit.pictures import ACCENTS
+from tactile_toolkit.pictures.render import DrawnBody, draw_bodies
+from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.pictures.sheets import Tile, sheet, with_scale_bar
 corners = np.array([(0, 0, 0), (.02, 0, 0), (0, .01, 0), (0, 0, .01)])
 mesh = Mesh(corners, np.array([(0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2)], np.int32))
-view = with_scale_bar(draw_bodies((Body(mesh, (200, 120, 40)),), (120, 90), 4000.0), 4.0)
+view = with_scale_bar(draw_bodies((DrawnBody(mesh, (200, 120, 40)),), (120, 90), 4000.0), 4.0)
 drawn = sheet([Tile(view, "20 mm²", ACCENTS[0])] * 3, 2, "Title", ("line",), ("a", "b"))
 print(hashlib.sha256(png_bytes(drawn)).hexdigest())
 """
 
 
+@pytest.mark.thorough
 def test_every_process_draws_the_same_bytes():
     printed = {printed_by(DRAW, PYTHONHASHSEED=seed) for seed in ("1", "2")}
     assert len(printed) == 1

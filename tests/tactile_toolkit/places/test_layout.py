@@ -12,10 +12,9 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
-from mnist3d.kind import KIND
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import Place, open_place
-from tactile_toolkit.places.layout import splits_by_card, splits_by_name
+from tactile_toolkit.places.split_files import splits_by_card, splits_by_name
 
 
 def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:
@@ -142,28 +141,6 @@ def test_files_of_one_split_in_two_folders_are_refused(files):
         InputError, match=r"has files of split '(train|test)' in '[^']+' and '[^']+', and no README"
     ):
         splits_by_name(files, "here")
-
-
-def test_own_splits_and_names_without_a_keyword_stay():
-    names = ("train", "holdout", "printed_train", "printed_test", "monday")
-    assert splits_by_name([f"{name}.parquet" for name in names], "here") == {
-        name: (f"{name}.parquet",) for name in sorted(names)
-    }
-    assert [*splits_by_name([f"default/{name}/0000.parquet" for name in names], "here")] == sorted(names)
-    assert {*KIND.splits} >= {"holdout", "printed_train"}
-
-
-@pytest.mark.parametrize(
-    "text",
-    [
-        "\ufeff---\r\nconfigs:\r\n- config_name: default\r\n  data_files: x.parquet\r\n---\r\n",
-        "---\nconfigs: [{config_name: default, data_files: x.parquet}]\n---",
-    ],
-)
-def test_marks_and_ends_of_lines_do_not_hide_a_card(text):
-    assert splits_by_card(text.encode(), ["x.parquet", "y.parquet"], None, "here") == {
-        "train": ("x.parquet",)
-    }
 
 
 @pytest.mark.parametrize(

@@ -29,7 +29,7 @@ OPEN = """
 import json
 from realtouch.kind import KIND
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 try:
     place = open_place({arguments})
     shards = place.require(KIND).shards()
@@ -85,11 +85,6 @@ def test_without_a_network_the_cache_answers(server, tmp_path):
 def test_a_folder_of_a_repository_is_opened_by_its_address(server, tmp_path):
     assert opened(server, tmp_path, "'hf://datasets/someone/two/large'") == ["realtouch", "train", 2]
     assert server.fetched == [LARGE]
-
-
-def test_the_kind_of_data_costs_no_request_of_its_own(server, tmp_path):
-    assert opened(server, tmp_path, "'someone/named'") == ["realtouch", "train", 2]
-    assert server.fetched == [SMALL]
 
 
 @pytest.mark.parametrize(

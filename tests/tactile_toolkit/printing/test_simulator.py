@@ -14,7 +14,7 @@ import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, measure, write_plates
+from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, write_plates
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -58,7 +58,7 @@ def test_a_plate_is_a_scene(tmp_path: Path):
     from dataclasses import replace
 
     objects = named(SHAPES)
-    layout = arrange(measure(objects, PlateSpec.parse("120x120")))
+    layout = arrange(objects, PlateSpec.parse("120x120"))
     made = write_plates(replace(layout, physics=Physics()), str(tmp_path))
     assert [plate.file for plate in made.files] == ["plate-01.xml"]
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "plate-01.xml"))
@@ -139,23 +139,6 @@ def _triangles(mesh: Any) -> np.ndarray:
     return np.array(mesh.GetFaceVertexIndicesAttr().Get()).reshape(-1, 3)
 
 
-@pytest.mark.parametrize("kind", ["mjcf", "urdf", "usd"])
-def test_models_are_kept_replaced_and_resumed_as_other_files(kind: str, tmp_path: Path):
-    export_files(named(SHAPES), str(tmp_path / "whole"), kind)
-    export_files(named(SHAPES)[:1], str(tmp_path / "parts"), kind)
-    made = export_files(named(SHAPES), str(tmp_path / "parts"), kind)
-    assert [file.state for file in made.files] == ["kept", "written", "written"]
-    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole")
-    turned = [SHAPES[2], *SHAPES[1:]]
-    with pytest.raises(InputError, match="with other content"):
-        export_files(named(turned), str(tmp_path / "parts"), kind)
-    export_files(named(turned), str(tmp_path / "parts"), kind, overwrite=True)
-    export_files(named(SHAPES), str(tmp_path / "parts"), kind, overwrite=True)
-    assert folder_bytes(tmp_path / "parts") == folder_bytes(tmp_path / "whole"), "a part too many stayed"
-    view = export_files(named(SHAPES), str(tmp_path / "forecast"), kind, dry_run=True)
-    assert sum(file.bytes for file in view.files) == sum(file.bytes for file in made.files)
-
-
 def test_what_cannot_be_a_body_is_named(tmp_path: Path):
     made = export_files(named([box(5, 5), open_box(5, 5)]), str(tmp_path), "urdf")
     assert [failure.name for failure in made.failed] == ["test-1-00001"]
@@ -163,23 +146,6 @@ def test_what_cannot_be_a_body_is_named(tmp_path: Path):
     for values in ({"density_kg_m3": 0}, {"friction": float("nan")}, {"density_kg_m3": "heavy"}):
         with pytest.raises(InputError, match="expected a number above 0"):
             Physics(**values)
-
-
-def test_only_files_of_the_export_are_replaced(tmp_path: Path):
-    (body,) = named(SHAPES)[:1]
-    export_files([body], str(tmp_path / "out"), "urdf")
-    folder = tmp_path / "out" / body.name
-    (folder / "part-mine.obj").write_text("years of work")
-    (folder / "part-99.obj").write_text("of a body that had more parts")
-    export_files([body], str(tmp_path / "out"), "urdf", overwrite=True)
-    assert (folder / "part-mine.obj").read_text() == "years of work"
-    assert not (folder / "part-99.obj").exists()
-    folder.rename(tmp_path / "elsewhere")
-    folder.symlink_to(tmp_path / "elsewhere")
-    (folder / "part-99.obj").write_text("of another export")
-    with pytest.raises(InputError, match="is a symbolic link"):
-        export_files([body], str(tmp_path / "out"), "urdf", overwrite=True)
-    assert (folder / "part-99.obj").exists()
 
 
 def test_bodies_that_mujoco_refuses_are_named_before(tmp_path: Path):

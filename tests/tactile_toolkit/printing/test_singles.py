@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import signal
-import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,12 +11,9 @@ import pytest
 from tactile_toolkit.catalog.spec import id_range, id_text, parse_ids
 from tactile_toolkit.errors import InputError, ItemError, StorageError
 from tactile_toolkit.mesh import FORMATS, Mesh, check_manifold, read_mesh, require_solid
-from tactile_toolkit.printing.objects import (
-    export_files,
-    place_on_plate,
-    require_same_solid,
-)
-from tests.forked import start_forked
+from tactile_toolkit.printing import export_files
+from tactile_toolkit.printing.file_export import require_same_solid
+from tactile_toolkit.printing.objects import place_on_plate
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
 
@@ -40,19 +35,6 @@ def test_every_format_comes_back_as_the_solid_on_the_plate(ending: str, tmp_path
         assert file.size_mm == pytest.approx(np.ptp(shape.bounds_m, axis=0) * 1e3)
         assert back.volume_m3 == pytest.approx(shape.volume_m3, rel=1e-5)
         assert file.bytes == (tmp_path / "out" / file.file).stat().st_size
-
-
-def test_scale_is_a_factor_on_all_lengths(tmp_path: Path) -> None:
-    export_files(named([ell(30, 8)]), str(tmp_path), scale=0.5)
-    back = read_mesh(tmp_path / "test-0-00000.stl")
-    assert np.ptp(back.bounds_m, axis=0) * 1e3 == pytest.approx([15, 15, 2.5])
-
-
-def test_corners_that_a_data_set_stores_twice_are_joined() -> None:
-    shape = ring(12, 6)
-    loose = Mesh(shape.vertices_m[shape.faces].reshape(-1, 3), np.arange(shape.faces.size).reshape(-1, 3))
-    assert check_manifold(loose).problem == "not-manifold"
-    assert check_manifold(place_on_plate(loose)).problem is None
 
 
 def test_what_is_no_solid_is_named_and_does_not_stop_the_others(tmp_path: Path) -> None:
@@ -108,7 +90,8 @@ def test_a_disk_that_changes_bytes_keeps_what_stood_there(
     assert kept in before.items()
 
 
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [1, 2])
 def test_going_on_keeps_what_is_there_and_ends_with_the_same_bytes(tmp_path: Path, workers: int) -> None:
     export_files(named(SHAPES), str(tmp_path / "whole"))
     export_files(named(SHAPES)[:2], str(tmp_path / "parts"))
@@ -141,20 +124,8 @@ def test_what_stood_under_the_name_of_a_failed_object_is_removed(tmp_path: Path)
     assert [path.name for path in tmp_path.iterdir()] == ["test-0-00000.stl"]
 
 
-def test_a_dry_run_finds_what_stands_in_the_way_and_what_is_no_solid(tmp_path: Path) -> None:
-    export_files(named(SHAPES), str(tmp_path), scale=2)
-    before = folder_bytes(tmp_path)
-    with pytest.raises(InputError, match="--overwrite"):
-        export_files(named(SHAPES), str(tmp_path), dry_run=True)
-    some = named([box(5, 5), open_box(5, 5)])
-    view = export_files(some, str(tmp_path), overwrite=True, dry_run=True)
-    assert [file.state for file in view.files] == ["planned"]
-    assert [failure.name for failure in view.failed] == ["test-1-00001"]
-    assert "removed" not in view.failed[0].detail
-    assert folder_bytes(tmp_path) == before
-
-
-@pytest.mark.parametrize("workers", [1, pytest.param(2, marks=pytest.mark.thorough)])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [1, 2])
 def test_a_dry_run_returns_what_the_run_does_and_writes_nothing(tmp_path: Path, workers: int) -> None:
     objects, out = named(SHAPES), tmp_path / "out"
     view = export_files(objects, str(out), dry_run=True, workers=workers)
@@ -221,30 +192,6 @@ def test_other_ids_are_no_numbers(text: str) -> None:
 )
 def test_ids_of_text_are_what_was_given(text: str) -> None:
     assert id_text(parse_ids(f" {text} ,3")[0]) == text
-
-
-def test_ids_with_leading_zeros_are_numbers_too() -> None:
-    assert list(map(id_range, parse_ids("007,03-5"))) == [(7, 7), (3, 5)]
-
-
-def _export(count: int, out: Path) -> None:
-    export_files(named([ring(12 + n / 100, 6) for n in range(count)]), str(out), "3mf")
-
-
-def test_a_killed_export_leaves_whole_files_only(tmp_path: Path) -> None:
-    process = start_forked(_export, 5_000, tmp_path / "out")
-    while len(list(tmp_path.glob("out/test-*.3mf"))) < 5:
-        assert process.is_running, process.err
-        time.sleep(0.01)
-    assert process.end(signal.SIGKILL) == -signal.SIGKILL
-    names = {path.name for path in tmp_path.glob("out/test-*")}
-    assert len(names) >= 5
-    for path in tmp_path.glob("out/test-*"):
-        assert check_manifold(read_mesh(path)).problem is None
-    objects = named([ring(12 + n / 100, 6) for n in range(len(names))])
-    made = export_files(objects, str(tmp_path / "out"), "3mf")
-    assert {file.state for file in made.files} == {"kept"}
-    assert {path.name for path in (tmp_path / "out").iterdir()} == names
 
 
 def test_another_solid_is_not_what_was_written() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import pickle
 from collections import Counter
 from pathlib import Path
@@ -16,8 +15,9 @@ import pytest
 from realtouch.verification import has_page_checksums
 from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import IntegrityError, ToolkitError
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable, map_block, write_block
-from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet
+from tactile_toolkit.read import Shard, ShardedTable
+from tactile_toolkit.read.blocks import BLOCKS, map_block, write_block
+from tactile_toolkit.store import ParquetStyle, encode_parquet, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 
@@ -87,22 +87,8 @@ def test_a_flipped_bit_is_always_found(shard_file: Path, where: str) -> None:
     assert found["named"] >= (290 if where == "anywhere" else 300), found
 
 
-def test_single_columns_and_other_readers(shard_file: Path) -> None:
-    content = shard_file.read_bytes()
-    read = pq.read_table(shard_file, page_checksum_verification=True)
-    assert read.equals(read_all(shard_file), check_metadata=True)
-    assert read.to_pylist() == rows().to_pylist()
-    column = pq.ParquetFile(shard_file).metadata.row_group(1).column(0)
-    shard_file.write_bytes(
-        flipped(content, column.dictionary_page_offset + column.total_compressed_size - 3, 2)
-    )
-    with pytest.raises(IntegrityError, match=f"{NAME}' is damaged"):
-        Shard(str(shard_file)).column("id")
-    assert len(Shard(str(shard_file)).column("text")) == 60
-
-
 def test_who_carries_checksums(shard_file: Path, tmp_path: Path) -> None:
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     assert has_page_checksums(folder, NAME)
     for name, options in {
         "plain": {},
@@ -156,22 +142,7 @@ def test_damaged_blocks_are_made_anew(shard_file: Path, tmp_path: Path) -> None:
     assert values_of(shard_file) == expected
 
 
-def test_a_file_that_was_cut_is_no_block(shard_file: Path, tmp_path: Path) -> None:
-    values_of(shard_file)
-    file = next((tmp_path / "cache" / "blocks").glob("*.arrow"))
-    content = file.read_bytes()
-    os.utime(file, (1, 1))  # long ago: what is written in the same tick of the clock has the same time
-    assert map_block(file)[1]
-    for size in (*range(0, len(content), 4096), len(content) - 1):
-        for grown in (False, True):  # as a system leaves a file whose end never reached the disk
-            left = content[:size] + bytes(len(content) - size if grown else 0)
-            file.write_bytes(left)
-            if left == content:  # the last byte of the checksum is 0, of one name in 256
-                continue
-            with pytest.raises(ValueError, match=r"not a block|checksum|empty"):
-                map_block(file)
-
-
+@pytest.mark.thorough
 def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
     clips = [np.random.default_rng(row).bytes(1 << 16) for row in range(2400)]
     table = pa.table({"id": range(2400), "clip": clips})
@@ -179,7 +150,7 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
     code = """
         import os, sys
         from tactile_toolkit.errors import IntegrityError
-        from tactile_toolkit.read.parquet import Shard
+        from tactile_toolkit.read import Shard
         blocks = Shard(sys.argv[1]).blocks(0)
         assert len(next(blocks).table) < 1200
         os.truncate(sys.argv[1], 100_000)
@@ -191,28 +162,6 @@ def test_a_shard_that_is_cut_while_it_is_read_is_named(tmp_path: Path) -> None:
             raise AssertionError
     """
     run_forked(code, tmp_path / NAME)
-
-
-def test_categories_are_found_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Their values lie before the rows of a block."""
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    words = pa.array(["round", "flat"] * 30).dictionary_encode()
-    pq.write_table(pa.table({"id": range(60), "shape": words}), tmp_path / NAME)
-    for _ in range(2):
-        group, index = ShardedTable((Shard(str(tmp_path / NAME)),)).locate(59)
-        assert group.mapped_bytes
-        assert group.arrow("shape")[index].as_py() == "flat"
-
-
-def test_a_block_is_checked_once_in_each_process(shard_file: Path, tmp_path: Path) -> None:
-    values_of(shard_file)
-    code = (
-        "import sys, xxhash; from tests.tactile_toolkit.read.test_checksums import values_of; "
-        "from pathlib import Path; digest = xxhash.xxh3_64_intdigest; sizes = []\n"
-        "xxhash.xxh3_64_intdigest = lambda data, seed=0: sizes.append(len(data)) or digest(data, seed)\n"
-        "values_of(Path(sys.argv[1])); values_of(Path(sys.argv[1])); print(sum(s > 1000 for s in sizes))"
-    )
-    assert run_forked(code, shard_file, **{CACHE_VARIABLE: str(tmp_path / "cache")}).strip() == "3"
 
 
 def replaced(file: Path) -> None:

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
-from tactile_toolkit.read.columns import class_names, nested_column, ragged_column
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable, class_names
+from tactile_toolkit.read.arrow_views import nested_column, ragged_column
 from tests.mesh_columns import list_array
 
 LARGEST = 2**63 - 1
@@ -76,14 +76,6 @@ def test_a_field_of_a_struct_is_read_like_a_flat_column(tmp_path):
             rows.column(name)
 
 
-def test_a_shard_that_is_gone_is_missing(tmp_path):
-    rows = dataset(tmp_path, pa.array([1, 2]), pa.array([3]))
-    assert len(rows) == 3
-    (tmp_path / "1.parquet").unlink()
-    with pytest.raises(IntegrityError, match=r"1\.parquet' is missing; next: "):
-        rows[2]._row.value("label")
-
-
 def described(text: bytes) -> pa.Schema:
     return pa.schema([("label", pa.int64())]).with_metadata({"huggingface": text})
 
@@ -112,11 +104,6 @@ def test_a_description_that_is_none_is_named(text):
 @pytest.mark.parametrize("values", [{}, {"a": 1}, {"info": None}, {"info": {"features": {"label": {}}}}])
 def test_a_description_may_say_nothing_of_classes(values):
     assert class_names(described(json.dumps(values).encode()), None, "x.parquet") is None
-
-
-def test_described_classes_are_read():
-    text = json.dumps({"info": {"features": {"label": {"names": ["x", "y"]}}}})
-    assert class_names(described(text.encode()), None, "x.parquet") == ("x", "y")
 
 
 def test_lists_are_seen_as_numpy_without_a_copy_at_any_offset() -> None:

@@ -10,15 +10,13 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import readable
 from tests.forked import run_forked
 
 CODE = """
     import os, resource, sys, warnings
     from pathlib import Path
     from tactile_toolkit.errors import InputError
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
+    from tactile_toolkit.read import Shard, ShardedTable
     warnings.simplefilter("error")
     shards = [ShardedTable((Shard(path),)) for path in sys.argv[1:]]
     blocks = Path(os.environ["TACTILE_TOOLKIT_CACHE"]) / "blocks"
@@ -80,9 +78,9 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
     code = """
         import os, resource, sys
         from tactile_toolkit.errors import ToolkitError
-        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.store import open_folder
         resource.setrlimit(resource.RLIMIT_NOFILE, (32, resource.getrlimit(resource.RLIMIT_NOFILE)[1]))
-        folder, taken = DataFolder(sys.argv[1]), []
+        folder, taken = open_folder(sys.argv[1]), []
         folder.read_bytes(sys.argv[2])
         try:
             while True:
@@ -100,9 +98,3 @@ def test_a_folder_is_not_called_damaged(tmp_path: Path, name: str) -> None:
             raise AssertionError
     """
     run_forked(code, tmp_path, name)
-
-
-def test_too_little_memory_is_named_with_the_file() -> None:
-    words = "'a' cannot be read: Cannot allocate memory; next: end programs"
-    with pytest.raises(InputError, match=words), readable("a"):
-        raise MemoryError

@@ -9,8 +9,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from tactile_toolkit.read import RecordDataset
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
+from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
+from tactile_toolkit.read.blocks import BLOCKS
 
 SHARDS, MAPS = 100, 16
 
@@ -21,6 +21,7 @@ def _held() -> tuple[int, int]:
     return len(list(Path("/proc/self/fd").iterdir())), sum(line.endswith(".arrow") for line in maps)
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(not Path("/proc/self/maps").exists(), reason="maps are looked up in /proc")
 def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, monkeypatch):
     monkeypatch.setattr(BLOCKS, "limit", MAPS << 20)  # each counts at least 1 MiB

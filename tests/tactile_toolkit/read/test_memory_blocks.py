@@ -13,10 +13,8 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.cache import CACHE_VARIABLE
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import parquet as rowgroups
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
-from tests.forked import start_forked
+from tactile_toolkit.read import Shard, ShardedTable, shard as shard_module
+from tactile_toolkit.read.blocks import BLOCKS
 
 ROWS_PER_BLOCK, BLOCKS_PER_GROUP = 100, 6
 
@@ -29,7 +27,7 @@ def shard(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Shard:
     table = pa.table({"id": np.arange(1_200), "values": pa.array(list(values), pa.list_(pa.float64()))})
     pq.write_table(table, path, row_group_size=600, use_dictionary=False)
     size_bytes = Shard(str(path)).metadata.row_group(0).total_byte_size
-    monkeypatch.setattr(rowgroups, "_BLOCK_BYTES", size_bytes // BLOCKS_PER_GROUP + 1)
+    monkeypatch.setattr(shard_module, "_BLOCK_BYTES", size_bytes // BLOCKS_PER_GROUP + 1)
     made = Shard(str(path))
     assert list(made.block_rows) == [ROWS_PER_BLOCK] * 2
     return made
@@ -80,16 +78,6 @@ def test_every_row_is_read_in_bounded_memory_after_one_warning(shard: Shard, no_
     assert f"'{os.environ[CACHE_VARIABLE]}/blocks' cannot be written: Not a directory" in only
 
 
-def test_blocks_in_memory_count_eight_times_those_that_are_mapped(
-    shard: Shard, no_cache: None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table = given_up(shard)
-    assert BLOCKS._size_of is not None
-    assert BLOCKS._size_of(table.locate(0)[0]) == 1 << 20
-    monkeypatch.setattr("tactile_toolkit.read.parquet._LEAST_BYTES", 1)
-    assert BLOCKS._size_of(group := table.locate(0)[0]) == 8 * group.table.nbytes
-
-
 def test_a_pass_over_what_is_held_decodes_every_block_once(
     shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -100,17 +88,6 @@ def test_a_pass_over_what_is_held_decodes_every_block_once(
         for _ in range(2):
             table.locate(row)
     assert decoded == list(range(0, 1_200, ROWS_PER_BLOCK))
-
-
-def test_no_more_is_decoded_than_is_held(
-    shard: Shard, no_cache: None, decoded: list[int], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table = given_up(shard)
-    monkeypatch.setattr(rowgroups, "_IN_MEMORY", 2)
-    for row, expected in ((250, [0, 100, 200, 300]), (320, []), (100, []), (10, [0, 100])):
-        decoded.clear()
-        table.locate(row)
-        assert decoded == expected, row
 
 
 def test_threads_get_the_rows_that_they_ask_for(shard: Shard, no_cache: None) -> None:
@@ -137,35 +114,3 @@ def test_a_cache_that_is_back_is_used(
         assert not ShardedTable((shard,)).locate(0)[0].mapped_bytes
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
     assert ShardedTable((shard,)).locate(700)[0].mapped_bytes
-
-
-def test_damage_is_named_as_damage(shard: Shard, no_cache: None) -> None:
-    content = bytearray(Path(shard.path).read_bytes())
-    content[2_000:60_000] = bytes(58_000)
-    Path(shard.path).write_bytes(content)
-    table = ShardedTable((Shard(shard.path),))
-    for _ in range(2):
-        with pytest.raises(IntegrityError, match="damaged"):
-            table.locate(305)
-
-
-FULL_DISK = """
-    import resource, signal, sys, warnings
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
-    signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, resource.RLIM_INFINITY))
-    warnings.simplefilter("always")
-    table = ShardedTable((Shard(sys.argv[1]),))
-    for row in range(1_200):
-        group, place = table.locate(row)
-        assert group.flat("id")[place] == row
-"""
-
-
-def test_a_full_disk(shard: Shard, tmp_path: Path) -> None:
-    """A real limit on file size stands for a full disk: the kernel refuses the write half way."""
-    done = start_forked(FULL_DISK, shard.path, **{CACHE_VARIABLE: str(tmp_path / "cache")})
-    assert done.end() == 0, done.err
-    assert done.err.count("RuntimeWarning") == 1
-    assert "cannot be written: File too large" in done.err
-    assert list((tmp_path / "cache").rglob("*.arrow")) == []

@@ -146,37 +146,6 @@ def test_the_order_is_the_same_for_ever():
     assert order.fingerprint == "b82bcb0cd2b98abf"
 
 
-def test_other_seeds_epochs_windows_and_sizes_are_other_orders():
-    numbers = np.arange(60)
-    base = GlobalOrder(parts_of([20, 20, 20]), 1, 1)
-    others = [
-        GlobalOrder(parts_of([20, 20, 20]), 2, 1),
-        GlobalOrder(parts_of([20, 20, 20]), 1, 3),
-        GlobalOrder(parts_of([20, 10, 30]), 1, 1),
-        GlobalOrder(parts_of([20, 20, 20], list(range(60))[::-1]), 1, 1),
-    ]
-    orders = [order.epoch(0).positions(numbers).tolist() for order in (base, *others)]
-    orders.append(base.epoch(1).positions(numbers).tolist())
-    assert len({tuple(order) for order in orders}) == 6
-    assert len({order.fingerprint for order in (base, *others)}) == 5
-
-
-@pytest.mark.parametrize("parts", [1, 20_000])
-def test_only_windows_that_are_asked_for_are_laid_out(parts, monkeypatch):
-    """Memory and work follow the window, not the data set."""
-    laid = []
-    positions = StoredParts.positions
-    monkeypatch.setattr(
-        StoredParts, "positions", lambda self, part: laid.append(part) or positions(self, part)
-    )
-    order = GlobalOrder(parts_of([50] * parts), 0, 8).epoch(0)
-    for first in range(0, min(50 * parts, 2000), 100):
-        order.positions(np.arange(first, first + 50))
-    assert len(laid) == min(parts, 40)
-    assert len(set(laid)) == len(laid)
-    assert order._window.cache_info().currsize <= 2
-
-
 @pytest.mark.parametrize(
     "chosen", [slice(None), slice(5_000, 9_000), slice(None, None, 2), slice(None, None, -1)]
 )

@@ -3,23 +3,19 @@ from __future__ import annotations
 import gc
 import pickle
 import re
-import threading
 from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.read import Record, RecordDataset
-from tactile_toolkit.read.columns import ragged_column
-from tactile_toolkit.read.parquet import BLOCKS, Shard, ShardedTable
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.read import Record, RecordDataset, Shard, ShardedTable
+from tactile_toolkit.read.arrow_views import ragged_column
+from tactile_toolkit.store import build, open_folder
 from tests.forked import run_forked
 from tests.mesh_columns import list_array
 from tests.tactile_toolkit.toy import points, toy_plan
@@ -46,7 +42,7 @@ class ToyDataset(RecordDataset[ToyRecord]):
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     path = tmp_path_factory.mktemp("toy") / "set"
-    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    build(open_folder(str(path)), toy_plan())
     return path
 
 
@@ -150,20 +146,6 @@ def test_filter_and_group_by_label(dataset):
             dataset.filter_labels([wrong])
 
 
-def test_concatenate(dataset):
-    assert ToyDataset.concatenate([dataset, dataset, dataset[:1]]).ids.tolist() == [*IDS, *IDS, IDS[0]]
-    with pytest.raises(InputError, match="nothing to concatenate"):
-        ToyDataset.concatenate([])
-    with pytest.raises(
-        InputError, match=r"cannot join data sets with classes \('a', 'b', 'c'\) and \('x',\)"
-    ):
-        dataset + ToyDataset(dataset._table, label_names=("x",))
-    with pytest.raises(TypeError):
-        _ = dataset + list(dataset)
-    assert dataset != ToyDataset(dataset._table, label_names=("x",))
-    assert dataset != [*dataset]
-
-
 def test_unknown_column_and_frozen_record(dataset):
     for name in ("colour", "points.x", "points.x.y"):
         with pytest.raises(InputError, match=f"no column '{name}'"):
@@ -211,23 +193,6 @@ def test_reads_in_a_process_to_which_it_is_sent(dataset):
     assert run_forked(_sum, dataset) == f"{sum(IDS)}\n"
 
 
-def test_reads_from_threads(dataset):
-    wrong = []
-
-    def read() -> None:
-        for _ in range(20):
-            for position, record in enumerate(dataset):
-                if record.id != IDS[position] or not np.array_equal(record.points, points(record.id)):
-                    wrong.append(record.id)
-
-    threads = [threading.Thread(target=read) for _ in range(4)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert not wrong
-
-
 def _count_garbage(folder: Path) -> int:
     dataset = opened(folder)
     gc.collect()
@@ -241,42 +206,6 @@ def _count_garbage(folder: Path) -> int:
 def test_records_are_no_reference_cycles(folder):
     """Distinct from the garbage of other tests."""
     assert run_forked(_count_garbage, folder) == "0\n"
-
-
-def test_cut_shard_is_named(folder, tmp_path):
-    whole = folder / "data" / "train-00000-of-00004.parquet"
-    cut = tmp_path / "cut.parquet"
-    cut.write_bytes(whole.read_bytes()[:-100])
-    with pytest.raises(IntegrityError, match=r"cut\.parquet' is damaged"):
-        len(Shard(str(cut)))
-    with pytest.raises(IntegrityError, match=r"gone\.parquet' is missing"):
-        len(Shard(str(tmp_path / "gone.parquet")))
-
-
-def test_changed_file_is_not_served_from_the_cache(tmp_path):
-    file = tmp_path / "data.parquet"
-
-    def write(value: float) -> None:
-        rows = [np.full((2, 3), value, np.float32)]
-        pq.write_table(pa.table({"id": [1], "points": list_array(rows, pa.float32())}), file)
-
-    write(1.0)
-    first = ToyDataset(ShardedTable((Shard(str(file)),)))[0].points
-    write(2.0)
-    second = ToyDataset(ShardedTable((Shard(str(file)),)))[0].points
-    assert first.max() == 1.0
-    assert second.min() == 2.0
-
-
-def test_unfinished_split_is_refused(tmp_path):
-    from dataclasses import replace
-
-    plan = toy_plan()
-    broken = replace(plan.tasks[3], error=RuntimeError("stop"))
-    with pytest.raises(RuntimeError):
-        build(DataFolder(str(tmp_path)), replace(plan, tasks=(*plan.tasks[:3], broken)), InlineRunner())
-    with pytest.raises(IntegrityError, match=r"not finished \(3 of 4 shards.*same command"):
-        open_place(str(tmp_path)).shards("train")
 
 
 def test_no_such_place_or_split(folder, tmp_path):
@@ -324,21 +253,3 @@ def test_nulls_and_uneven_rows_are_refused():
         ragged_column(pa.array([None, [[1.0, 2.0, 3.0]]], pa.list_(pa.list_(pa.float32()))))
     with pytest.raises(ValueError, match="inner lists of 2 and 3"):
         ragged_column(pa.array([[[1.0, 2.0, 3.0], [1.0, 2.0]]], pa.list_(pa.list_(pa.float32()))))
-
-
-def test_damaged_cache_is_made_again(dataset, folder):
-    BLOCKS.clear()
-    dataset[0].points  # noqa: B018 - fills the cache
-    (unpacked,) = cache_folder().rglob("*.arrow")
-    unpacked.write_bytes(unpacked.read_bytes()[:100])
-    BLOCKS.clear()
-    again = ToyDataset(ShardedTable(open_place(str(folder)).shards("train")))
-    np.testing.assert_array_equal(again[1].points, points(1))
-    assert unpacked.stat().st_size > 100
-
-
-def test_cache_that_cannot_be_written_costs_no_data(dataset, monkeypatch):
-    monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", "/proc/no-such-cache")
-    BLOCKS.clear()
-    with pytest.warns(RuntimeWarning, match=r"no-such-cache.*next: make room there"):
-        np.testing.assert_array_equal(dataset[1].points, points(1))

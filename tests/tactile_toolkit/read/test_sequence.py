@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import html
 import pickle
-import shutil
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +12,6 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given, strategies as st
 
-import env_assets
-import env_assets.wrenches as wrench_files
 import mnist3d
 import realtouch
 import starstruck_gen
@@ -62,9 +58,9 @@ def every_set(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A small data set of each kind, and what has no files."""
     place = tmp_path_factory.mktemp("kinds")
     spec = mnist3d.SolidSpec(target_vertices=2_000)
-    made = mnist3d.GenerateSpec(SyntheticSource(), spec, per_class=1)
+    made = mnist3d.DigitSetSpec(SyntheticSource(), spec, per_class=1)
     mnist3d.generate(made, place / "digits", splits=("test",))
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),)), place / "scenes")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 12),)), place / "scenes")
     rounds = [factories.make_round(number, 4, (48, 32), (12, 16)) for number in range(4)]
     factories.write_set(place / "images", {"train": factories.single_rows(rounds)}, "single")
     factories.write_set(place / "clips", {"train": factories.seq_rows(rounds)}, "seq")
@@ -194,38 +190,15 @@ def test_items_are_found_by_their_ids(every_set: dict[str, Any], kind: str) -> N
         data[:0].by_id(item.id)
 
 
-def test_a_wrench_is_found_by_its_id(tmp_path: Path) -> None:
-    env_assets.write_wrench(env_assets.WrenchSpec.for_size(), str(tmp_path))
-    wrenches = wrench_files.load(str(tmp_path))
-    assert wrenches.by_id(wrenches[0].id) == wrenches[0]
-    with pytest.raises(InputError, match="there is no id 45; next: give one such as "):
-        wrenches.by_id(45)
-
-
 def test_equal_values_from_elsewhere_are_equal(every_set: dict[str, Any], tmp_path: Path) -> None:
     """Records stand for their values, not for the file that they are in; scenes without files too."""
-    starstruck_gen.generate(starstruck_gen.GenerateSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5")
+    starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 12),), seed=5), tmp_path / "seed-5")
     stored, endless = starstruck_gen.load(str(tmp_path / "seed-5")), every_set["endless"]
     assert [one == other for one, other in zip(stored, endless, strict=True)] == [True] * 12
     assert {*stored} == {*endless}
     assert stored[0] != every_set["scenes"][0]
     assert endless != starstruck_gen.SceneDataset(size=12, seed=6)
     assert endless[0] != starstruck_gen.SceneDataset(size=12, seed=6)[0]
-
-
-def test_a_changed_value_makes_records_differ(tmp_path: Path) -> None:
-    columns: dict[str, Any] = {"id": [1, 2], "label": [0, 0], "points": [[[1.0, 2.0, np.nan]], []]}
-    points = pa.array(columns["points"], pa.list_(pa.list_(pa.float32(), 3)))
-    one = written(tmp_path / "one", **(columns | {"points": points}))
-    same = written(tmp_path / "same", **(columns | {"points": points}))
-    moved = pa.array([[[1.0, 2.5, np.nan]], []], points.type)
-    other = written(tmp_path / "other", **(columns | {"points": moved}))
-    assert [one[0] == same[0], one[1] == same[1], one == same] == [True] * 3
-    assert [one[0] == other[0], one[1] == other[1], one == other] == [False, True, False]
-    assert one[0] in same
-    assert one[0] not in other
-    written(tmp_path / "same", **(columns | {"points": moved}))
-    assert opened(tmp_path / "same") == other
 
 
 @given(
@@ -296,20 +269,6 @@ class Labelled(ShardedTable):
         return LABELS
 
 
-def test_splits_by_number_and_wrong_ones(rows: Rows) -> None:
-    assert [len(part) for part in rows.split(60, 30, seed=0)] == [60, 30, 10]
-    assert [len(part) for part in rows.split(60, 40, seed=0)] == [60, 40]
-    assert [len(part) for part in rows.split(0.7, 0.2, 0.1, seed=0)] == [70, 20, 10]
-    assert [len(part) for part in rows.split(np.float32(0.5), seed=0)] == [50, 50]
-    train, test = rows.split(0.8, seed=3, stratify=True)
-    assert np.bincount(train.labels).tolist() == [40, 24, 16]
-    assert train.labels.tolist() != sorted(train.labels.tolist())
-    assert not set(train.ids.tolist()) & set(test.ids.tolist())
-    for wrong in ((), (0.8, 0.3), (101,), (-1,), (-0.1,), (0.5, 3), ("half",), (float("nan"),), (True,)):
-        with pytest.raises(InputError, match="expected shares such as"):
-            rows.split(*wrong, seed=0)  # type: ignore[arg-type]
-
-
 def test_tables_read_plain_columns_only(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
     read = Shard.read
@@ -344,13 +303,6 @@ def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Row
     assert endless.to_hf()[:]["seed"] == [scene.seed for scene in endless]
 
 
-def test_a_hugging_face_set_of_unlike_sets_has_the_columns_they_agree_on(tmp_path: Path) -> None:
-    one = written(tmp_path / "one", id=np.arange(3), label=[0, 1, 2], size=[1, 2, 3], only_here=[1, 2, 3])
-    other = written(tmp_path / "other", id=np.arange(3, 5), label=[2, 1], size=[0.5, 1.5])
-    shared = (one + other).to_hf()
-    assert shared[:] == {"id": [0, 1, 2, 3, 4], "label": [0, 1, 2, 2, 1]}
-
-
 @pytest.mark.parametrize("kind", ["touches", pytest.param("touches of clips", marks=pytest.mark.torch)])
 def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any], kind: str) -> None:
     if kind == "touches of clips":
@@ -376,7 +328,7 @@ def test_a_hugging_face_set_of_touches_has_a_row_each(every_set: dict[str, Any],
 
 def test_a_repr_says_what_is_there(every_set: dict[str, Any], rows: Rows, tmp_path: Path) -> None:
     digits, touches = every_set["digits"], every_set["touches"]
-    assert repr(digits[3:4]) == f"MeshDataset(1 digit of 'digits', split test, class {digits[3].label})"
+    assert repr(digits[3:4]) == f"DigitDataset(1 digit of 'digits', split test, class {digits[3].label})"
     assert repr(touches[:4]) == "Touches(4 touches of 4 rounds of 'images', split train, class 0)"
     assert repr(rows[:60] + rows) == "Rows(160 rows of 'some', split train, classes a, b, c)"
     assert repr(rows[:0]) == "Rows(0 rows of 'some', split train, no classes)"
@@ -402,47 +354,11 @@ def test_notebooks_show_small_pictures(every_set: dict[str, Any], kind: str) -> 
     assert "<img" not in items[:0]._repr_html_()
 
 
-@pytest.mark.parametrize("damage", ["cut", "flipped", "gone"])
-@pytest.mark.parametrize("kind", ["digits", "images"])
-def test_notebooks_show_what_is_damaged(
-    every_set: dict[str, Any], kind: str, damage: str, tmp_path: Path
-) -> None:
-    shutil.copytree(Path(every_set[kind]._table.shards[0].path).parents[1], tmp_path / "copy")
-    data = (mnist3d if kind == "digits" else realtouch).load(str(tmp_path / "copy"))
-    shard = next((tmp_path / "copy").rglob("*.parquet"))
-    content = shard.read_bytes()
-    if damage == "gone":
-        shard.unlink()
-    elif damage == "cut":
-        shard.write_bytes(content[:200])
-    else:
-        shard.write_bytes(content[:200] + bytes(len(content) // 2 - 200) + content[len(content) // 2 :])
-    shown = data._repr_html_()
-    assert html.escape(repr(str(shard))) in shown
-    assert html.escape(repr(data)) in shown
-    assert shown.count("next: ") == 1
-
-
-def test_notebooks_show_clips(every_set: dict[str, Any]) -> None:
-    clip = every_set["clips"][0].sensor_video[1]
-    page = clip._repr_html_()
-    assert page.count("<img") == min(len(clip), 8)
-    assert f"{len(clip)} frames" in page
-
-
 def test_meshes_print_as_those_of_trimesh_do(every_set: dict[str, Any]) -> None:
     digit = every_set["digits"][0]
     mesh = mnist3d.Mesh(digit.vertices_m, digit.faces)
     expected = repr(digit.mesh).replace("trimesh.Trimesh", "Mesh").replace("vertices.", "vertices_m.")
     assert repr(mesh) == expected
-
-
-def test_touches_of_several_sets_are_joined(every_set: dict[str, Any]) -> None:
-    touches = every_set["touches"]
-    other = pickle.loads(pickle.dumps(touches))
-    joined = touches[3:5] + other[::4]
-    assert list(joined) == [*touches[3:5], *touches[::4]]
-    assert len((touches[:2] + touches[5:6]).dataset) == len(touches.dataset)
 
 
 def test_the_only_split_is_opened(tmp_path: Path, every_set: dict[str, Any]) -> None:

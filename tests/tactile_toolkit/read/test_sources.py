@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import pickle
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 import starstruck_gen
 from realtouch.touch_dataset import TouchSingleDataset
-from starstruck_gen.loader import MadeScenes
-from tactile_toolkit.mesh import RecordStream
+from starstruck_gen.scenes_on_the_fly import MadeScenes
 from tactile_toolkit.read import ChosenGroups, Row, RowSource, Shard, ShardedTable, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -63,11 +60,3 @@ def test_chosen_row_groups_are_rows_of_the_file(shard: Shard) -> None:
     images = {record._row.number: record.sensor_image[0] for _, record in chosen.rounds_without_media()}
     assert list(images) == [0, 1, 4, 5]
     assert all(np.array_equal(image, whole[row].sensor_image[0]) for row, image in images.items())
-
-
-def test_scenes_that_are_made_are_a_stream_too() -> None:
-    scenes = starstruck_gen.SceneDataset(size=5, seed=3)
-    stream: Any = RecordStream(scenes._table.shards, scenes.record_class, ())
-    assert list(stream) == list(scenes)
-    assert Path(scenes._table.shards[0].path) == Path()
-    assert scenes._table.files == ()

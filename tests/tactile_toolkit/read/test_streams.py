@@ -49,6 +49,7 @@ def ids(items: Iterable[Any]) -> list[Any]:
     return [item.id for item in items]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("kind", KINDS)
 @pytest.mark.parametrize("workers", [1, 2, 3, 4, 9])
 def test_workers_share_the_rows(

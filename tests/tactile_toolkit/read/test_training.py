@@ -10,7 +10,6 @@ import socket
 import subprocess
 import sys
 import textwrap
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,6 @@ from hypothesis import given, strategies as st
 
 import realtouch
 import starstruck_gen
-from tactile_toolkit.bounds import CACHE_LIMIT_VARIABLE
-from tactile_toolkit.cache import CACHE_VARIABLE
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read import RecordDataset, Shard, ShardedTable
 from tactile_toolkit.read.order import GlobalOrder
@@ -270,20 +267,6 @@ def test_impossible_numbers_are_refused(rows: Rows, options: dict[str, Any], fou
         TrainingBatches([1, 2], 2)
 
 
-def test_a_loader_without_workers_needs_no_shared_memory(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
-    expected = [each for batch in batches_of(rows) for each in batch]
-
-    def refuse(_: object) -> None:
-        message = "unable to open shared memory object in read-write mode: Read-only file system (30)"
-        raise RuntimeError(message)
-
-    monkeypatch.setattr(torch.Tensor, "share_memory_", refuse)
-    batches = batches_of(rows)
-    loader = torch.utils.data.DataLoader(batches, batch_size=None)
-    assert [each for batch in loader for each in batch] == expected
-    assert batches.epoch == 1
-
-
 def test_ranks_are_those_of_the_launcher(rows: Rows, monkeypatch: pytest.MonkeyPatch) -> None:
     assert (batches_of(rows).rank, batches_of(rows).world_size) == (0, 1)
     monkeypatch.setenv("RANK", "3")
@@ -318,7 +301,7 @@ def test_views_come_shard_by_shard(paths: list[str]) -> None:
 
 def test_touches_and_scenes(tmp_path: Path) -> None:
     from realtouch.torch import TouchTensors
-    from starstruck_gen.torch import SceneTensors
+    from starstruck_gen.scene_tensors import SceneTensors
 
     rounds = [factories.make_round(index, 5, (64, 48), (4, 5)) for index in range(7)]
     layout = factories.Layout(shards=4, group_rows=1)
@@ -373,85 +356,14 @@ def test_damage_is_named_where_it_is_met(tmp_path: Path) -> None:
         list(batches_of(rows))
 
 
-def test_no_more_than_two_windows_are_unpacked_ahead(
-    paths: list[str], tmp_path: Path, monkeypatch: Any
-) -> None:
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "cache"))
-    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
-    passing = iter(batches_of(rows, window=1))
-    _ = next(passing)
-    passing.close()
-    largest = sorted((len(Shard(path).group_starts) - 1 for path in paths), reverse=True)
-    unpacked = list((tmp_path / "cache" / "blocks").glob("*.arrow"))
-    assert 1 <= len(unpacked) <= largest[0] + largest[1]
-
-
-def test_a_cache_that_is_too_small_or_not_there_costs_speed_only(
-    paths: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    rows = Rows(ShardedTable(tuple(map(Shard, paths))))
-    expected = epoch_ids(rows, 0)
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "small"))
-    monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "0")
-    assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
-    monkeypatch.delenv(CACHE_LIMIT_VARIABLE)
-    (tmp_path / "file").touch()
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file"))
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        assert flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths)))))) == expected
-    monkeypatch.setenv(CACHE_LIMIT_VARIABLE, "much")
-    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "other"))
-    with pytest.raises(InputError, match="expected an integer of MiB"):
-        flat(batches_of(Rows(ShardedTable(tuple(map(Shard, paths))))))
-
-
-UNPACK = """
-    import os, sys
-    from tactile_toolkit.read import parquet
-    write = parquet.write_block
-    def logged(name, table, stream):
-        with open(sys.argv[1], "a") as log:
-            log.write(name + "\\n")
-        write(name, table, stream)
-    parquet.write_block = logged
-    print("ready", flush=True)
-    sys.stdin.readline()
-    table = parquet.ShardedTable(tuple(map(parquet.Shard, sys.argv[2:])))
-    for row in range(len(table)):
-        table.locate(row)
-"""
-
-
-def test_processes_of_a_machine_unpack_each_row_group_once(paths: list[str], tmp_path: Path) -> None:
-    command = [sys.executable, "-c", textwrap.dedent(UNPACK), str(tmp_path / "log"), *paths]
-    environment = os.environ | {CACHE_VARIABLE: str(tmp_path / "cache")}
-    started = [
-        subprocess.Popen(
-            command, cwd=ROOT, env=environment, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
-        )
-        for _ in range(4)
-    ]
-    for process in started:
-        assert process.stdout.readline() == "ready\n"
-    for process in started:
-        process.stdin.write("go\n")
-        process.stdin.flush()
-    for process in started:
-        process.communicate()
-        assert process.returncode == 0
-    written = (tmp_path / "log").read_text().split()
-    assert len(written) == len(set(written)) == sum(-(-count // 4) for count in SHARD_ROWS)
-
-
 JOB = """
     import json, os, sys, time
     from pathlib import Path
     import torch, torch.distributed as dist
     from torchdata.stateful_dataloader import StatefulDataLoader
-    from tactile_toolkit.read.dataset import RecordDataset
-    from tactile_toolkit.read.parquet import Shard, ShardedTable
-    from tactile_toolkit.read.torch import TrainingBatches
+    from tactile_toolkit.read import RecordDataset
+    from tactile_toolkit.read import Shard, ShardedTable
+    from tactile_toolkit.read import TrainingBatches
 
     def ids(items):
         return [int(item._row.value("id")) for item in items]

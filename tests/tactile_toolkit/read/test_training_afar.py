@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 
 import starstruck_gen
-from tactile_toolkit.store import DataFolder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import folder_bytes
 
 pytestmark = [pytest.mark.s3, pytest.mark.torch]
@@ -15,8 +15,8 @@ torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not instal
 pytest.importorskip("s3fs")
 pytest.importorskip("moto")
 
-from starstruck_gen.make import SceneMaking  # noqa: E402
-from starstruck_gen.torch import SceneTensors  # noqa: E402
+from starstruck_gen.scene_generation import SceneMaking  # noqa: E402
+from starstruck_gen.scene_tensors import SceneTensors  # noqa: E402
 from tactile_toolkit.read import TrainingBatches  # noqa: E402
 
 
@@ -24,9 +24,9 @@ def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, m
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path / "cache"))
     layout = SceneMaking.layout
     monkeypatch.setattr(SceneMaking, "layout", lambda self: replace(layout(self), largest=8))
-    spec = starstruck_gen.GenerateSpec(scenes=(("train", 60), ("test", 1)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 60), ("test", 1)))
     starstruck_gen.generate(spec, tmp_path / "scenes")
-    place = DataFolder(f"s3://{bucket}/scenes")
+    place = open_folder(f"s3://{bucket}/scenes")
     for path in folder_bytes(tmp_path / "scenes"):
         place.upload(path, tmp_path / "scenes" / path)
     assert len(place.names("data")) == 9
@@ -35,7 +35,7 @@ def test_training_from_a_store_is_training_from_a_folder(s3, bucket, tmp_path, m
         data = SceneTensors(starstruck_gen.load(name, "train"))
         return TrainingBatches(data, 7, window=3, rank=1, world_size=2, collate_fn=list)
 
-    here, there = batches_of(str(tmp_path / "scenes")), batches_of(place.url)
+    here, there = batches_of(str(tmp_path / "scenes")), batches_of(place.root)
     for epoch in range(2):
         s3.traffic.reset()
         mine = [item for batch in there for item in batch]

@@ -16,7 +16,7 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.read.columns import plain_table, plain_type, whole_number, whole_numbers
+from tactile_toolkit.read.supported_types import supported_table, supported_type
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
 from tests.mesh_columns import list_array
@@ -166,7 +166,7 @@ def test_types_of_others_are_read_as_polars_reads_them(
         assert [len(touch.clip) for touch in rows.touches()] == lengths
     # What lies behind sees types of ours alone.
     stored = rows.to_hf()
-    assert all(plain_type(each.type) == each.type for each in stored.data.schema)
+    assert all(supported_type(each.type) == each.type for each in stored.data.schema)
     assert stored["id"][:] == expected["id"].to_list()
 
 
@@ -255,27 +255,6 @@ def test_meshes_of_no_numbers_are_refused_by_column(tmp_path: Path) -> None:
             mnist3d.load(str(tmp_path / "digits.parquet"))
 
 
-def test_what_a_set_does_not_store_is_known_of_each_row(tmp_path: Path) -> None:
-    """The published digits store neither writer nor volume."""
-    stored = digits().append_column("writer", pa.array([4.0, 5.0, 6.0]))
-    stored = stored.append_column("volume_m3", pa.array([1.0, 2.0, 3.0]))
-    found = {}
-    for name, table in (("published", digits()), ("stored", stored)):
-        pq.write_table(table, tmp_path / f"{name}.parquet")
-        found[name] = mnist3d.load(str(tmp_path / f"{name}.parquet"))
-    volume_m3 = SIDE_M**3 / 6
-    both = found["published"] + found["stored"]
-    for rows, writers, volumes_m3 in (
-        (found["published"], [-1, -1, -1], [volume_m3] * 3),
-        (found["stored"], [4, 5, 6], [1.0, 2.0, 3.0]),
-        (both[[5, 0]], [6, -1], [3.0, volume_m3]),
-    ):
-        assert rows.writers.tolist() == writers == [row.writer for row in rows]
-        assert rows.writers.dtype == np.int64
-        assert rows.volumes_m3.tolist() == pytest.approx(volumes_m3, rel=1e-6)
-        assert rows.volumes_m3.tolist() == [row.volume_m3 for row in rows]
-
-
 TYPES = [
     (pa.dictionary(pa.int8(), pa.large_string()), pa.string()),
     (pa.list_(pa.dictionary(pa.int8(), pa.string())), pa.list_(pa.string())),
@@ -292,7 +271,7 @@ TYPES = [
 
 @pytest.mark.parametrize(("theirs", "ours"), TYPES, ids=lambda each: str(each))
 def test_each_type_has_one_of_ours(theirs: pa.DataType, ours: pa.DataType) -> None:
-    assert plain_type(theirs) == ours == plain_type(ours)
+    assert supported_type(theirs) == ours == supported_type(ours)
 
 
 def test_values_with_nulls_and_slices_stay_the_same() -> None:
@@ -300,26 +279,12 @@ def test_values_with_nulls_and_slices_stay_the_same() -> None:
     for outer in (pa.list_view, pa.large_list_view, pa.large_list):
         table = pa.table({"x": pa.array(values, outer(pa.list_(pa.float16(), 2)))})
         for part in (table, table.slice(1), table.slice(2, 1), table.slice(4)):
-            found = plain_table(part)
+            found = supported_table(part)
             assert found["x"].type == pa.list_(pa.list_(pa.float32(), 2))
             assert found["x"].to_pylist() == part["x"].to_pylist()
             found.validate(full=True)
     ours = pa.table({"x": [1], "y": ["a"]})
-    assert plain_table(ours) is ours
-
-
-def test_which_values_mean_integers() -> None:
-    known: list[tuple[Any, int | None]] = [
-        *[(0, 0), (-3, -3), (True, 1), (3.0, 3), (-0.0, 0), (2.0**53 - 1, 2**53 - 1), (2**63 - 1, 2**63 - 1)],
-        *[(1.5, None), (2.0**53, None), (2**63, None), (float("nan"), None), (float("-inf"), None)],
-        *[(None, None), ("3", None), (b"3", None), ([3], None), ({}, None)],
-    ]
-    for value, expected in known:
-        assert whole_number(value) == expected
-    floats = [value for value, _ in known if isinstance(value, float)]
-    assert whole_numbers(np.array(floats)).tolist() == [whole_number(each) is not None for each in floats]
-    assert whole_numbers(np.array([1, 2**63], np.uint64)).tolist() == [True, False]
-    assert whole_numbers(np.array([1, None, "a"], object)).tolist() == [True, False, False]
+    assert supported_table(ours) is ours
 
 
 @needs_shared

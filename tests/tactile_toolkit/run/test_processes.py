@@ -29,9 +29,8 @@ from tactile_toolkit.errors import (
     MissingExtraError,
     ToolkitError,
 )
-from tactile_toolkit.run import skip_pandas
-from tactile_toolkit.run.processes import ProcessRunner, unpack_result
-from tests.processes import PATIENCE_S, alive, printed_by
+from tactile_toolkit.run import ProcessRunner, skip_pandas
+from tests.processes import PATIENCE_S, alive
 
 REPOSITORY = Path(__file__).resolve().parents[3]
 
@@ -43,6 +42,7 @@ print(sorted(ProcessRunner(2).run(math.sqrt, [1.0, 4.0, 9.0])))
 """
 
 
+@pytest.mark.thorough
 def test_a_script_without_a_guard_runs_once(tmp_path: Path) -> None:
     script = tmp_path / "script.py"
     script.write_text(UNGUARDED)
@@ -83,6 +83,7 @@ def test_an_exception_of_a_task_is_raised_as_it_is_and_not_retried(tmp_path: Pat
     assert tries.read_text() == "tried\n"
 
 
+@pytest.mark.thorough
 def test_workers_need_no_shared_memory(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Some containers have no /dev/shm, where semaphores and shared memory live."""
 
@@ -123,6 +124,7 @@ class Missing:
         return import_module, ("nowhere_to_be_found",)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("function", "task", "error", "words"),
     [
@@ -147,13 +149,6 @@ def test_an_exception_tells_where_in_the_worker_it_was_raised() -> None:
     assert "in fails\n    raise ZeroDivisionError" in raised.value.__notes__[0]
 
 
-def test_what_is_known_of_a_failed_task_is_noted_on_its_error() -> None:
-    with pytest.raises(InputError, match="what") as raised:
-        unpack_result(pickle.dumps((None, InputError("what"))), "task 3", "on machine b")
-    assert raised.value.__notes__ == ["task 3", "on machine b"]
-    assert unpack_result(pickle.dumps((5, None)), "task 3") == 5
-
-
 def large(size: int) -> bytes:
     return bytes(size)
 
@@ -162,6 +157,7 @@ def size_of(content: bytes) -> int:
     return len(content)
 
 
+@pytest.mark.thorough
 def test_tasks_and_answers_may_be_larger_than_a_pipe_holds() -> None:
     assert [len(answer) for answer in ProcessRunner(2).run(large, [10_000_000] * 4)] == [10_000_000] * 4
     assert list(ProcessRunner(2).run(size_of, [bytes(10_000_000)] * 4)) == [10_000_000] * 4
@@ -175,6 +171,7 @@ def waits(path: str) -> None:
         time.sleep(PATIENCE_S)
 
 
+@pytest.mark.thorough
 def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
     results = ProcessRunner(2).run(waits, ["", *[str(tmp_path)] * 3])
     assert next(results) is None
@@ -184,25 +181,6 @@ def test_an_iterator_that_is_closed_stops_the_work(tmp_path: Path) -> None:
     results.close()
     assert not any(alive(int(file.name)) for file in tmp_path.iterdir())
     assert len(list(tmp_path.iterdir())) == 2
-
-
-def test_a_run_without_tasks_or_workers() -> None:
-    assert list(ProcessRunner(3).run(operator.neg, [])) == []
-    with pytest.raises(InputError, match="the number of workers is 0; expected at least 1"):
-        ProcessRunner(0)
-
-
-def test_workers_and_command_lines_do_without_pandas() -> None:
-    code = """
-import sys
-from tactile_toolkit.run.threads import skip_pandas
-skip_pandas()
-import pyarrow as pa
-pa.array([1, 2]), pa.Table.from_pylist([{"x": "a"}])
-assert "pandas" not in sys.modules
-import pandas  # whoever wants it has it
-"""
-    printed_by(code)
 
 
 def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -239,14 +217,8 @@ def test_errors_cross_the_border_of_a_process(error: Exception) -> None:
     assert (type(copy), str(copy), vars(copy)) == (type(error), str(error), vars(error))
 
 
-@pytest.mark.parametrize(
-    ("finished", "doomed"),
-    [
-        (2, 1),
-        (1, 2),
-        *(pytest.param(*each, marks=pytest.mark.thorough) for each in ((1, 1), (5, 1), (2, 2), (5, 2))),
-    ],
-)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(("finished", "doomed"), [(2, 1), (1, 2), (5, 1), (5, 2)])
 def test_no_task_is_lost_when_workers_die_while_their_parent_is_busy(finished: int, doomed: int) -> None:
     results = []
     for result in ProcessRunner(2).run(operator.neg, range(8)):
@@ -273,6 +245,7 @@ def begins(folder: Path, dies_first: bool) -> None:
         time.sleep(0.01)
 
 
+@pytest.mark.thorough
 def test_a_worker_that_dies_takes_no_other_with_it(tmp_path: Path) -> None:
     assert list(ProcessRunner(2).run(partial(begins, tmp_path), [False, True])) == [None, None]
     assert (tmp_path / "False").read_text().split() == ["begun"]

@@ -11,8 +11,8 @@ import pytest
 import trimesh
 
 from tactile_toolkit.mesh import Mesh, inspect, write_mesh
-from tactile_toolkit.run import InlineRunner, ProcessRunner
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.run import ProcessRunner
+from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
 SCRIPT = """
@@ -27,9 +27,9 @@ assert after == before, f"{{after - before}} threads were started"
 
 READS = {
     "rows": (
-        "tactile_toolkit.read.parquet",
+        "tactile_toolkit.read.shard",
         """
-from tactile_toolkit.places.place import open_place
+from tactile_toolkit.places import open_place
 for shard in open_place(sys.argv[1]).shards("train"):
     groups = range(shard.metadata.num_row_groups)
     assert sum(len(part.table) for group in groups for part in shard.blocks(group)) == len(shard)
@@ -37,45 +37,26 @@ for shard in open_place(sys.argv[1]).shards("train"):
 """,
     ),
     "report": (
-        "tactile_toolkit.store.parquet",
+        "tactile_toolkit.store.reports",
         """
-from tactile_toolkit.store.folder import DataFolder
-assert len(tactile_toolkit.store.parquet.read_report(DataFolder(sys.argv[1]), "reports/toy.parquet"))
+from tactile_toolkit.store import open_folder
+assert len(tactile_toolkit.store.reports.read_report(open_folder(sys.argv[1]), "reports/toy.parquet"))
 """,
     ),
 }
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 @pytest.mark.parametrize("what", READS)
 def test_reading_starts_no_thread(tmp_path, what):
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(open_folder(str(tmp_path)), toy_plan())
     module, code = READS[what]
     script = SCRIPT.format(module=module, code=code)
     done = subprocess.run(
         [sys.executable, "-c", script, str(tmp_path)], capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
-
-
-LIMITED = """
-import pathlib
-from tactile_toolkit.run.threads import limit_threads
-limit_threads()
-import numpy
-numpy.ones((500, 500)) @ numpy.ones((500, 500))
-print(len(list(pathlib.Path("/proc/self/task").iterdir())))
-"""
-
-
-@pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
-def test_a_process_that_is_limited_starts_no_threads_for_sums():
-    """Machines of one core prove nothing here: their libraries start none by themselves."""
-    settings = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
-    done = subprocess.run(
-        [sys.executable, "-c", LIMITED], env=settings, capture_output=True, text=True, check=True
-    )
-    assert done.stdout.strip() == "1"
 
 
 # OpenBLAS is loaded with pyarrow, before a command begins; what is left are the threads of manifold3d.
@@ -123,6 +104,7 @@ def ball() -> Mesh:
     return Mesh(found.vertices.astype("float32"), found.faces.astype("int32"))
 
 
+@pytest.mark.thorough
 @pytest.mark.skipif(sys.platform != "linux", reason="threads are counted in /proc")
 def test_workers_limit_threads_before_their_first_task():
     for before, after in ProcessRunner(2).run(threads_of_a_check, [0, 1]):

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.store import DataFolder, is_remote, normalize_uri
+from tactile_toolkit.store import is_remote, normalize_uri, open_folder
 from tests.processes import printed_by
 
 
@@ -50,7 +50,7 @@ def test_one_form_of_each_place(given, place):
 )
 def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address, words):
     with pytest.raises(InputError, match=rf"{re.escape(words)}") as told:
-        DataFolder(address)
+        open_folder(address)
     assert "; next: " in str(told.value)
     assert "SECRET" not in str(told.value)
     assert "KEY" not in str(told.value)
@@ -69,11 +69,11 @@ def test_what_is_no_address_of_data_is_refused_without_repeating_secrets(address
 def test_nothing_is_written_to_the_hub_file_by_file(act):
     """Said before anything is asked there: no server is reached."""
     with pytest.raises(InputError, match=r"'hf://datasets/a/b.*' cannot be written to: .* command `upload`"):
-        act(DataFolder("hf://datasets/a/b"))
+        act(open_folder("hf://datasets/a/b"))
 
 
 def test_an_address_of_this_machine_is_a_local_folder(tmp_path):
-    folder = DataFolder(f"file://{tmp_path}/set")
+    folder = open_folder(f"file://{tmp_path}/set")
     assert folder.is_local
     folder.write_bytes("data/a", b"1")
     assert (tmp_path / "set/data/a").read_bytes() == b"1"
@@ -82,6 +82,7 @@ def test_an_address_of_this_machine_is_a_local_folder(tmp_path):
     assert folder.sizes() == {}
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("address", "words"),
     [
@@ -95,9 +96,9 @@ def test_a_store_whose_package_is_missing(address, words):
 import sys
 sys.modules.update(s3fs=None, gcsfs=None)
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import open_folder
 try:
-    DataFolder({address!r}).names()
+    open_folder({address!r}).names()
 except InputError as error:
     print(error)
 """
@@ -108,7 +109,7 @@ except InputError as error:
 
 def test_what_cannot_be_read_is_named_in_the_words_of_the_system(tmp_path):
     """Without its number, and without the path a second time."""
-    place = DataFolder(str(tmp_path))
+    place = open_folder(str(tmp_path))
     (tmp_path / "folder").mkdir()
     for path, words in (("absent", "No such file or directory"), ("folder", "Is a directory")):
         with pytest.raises(IntegrityError) as caught:

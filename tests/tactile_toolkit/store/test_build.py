@@ -5,7 +5,6 @@ import gc
 import importlib.metadata
 import os
 import shutil
-import signal
 import subprocess
 import sys
 import tempfile
@@ -18,17 +17,14 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError, SpecMismatchError, StorageError, ToolkitError
-from tactile_toolkit.run import Check, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import DataFolder, build, inspect_job, read_manifest, verify
-from tests.processes import children, records_so_far, wait_until_gone
+from tactile_toolkit.run import Part, ProcessRunner
+from tactile_toolkit.store import build, inspect_job, open_folder, read_manifest, verify
+from tests.processes import children, wait_until_gone
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
-NUMBERS = [2, *(pytest.param(number, marks=pytest.mark.thorough) for number in (1, 4))]
-"""Of worker processes, which take a second each to start, or of shards."""
 
-
-def make(path: Path, plan=None, runner=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+def make(path: Path, plan=None, **options):
+    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
@@ -45,24 +41,18 @@ def test_folder_holds_shards_report_and_manifest_and_nothing_else(tmp_path):
     shards = [f"data/test-{i:05d}-of-00002.parquet" for i in range(2)]
     shards += [f"data/train-{i:05d}-of-00004.parquet" for i in range(4)]
     assert files == [*shards, "manifest.json", "reports/toy.parquet"]
-    assert read_manifest(DataFolder(str(tmp_path / "set"))) == manifest
+    assert read_manifest(open_folder(str(tmp_path / "set"))) == manifest
     report = pq.read_table(tmp_path / "set" / "reports" / "toy.parquet")
     ids = [i for i in range(20) if i % 10 != 9] + list(range(100, 109))
     assert report["id"].to_pylist() == ids
 
 
-@pytest.mark.parametrize("workers", NUMBERS)
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("workers", [2, 4])
 def test_bytes_do_not_depend_on_workers(tmp_path, workers):
     make(tmp_path / "one")
-    make(tmp_path / "many", runner=ProcessRunner(workers))
+    make(tmp_path / "many", workers=ProcessRunner(workers))
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "many")
-
-
-def test_splits_can_be_made_in_any_order(tmp_path):
-    make(tmp_path / "whole")
-    for split in ("test", "train"):
-        make(tmp_path / "parts", toy_plan((split,)))
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "parts")
 
 
 def test_second_run_changes_nothing(tmp_path):
@@ -80,7 +70,7 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
     broken = replace(plan.tasks[2], error=StorageError("disk full"))
     with pytest.raises(StorageError, match="disk full"):
         make(tmp_path / "set", replace(plan, tasks=(*plan.tasks[:2], broken, *plan.tasks[3:])))
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     assert not read_manifest(folder).complete
     state = inspect_job(folder, plan)
     assert [record.shard.index for record in state.finished] == [0, 1]
@@ -90,6 +80,7 @@ def test_failure_keeps_finished_shards_and_the_next_run_goes_on(tmp_path):
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("damage", ["cut", "flip", "remove"])
 @pytest.mark.parametrize("victim", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
 def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
@@ -102,22 +93,11 @@ def test_damaged_file_is_found_and_made_again(tmp_path, damage, victim):
     else:
         content[len(content) // 2] ^= 0xFF
         file.write_bytes(content[:-7] if damage == "cut" else content)
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     assert [finding.file for finding in verify(folder, SCHEMA).findings] == [victim]
-    make(tmp_path / "set", runner=Check(InlineRunner()) if damage == "flip" else InlineRunner())
+    make(tmp_path / "set", check=damage == "flip")
     assert verify(folder, SCHEMA).ok
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
-
-
-@pytest.mark.parametrize("share", [0.05, 0.25, 0.5, 0.75])
-def test_a_report_of_which_one_byte_changed_is_made_again(tmp_path, share):
-    whole = make(tmp_path / "set") and folder_bytes(tmp_path / "set")
-    report = tmp_path / "set" / "reports" / "toy.parquet"
-    content = bytearray(report.read_bytes())
-    content[int(share * len(content))] ^= 1
-    report.write_bytes(bytes(content))
-    make(tmp_path / "set")
-    assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_another_spec_is_refused_and_named(tmp_path):
@@ -138,28 +118,12 @@ def test_folder_with_strange_files_is_never_touched(tmp_path, overwrite):
     assert folder_bytes(tmp_path) == {"thesis.tex": b"years of work"}
 
 
-def test_file_in_place_of_the_folder(tmp_path):
-    (tmp_path / "set").write_text("")
-    with pytest.raises(InputError, match="is a file, a folder was expected"):
-        make(tmp_path / "set")
-
-
 def test_damaged_manifest_is_named(tmp_path):
     make(tmp_path / "set")
     (tmp_path / "set" / "manifest.json").write_text('{"schema_version": 1')
     with pytest.raises(IntegrityError, match=r"manifest\.json' is damaged: "):
         make(tmp_path / "set")
     assert gc.isenabled(), "manifests are read without collecting garbage"
-
-
-def test_dead_worker_is_replaced(tmp_path):
-    make(tmp_path / "whole")
-    flag = tmp_path / "died"
-    plan = toy_plan()
-    tasks = (replace(plan.tasks[0], die_once=str(flag)), *plan.tasks[1:])
-    make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(2))
-    assert flag.exists()
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
 
 
 class Forgetful:
@@ -177,52 +141,26 @@ def test_a_set_is_complete_only_with_the_shards_of_all_tasks(tmp_path):
     with pytest.raises(
         IntegrityError, match=r"1 of 6 shards .* those of part 2 of 6; next: .*run the same command"
     ):
-        make(tmp_path / "set", runner=Forgetful(2))
-    assert not read_manifest(DataFolder(str(tmp_path / "set"))).complete
+        make(tmp_path / "set", workers=Forgetful(2))
+    assert not read_manifest(open_folder(str(tmp_path / "set"))).complete
     (tmp_path / "set" / "data" / "train-00000-of-00004.parquet").unlink()
     with pytest.raises(IntegrityError, match=r"2 of 6 shards .* those of parts 0,2 of 6"):
-        make(tmp_path / "set", runner=Forgetful(0, 1))
+        make(tmp_path / "set", workers=Forgetful(0, 1))
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
     with pytest.raises(IntegrityError, match=r"6 of 6 shards"):
-        make(tmp_path / "none", runner=Forgetful(*range(6)))
+        make(tmp_path / "none", workers=Forgetful(*range(6)))
     assert not (tmp_path / "none").exists()
     with pytest.raises(IntegrityError, match=r"1 of 6 shards .* those of part 2 of 6"):
-        make(tmp_path / "part", runner=Part(0, 2, Forgetful(1)))
+        make(tmp_path / "part", part=Part(0, 2), workers=Forgetful(1))
 
 
-@pytest.mark.parametrize("shards", NUMBERS)
-def test_a_worker_that_dies_while_its_parent_is_held_loses_no_shard(tmp_path, shards):
-    make(tmp_path / "whole")
-    script = """
-        import sys
-        from tactile_toolkit.store.building import build
-        from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store.folder import DataFolder
-        from tests.tactile_toolkit.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.1), ProcessRunner(2))
-    """
-    process = subprocess.Popen(
-        [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
-        cwd=Path(__file__).resolve().parents[3],
-    )
-    while len(records_so_far(tmp_path / "set")) < shards:
-        assert process.poll() is None
-        time.sleep(0.002)
-    process.send_signal(signal.SIGSTOP)
-    victim = children(process.pid)[-1]
-    os.kill(victim, signal.SIGKILL)
-    wait_until_gone([victim])
-    process.send_signal(signal.SIGCONT)
-    assert process.wait() == 0
-    assert folder_bytes(tmp_path / "whole") == folder_bytes(tmp_path / "set")
-
-
+@pytest.mark.thorough
 def test_task_that_always_kills_its_worker_ends_the_run(tmp_path):
     plan = toy_plan(("test",))
     tasks = (replace(plan.tasks[0], die_always=True), plan.tasks[1])
     with pytest.raises(ToolkitError, match=r"worker process died 3 times.*--workers"):
-        make(tmp_path / "set", replace(plan, tasks=tasks), ProcessRunner(1))
+        make(tmp_path / "set", replace(plan, tasks=tasks), workers=ProcessRunner(1))
 
 
 def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
@@ -231,13 +169,13 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
         import resource, signal, sys
         from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import InlineRunner
-        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.store import open_folder
         from tactile_toolkit.errors import StorageError
         from tests.tactile_toolkit.toy import toy_plan
         signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
         resource.setrlimit(resource.RLIMIT_FSIZE, (1500, resource.RLIM_INFINITY))
         try:
-            build(DataFolder(sys.argv[1]), toy_plan(), InlineRunner())
+            build(open_folder(sys.argv[1]), toy_plan())
         except StorageError as error:
             print(error)
     """
@@ -252,7 +190,7 @@ def test_full_disk_is_named_and_leaves_nothing_half_written(tmp_path):
     assert "File too large" in done.stdout
     assert not (tmp_path / "set").exists()
     make(tmp_path / "set")
-    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
+    assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
 
 
 def test_no_space_hint(monkeypatch, tmp_path):
@@ -261,7 +199,7 @@ def test_no_space_hint(monkeypatch, tmp_path):
 
     monkeypatch.setattr(os, "fsync", refuse)
     with pytest.raises(StorageError, match=r"No space left on device.*nothing half-written"):
-        DataFolder(str(tmp_path)).write_bytes("data/file", b"1")
+        open_folder(str(tmp_path)).write_bytes("data/file", b"1")
     assert folder_bytes(tmp_path) == {}
 
 
@@ -287,14 +225,12 @@ def test_read_only_place(mode):
 
 def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    folder = DataFolder("memory://bucket/set")
-    manifest = build(folder, toy_plan(), InlineRunner())
+    folder = open_folder("memory://bucket/set")
+    manifest = build(folder, toy_plan())
     assert manifest.complete
     assert verify(folder, SCHEMA).ok
-    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == manifest
-    for act in (lambda: folder.move("manifest.json", "moved.json"), lambda: folder.place("manifest.json")):
-        with pytest.raises(InputError, match=r"'memory://bucket/set/.*' is in a store"):
-            act()
+    assert build(folder, toy_plan(error=RuntimeError("all is there"))) == manifest
+    assert not hasattr(folder, "move")
     assert folder.exists("manifest.json")
     assert list(tmp_path.iterdir()) == [], "an address is not a local path"
 
@@ -302,7 +238,7 @@ def test_remote_folder_through_fsspec(tmp_path, monkeypatch):
 @pytest.mark.parametrize("path", ["../escaped", "data/../../escaped", "/tmp/escaped", "data/a\0b"])
 @pytest.mark.parametrize("url", ["memory://bucket/inside", None])
 def test_nothing_is_written_outside_the_folder(tmp_path, url, path):
-    folder = DataFolder(url or str(tmp_path / "set"))
+    folder = open_folder(url or str(tmp_path / "set"))
     with pytest.raises(StorageError, match="leads out of"):
         folder.write_bytes(path, b"1")
     assert folder_bytes(tmp_path) == {}
@@ -323,53 +259,14 @@ def test_another_source_is_told_in_few_words(tmp_path):
     assert len(str(told.value)) < 500
 
 
-@pytest.mark.parametrize("workers", NUMBERS)
-def test_killed_run_resumes_to_the_same_bytes(tmp_path, workers):
-    make(tmp_path / "whole")
-    script = f"""
-        import sys
-        from dataclasses import replace
-        from tactile_toolkit.store.building import build
-        from tactile_toolkit.run.processes import runner_for
-        from tactile_toolkit.store.folder import DataFolder
-        from tests.tactile_toolkit.toy import toy_plan
-        plan = toy_plan(pause_s=0.15)
-        endless = replace(plan.tasks[-1], pause_s=600.0)  # some shards must be left to make
-        plan = replace(plan, tasks=(*plan.tasks[:-1], endless))
-        build(DataFolder(sys.argv[1]), plan, runner_for({workers}))
-    """
-    target = tmp_path / "set"
-    for _ in range(2 if workers == 1 else 1):
-        process = subprocess.Popen(
-            [sys.executable, "-c", textwrap.dedent(script), str(target)],
-            cwd=Path(__file__).resolve().parents[3],
-        )
-        seen = len(records_so_far(target))
-        deadline_s = time.monotonic() + 120
-        while process.poll() is None and time.monotonic() < deadline_s:
-            if len(records_so_far(target)) > seen:
-                workers_left = children(process.pid)
-                process.send_signal(signal.SIGKILL)
-                break
-            time.sleep(0.005)
-        process.wait()
-        assert process.returncode == -signal.SIGKILL
-        wait_until_gone(workers_left)
-    state = inspect_job(DataFolder(str(target)), toy_plan())
-    assert state.finished
-    assert state.remaining
-    make(target)
-    assert folder_bytes(target) == folder_bytes(tmp_path / "whole")
-
-
 def test_workers_leave_with_a_killed_parent(tmp_path):
     script = """
         import sys
         from tactile_toolkit.store.building import build
         from tactile_toolkit.run.processes import ProcessRunner
-        from tactile_toolkit.store.folder import DataFolder
+        from tactile_toolkit.store import open_folder
         from tests.tactile_toolkit.toy import toy_plan
-        build(DataFolder(sys.argv[1]), toy_plan(pause_s=2.0), ProcessRunner(2))
+        build(open_folder(sys.argv[1]), toy_plan(pause_s=2.0), workers=ProcessRunner(2))
     """
     process = subprocess.Popen(
         [sys.executable, "-c", textwrap.dedent(script), str(tmp_path / "set")],
@@ -385,23 +282,11 @@ def test_workers_leave_with_a_killed_parent(tmp_path):
     wait_until_gone(workers)
 
 
-def test_half_written_receipt_of_a_killed_writer_is_no_receipt(tmp_path):
-    make(tmp_path / "whole")
-    plan = toy_plan()
-    broken = replace(plan.tasks[1], error=StorageError("stop"))
-    with pytest.raises(StorageError):
-        make(tmp_path / "set", replace(plan, tasks=(plan.tasks[0], broken)))
-    parts = tmp_path / "set" / ".pending"
-    (parts / "tmp-0123456789abcdef0123456789abcdef").write_text('{"file": "data/tr')
-    make(tmp_path / "set")
-    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
-
-
 def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
     plan = replace(toy_plan(), libraries=("numpy", "pyarrow"))
     made = make(tmp_path / "set", plan)
     assert made.libraries == {name: importlib.metadata.version(name) for name in plan.libraries}
-    monkeypatch.setattr("tactile_toolkit.store.job.version", lambda name: "9")
+    monkeypatch.setattr("tactile_toolkit.store.plan.version", lambda name: "9")
     before = folder_bytes(tmp_path / "set")
     make(tmp_path / "set", plan)  # nothing is left to make, so nothing is mixed
     assert folder_bytes(tmp_path / "set") == before
@@ -415,8 +300,8 @@ def test_other_versions_of_libraries_are_not_mixed(tmp_path, monkeypatch):
 @pytest.mark.parametrize("name", ["notes.txt", "x.parquet", "train-00000-of-00009.parquet"])
 def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, name):
     """`verify` must not send to a run that has nothing to say about it."""
-    folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(), InlineRunner())
+    folder = open_folder(str(tmp_path / "set"))
+    build(folder, toy_plan())
     (tmp_path / "set" / "data" / name).write_bytes(b"x")
     before = folder_bytes(tmp_path)
     (finding,) = verify(folder, SCHEMA).findings
@@ -425,14 +310,14 @@ def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, nam
         "is not listed in manifest.json; next: remove it",
     )
     with pytest.raises(InputError, match=rf"data/{name}' is not a file of this data set.*next: remove it"):
-        build(folder, toy_plan(), InlineRunner())
+        build(folder, toy_plan())
     assert folder_bytes(tmp_path) == before
 
 
 def test_a_shard_of_a_split_that_another_run_makes_is_no_stray_file(tmp_path):
-    folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(("train",)), InlineRunner())
+    folder = open_folder(str(tmp_path / "set"))
+    build(folder, toy_plan(("train",)))
     folder.write_bytes("data/test-00000-of-00002.parquet", b"rows whose record is not written yet")
-    build(folder, toy_plan(("train",)), InlineRunner())
-    build(folder, toy_plan(("test",)), InlineRunner())
+    build(folder, toy_plan(("train",)))
+    build(folder, toy_plan(("test",)))
     assert verify(folder, SCHEMA).ok

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.run import Finish, Part
-from tactile_toolkit.store import DataFolder, build
+from tactile_toolkit.run import Part
+from tactile_toolkit.store import build, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 
 LINKS = Path("/proc/self/fd")
@@ -29,14 +29,14 @@ def test_each_file_and_the_folder_of_its_name_once(tmp_path: Path, monkeypatch: 
 
     monkeypatch.setattr(os, "fsync", fsync)
     place = tmp_path / "set"
-    build(DataFolder(str(place)), toy_plan(), Part(0, 1))
+    build(open_folder(str(place)), toy_plan(), part=Part(0, 1))
     written = [path for path in place.rglob("*") if path.is_file()]
     assert len(written) == 6 * 3 + 1, "rows, report rows and record of each shard, and a manifest"
     assert files == {path.stat().st_ino: 1 for path in written}
     assert folders == {"data": 6, ".pending": 12, "set": 1}
     files.clear()
     folders.clear()
-    build(DataFolder(str(place)), toy_plan(), Finish())
+    build(open_folder(str(place)), toy_plan(), finish=True)
     new = [place / "manifest.json", place / "reports" / "toy.parquet"]
     assert files == {path.stat().st_ino: 1 for path in new}
     assert folders == {"reports": 1, "set": 1}

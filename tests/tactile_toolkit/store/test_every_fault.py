@@ -21,8 +21,8 @@ import pytest
 from hypothesis import settings
 
 from tactile_toolkit.errors import InputError, StorageError, ToolkitError
-from tactile_toolkit.run import Finish, InlineRunner, Part
-from tactile_toolkit.store import DataFolder, ShardName, build, locks, read_manifest, verify
+from tactile_toolkit.run import Part
+from tactile_toolkit.store import LocalFolder, ShardName, build, locks, open_folder, read_manifest, verify
 from tests.tactile_toolkit.toy import SCHEMA, ToyTask, folder_bytes, toy_plan
 
 SAMPLED = 20
@@ -52,10 +52,8 @@ def card(folder, manifest):
     folder.write_bytes("README.md", str(manifest.split_table()).encode())
 
 
-def run(place, runner=None, a_plan=None, **options):
-    return build(
-        DataFolder(str(place)), a_plan or plan(), runner or InlineRunner(), write_card=card, **options
-    )
+def run(place, a_plan=None, **options):
+    return build(open_folder(str(place)), a_plan or plan(), write_card=card, **options)
 
 
 @dataclass(frozen=True)
@@ -77,14 +75,14 @@ def parts(*numbers):
     def make(place):
         place.mkdir(exist_ok=True)
         for number in numbers:
-            run(place, Part(number, 2))
+            run(place, part=Part(number, 2))
 
     return make
 
 
 def finish_all(place):
     parts(0, 1)(place)
-    run(place, Finish())
+    run(place, finish=True)
 
 
 def second_split(place):
@@ -107,7 +105,7 @@ def failing(place):
 COMMANDS = {
     "generate": Command(nothing, run, run, run, (run, finish_all)),
     "part": Command(nothing, parts(0), finish_all, run, (run, parts(1), parts(0))),
-    "finish": Command(parts(0, 1), lambda place: run(place, Finish()), finish_all, run, (run, finish_all)),
+    "finish": Command(parts(0, 1), lambda place: run(place, finish=True), finish_all, run, (run, finish_all)),
     "overwrite": Command(
         run, replaced, replaced, lambda place: run(place, a_plan=plan(seed=2)), (run, replaced)
     ),
@@ -135,7 +133,7 @@ class Disturbed:
         self.point, self.moment, self.fault, self.other = point, moment, fault, other
         self.calls, self.done, self.ended = 0, False, False
         for name in CHANGES:
-            monkeypatch.setattr(DataFolder, name, self._watched(name, getattr(DataFolder, name)))
+            monkeypatch.setattr(LocalFolder, name, self._watched(name, getattr(LocalFolder, name)))
 
     def _watched(self, name, call):
         if name == "locked":
@@ -217,7 +215,7 @@ def disturb(
         with contextlib.suppress(ToolkitError, KeyboardInterrupt, Ended):
             command.run(place)
         assert disturbed.done, case
-    folder = DataFolder(str(place))
+    folder = open_folder(str(place))
     manifest = read_manifest(folder) if place.exists() else None
     if manifest is not None and manifest.complete:
         damaged = [each for each in verify(folder, SCHEMA).findings if "not finished" not in each.problem]
@@ -246,6 +244,7 @@ def check(name: str, tmp_path: Path, drawn: int | None) -> None:
         disturb(command, tmp_path / "set", case, expected)
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", COMMANDS)
 def test_a_fault_at_any_point(name: str, tmp_path: Path) -> None:
     """At a desk at twenty points, always the same ones; with `-m ""` at all."""

@@ -18,8 +18,7 @@ import pytest
 from tactile_toolkit.cache import LOCKS, cache_folder
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import LOCK_FILE, DataFolder, Progress, build, locked, locks
+from tactile_toolkit.store import LOCK_FILE, Progress, build, locked, locks, open_folder
 from tests.processes import records_so_far
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -109,6 +108,7 @@ def clock(monkeypatch: pytest.MonkeyPatch) -> Clock:
 needs_list = pytest.mark.skipif(not Path("/proc/locks").exists(), reason="asks Linux who holds a lock")
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize("how", ["alone", "shared"])
 @pytest.mark.parametrize("is_patient", [False, True])
@@ -125,6 +125,7 @@ def test_who_waits_for_a_stopped_process_is_told_which(
         pass
 
 
+@pytest.mark.thorough
 @needs_list
 def test_who_is_patient_waits_for_a_process_that_is_at_work(tmp_path: Path, clock: Clock) -> None:
     with held(tmp_path, is_stopped=False) as process:
@@ -162,10 +163,11 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
                 stack.enter_context(held(place))
 
         with pytest.raises(BusyError) as caught:
-            build(DataFolder(str(place)), toy_plan(), InlineRunner(), on_progress=stop)
+            build(open_folder(str(place)), toy_plan(), on_progress=stop)
         return caught.value
 
 
+@pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])
 def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: str, finished: int) -> None:
@@ -173,23 +175,15 @@ def test_a_run_beside_a_stopped_one_ends(tmp_path: Path, clock: Clock, moment: s
     assert "which was stopped, holds" in str(stopped_beside(tmp_path / "set", moment))
     assert 60 <= clock.now_s < 61
     assert len(records_so_far(tmp_path / "set")) == finished
-    build(DataFolder(str(tmp_path / "set")), toy_plan(), InlineRunner())
-    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+    build(open_folder(str(tmp_path / "set")), toy_plan())
+    build(open_folder(str(tmp_path / "whole")), toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
-@needs_list
-def test_a_run_that_cannot_begin_waits_once(tmp_path: Path, clock: Clock) -> None:
-    for options in ({}, {"overwrite": True}):
-        with held(tmp_path), pytest.raises(BusyError, match="which was stopped, holds"):
-            build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner(), **options)
-        assert 60 <= clock.now_s < 61
-        clock.now_s = 0.0
-
-
+@pytest.mark.thorough
 @needs_list
 def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clock) -> None:
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(open_folder(str(tmp_path)), toy_plan())
     (shard, *_) = open_place(str(tmp_path)).shards("train")
     lock = cache_folder() / LOCKS / shard.digest[:2]
     lock.parent.mkdir(parents=True)

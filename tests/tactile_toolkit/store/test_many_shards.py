@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import pytest
 
-from tactile_toolkit.cards import check_card
-from tactile_toolkit.cards.facts import FolderFacts, SplitFacts, card_head, configs, folder_facts, head_text
+from tactile_toolkit.cards import card_head, check_card, configs, folder_summary
+from tactile_toolkit.cards.card_head import head_text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places import open_place
-from tactile_toolkit.places.layout import parquet_paths
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, ShardName, ShardRecord, build, inspect_job, write_manifest
+from tactile_toolkit.places.split_files import parquet_paths
+from tactile_toolkit.store import ShardName, build, open_folder
 from tests.tactile_toolkit.toy import ToyTask, toy_plan
 
 COUNT = 100_001
@@ -55,38 +53,15 @@ def test_files_are_in_order_of_their_numbers():
     ]
 
 
-@pytest.mark.thorough
-def test_more_shards_than_five_digits_count_are_planned_and_read(tmp_path):
-    """Three of the files are made; all records are there, as after a run that made them all."""
-    tasks = tuple(ToyTask(ShardName("train", index, COUNT), (10 * index,)) for index in range(COUNT))
-    plan = replace(toy_plan(), tasks=tasks, report_file=None)
-    folder = DataFolder(str(tmp_path))
-    assert len(inspect_job(folder, plan).remaining) == COUNT
-    few = replace(plan, tasks=(tasks[0], *tasks[-2:]))
-    made = {record.shard.index: record for record in build(folder, few, InlineRunner()).shards}
-    records = [
-        made.get(task.shard.index) or ShardRecord.of(task.shard, 1, 1, "0" * 64, unpacked_bytes=1)
-        for task in tasks
-    ]
-    write_manifest(folder, plan.new_manifest().with_shards(records))
-    shards = open_place(str(tmp_path)).shards("train")
-    assert len(shards) == COUNT
-    assert [shard.read()["id"].to_pylist() for shard in (shards[0], *shards[-2:])] == [
-        [0],
-        [999_990],
-        [1_000_000],
-    ]
-
-
 def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     """`datasets` sorts what a pattern finds as text: 100000 would come before 10001."""
     from datasets import load_dataset
 
     numbers = (10_000, 10_001, 99_999, 100_000)
     tasks = tuple(ToyTask(ShardName("train", number, COUNT), (10 * number,)) for number in numbers)
-    folder = DataFolder(str(tmp_path))
-    build(folder, replace(toy_plan(), tasks=tasks, report_file=None), InlineRunner())
-    facts = folder_facts(folder)
+    folder = open_folder(str(tmp_path))
+    build(folder, replace(toy_plan(), tasks=tasks, report_file=None))
+    facts = folder_summary(folder)
     (entry,) = configs(facts)[0]["data_files"]
     assert entry["path"] == ["data/train-?????-of-*", "data/train-??????-of-*"]
     head = card_head(facts, license="mit", pretty_name="x", task_categories=["other"], tags=["x"])
@@ -94,12 +69,3 @@ def test_datasets_reads_the_rows_in_the_order_of_the_numbers(tmp_path):
     assert check_card(folder) == []
     rows = load_dataset(str(tmp_path), split="train", cache_dir=str(tmp_path / "cache"))
     assert list(rows["id"]) == [10 * number for number in numbers]
-
-
-def test_files_of_others_are_not_taken_for_those_that_several_patterns_find():
-    paths = ("data/train-00000-of-100001.parquet", "data/train-100000-of-100001.parquet")
-    facts = FolderFacts((SplitFacts("train", (), paths, 2, 0, 0),), None)
-    patterns = ["data/train-?????-of-*", "data/train-??????-of-*"]
-    assert configs(facts, ["data/notes.md"])[0]["data_files"][0]["path"] == patterns
-    mixed = configs(facts, ["data/train-00000-of-00009.parquet"])
-    assert mixed[0]["data_files"][0]["path"] == list(paths)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import shutil
-from dataclasses import replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import pytest
@@ -14,9 +13,8 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, build, is_hidden, names_inside, problem_of_name, verify
-from tactile_toolkit.store.origin import RECORD_FILE, read_record
+from tactile_toolkit.store import build, is_hidden, names_inside, open_folder, problem_of_name, verify
+from tactile_toolkit.store.download_record import RECORD_FILE, read_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -131,7 +129,7 @@ def test_what_passes_stays_inside_on_every_system(name):
 @pytest.fixture(scope="module")
 def built(tmp_path_factory):
     place = tmp_path_factory.mktemp("built") / "set"
-    build(DataFolder(str(place)), toy_plan(), InlineRunner())
+    build(open_folder(str(place)), toy_plan())
     return place
 
 
@@ -157,23 +155,14 @@ def test_a_wild_manifest_is_refused_and_nothing_is_touched(finished, tmp_path, f
     edited(finished, **{field: wild[field]})
     before, words = folder_bytes(tmp_path), r"manifest\.json|damaged shard record"
     with pytest.raises(IntegrityError, match=words):
-        verify(DataFolder(str(finished)))
+        verify(open_folder(str(finished)))
     with pytest.raises(IntegrityError, match=words):
         open_place(str(finished)).shards("train")
     with pytest.raises(IntegrityError, match=words):
-        build(DataFolder(str(finished)), toy_plan(), InlineRunner())
+        build(open_folder(str(finished)), toy_plan())
     assert folder_bytes(tmp_path) == before
-    build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+    build(open_folder(str(finished)), toy_plan(spec={"seed": 2}), overwrite=True)
     assert (tmp_path / "victim").read_text() == "years of work"
-
-
-def test_what_systems_leave_in_a_finished_set_is_passed_over(finished: Path) -> None:
-    (finished / "data" / "Thumbs.db").touch()
-    (finished / "desktop.ini").touch()
-    assert not verify(DataFolder(str(finished))).findings
-    before = folder_bytes(finished)
-    build(DataFolder(str(finished)), toy_plan(), InlineRunner())
-    assert folder_bytes(finished) == before
 
 
 @pytest.mark.parametrize("digest", ["../../../evil", "0" * 63, "0" * 64 + "\n", "G" * 64, 0, None])
@@ -183,7 +172,7 @@ def test_digests_of_a_manifest_are_digests(finished, field, digest):
     shards[0]["sha256"] = digest
     edited(finished, **({"shards": shards} if field == "shards" else {"files": {"reports/x": digest}}))
     with pytest.raises(IntegrityError, match=r"manifest\.json.*Expected `str`.* at `\$\.(files|shards)"):
-        verify(DataFolder(str(finished)))
+        verify(open_folder(str(finished)))
 
 
 @pytest.mark.parametrize("name", ["notes", "data", "images", "index.csv"])
@@ -194,18 +183,7 @@ def test_overwriting_removes_only_what_sets_of_ours_have(finished, name):
     (finished / name / "thesis.tex").write_text("years of work")
     before = folder_bytes(finished)
     with pytest.raises(InputError, match=rf"more than a data set .*\(found '{name}.*nothing was changed"):
-        build(DataFolder(str(finished)), toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
-    assert folder_bytes(finished) == before
-
-
-def test_a_new_set_does_not_take_over_a_folder_of_somebody(finished):
-    """The pictures of the new set would lie in `images`; those that lie there are not of the former one."""
-    photo = finished / "images" / "2019" / "beach" / "001.png"
-    photo.parent.mkdir(parents=True)
-    photo.write_bytes(b"sand")
-    before, plan = folder_bytes(finished), replace(toy_plan(spec={"seed": 2}), extra_dirs=("images",))
-    with pytest.raises(InputError, match=r"found 'images/2019/beach/001\.png'\); nothing was changed"):
-        build(DataFolder(str(finished)), plan, InlineRunner(), overwrite=True)
+        build(open_folder(str(finished)), toy_plan(spec={"seed": 2}), overwrite=True)
     assert folder_bytes(finished) == before
 
 
@@ -216,10 +194,10 @@ def test_a_wild_record_of_a_download_is_refused(tmp_path, name):
     for wild in ({"files": {name: file}}, {"files": {}, "labels": [name]}):
         (tmp_path / RECORD_FILE).write_text(sealed({**values, **wild}))
         with pytest.raises(IntegrityError, match="names the file"):
-            read_record(DataFolder(str(tmp_path)))
+            read_record(open_folder(str(tmp_path)))
     (tmp_path / RECORD_FILE).write_text(sealed({**values, "files": {"x": {**file, "digest": "../../x"}}}))
     with pytest.raises(IntegrityError, match="is not a digest"):
-        read_record(DataFolder(str(tmp_path)))
+        read_record(open_folder(str(tmp_path)))
 
 
 ACTIONS = {
@@ -239,7 +217,7 @@ ACTIONS = {
 @pytest.mark.parametrize("remote", [False, True])
 def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
     """The last line: even a name that was not checked leads nowhere."""
-    folder = DataFolder("memory://bucket/set" if remote else str(tmp_path / "set"))
+    folder = open_folder("memory://bucket/set" if remote else str(tmp_path / "set"))
     (tmp_path / "victim").write_text("years of work")
     for path in ("../victim", "data/../../victim", str(tmp_path / "victim"), "data/x\0y"):
         with pytest.raises(StorageError, match="leads out of"):
@@ -251,7 +229,7 @@ SHARD = "data/train-00001-of-00004.parquet"
 
 
 def findings(folder: Path) -> dict[str, str]:
-    return {each.file: each.problem for each in verify(DataFolder(str(folder)), SCHEMA).findings}
+    return {each.file: each.problem for each in verify(open_folder(str(folder)), SCHEMA).findings}
 
 
 @pytest.mark.parametrize("path", [SHARD, "reports/toy.parquet"])
@@ -260,7 +238,7 @@ def test_pipes_and_devices_are_not_waited_for(finished, path):
     os.mkfifo(finished / path)
     assert findings(finished) == {path: "is not a file (it is a folder, a pipe or a device)"}
     with pytest.raises(IntegrityError, match="pipe or a device"):
-        DataFolder(str(finished)).open(path)
+        open_folder(str(finished)).open(path)
     (finished / path).unlink()
     (finished / path).symlink_to("/dev/zero")
     assert "leads out of the folder, to '/dev/zero'" in findings(finished)[path]
@@ -295,7 +273,7 @@ def test_links_inside_the_folder_and_of_the_hubs_cache_are_files(finished, tmp_p
 def test_a_card_shows_only_pictures_of_its_folder(finished, path):
     (finished / "README.md").write_text(f"---\nlicense: mit\n---\n![a picture]({path})\n")
     try:
-        problems = [each.problem for each in check_card(DataFolder(str(finished)))]
+        problems = [each.problem for each in check_card(open_folder(str(finished)))]
     except ToolkitError as error:  # pragma: no cover - said so below
         problems = [str(error)]
     assert any(problem.startswith(f"shows the picture '{path}', which ") for problem in problems)

@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import random
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner, part_of
-from tactile_toolkit.store import DataFolder, build, read_manifest, verify
-from tactile_toolkit.store.job import BuildPlan, MissingPartsError, array_text, manifest_so_far
-from tests.processes import printed_by
+from tactile_toolkit.run import Part, ProcessRunner, parse_part
+from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest, verify
+from tactile_toolkit.store.job import MissingPartsError, array_text
+from tactile_toolkit.store.pending import manifest_so_far
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
-REPOSITORY = Path(__file__).resolve().parents[3]
 SHARDS = 6
 
 
-def make(path, runner=None, plan=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+def make(path, plan=None, **options):
+    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 @pytest.fixture
@@ -29,11 +27,12 @@ def whole(tmp_path) -> dict[str, bytes]:
     return folder_bytes(tmp_path / "whole")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("count", [1, 2, 4, SHARDS, 100])
 def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count):
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     for number in random.Random(count).sample(range(1, count + 1), count):  # from 1, as many arrays are
-        manifest = make(folder.url, Part(number, count))
+        manifest = make(folder.root, part=Part(number, count))
         assert not manifest.complete
         first = (number % count) % SHARDS
         if number % count < SHARDS:
@@ -41,57 +40,58 @@ def test_parts_in_any_order_give_the_bytes_of_one_process(tmp_path, whole, count
             assert read_manifest(folder).shards == ()
     assert not manifest_so_far(folder).complete
     for _ in range(2):  # twice is once
-        assert make(folder.url, Finish()).complete
+        assert make(folder.root, finish=True).complete
         assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_damage_of_the_same_size_counts_as_missing_where_all_is_read(tmp_path, whole):
-    folder = DataFolder(str(tmp_path / "set"))
-    make(folder.url, Part(0, 2))
-    make(folder.url, Part(1, 2))
+    folder = open_folder(str(tmp_path / "set"))
+    make(folder.root, part=Part(0, 2))
+    make(folder.root, part=Part(1, 2))
     path = toy_plan().tasks[1].shard.data_path
     content = bytearray(folder.read_bytes(path))
     content[len(content) // 2] ^= 1
     folder.write_bytes(path, bytes(content))
-    make(folder.url, Part(1, 2))
+    make(folder.root, part=Part(1, 2))
     assert folder.read_bytes(path) == content  # parts believe sizes
     with pytest.raises(MissingPartsError) as caught:
-        make(folder.url, Check(Finish()))
+        make(folder.root, check=True, finish=True)
     assert (caught.value.array, caught.value.parts) == ("1", SHARDS)
-    make(folder.url, Check(Part(1, 2)))
-    assert make(folder.url, Check(Finish())).complete
+    make(folder.root, check=True, part=Part(1, 2))
+    assert make(folder.root, check=True, finish=True).complete
     assert folder_bytes(tmp_path / "set") == whole
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [1, ProcessRunner(2)], ids=["inline", "processes"])
 def test_what_is_missing_is_told_as_numbers_of_an_array(tmp_path, whole, runner):
     for index in (0, 5):
-        make(tmp_path / "set", Part(index, SHARDS, runner))
+        make(tmp_path / "set", part=Part(index, SHARDS), workers=runner)
     for _ in range(2):
         with pytest.raises(
             MissingPartsError,
             match=r"4 of 6 shards of '.*set' are not finished, .* parts 1-4 of 6.*auto/6.*--array=1-4",
         ) as error:
-            make(tmp_path / "set", Finish())
+            make(tmp_path / "set", finish=True)
         assert (error.value.array, error.value.exit_code) == ("1-4", 3)
     for index in (1, 2, 3, 4):
-        make(tmp_path / "set", Part(index, SHARDS))
-    make(tmp_path / "set", Finish())
+        make(tmp_path / "set", part=Part(index, SHARDS))
+    make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
 
 
 @pytest.mark.parametrize("place", ["{}/set", "memory://nothing-to-finish"])
 def test_where_no_part_made_anything_nothing_can_be_finished(tmp_path, place):
     folder = place.format(tmp_path)
-    make(folder, Part(SHARDS, SHARDS + 1))  # there are fewer shards than parts
+    make(folder, part=Part(SHARDS, SHARDS + 1))  # there are fewer shards than parts
     with pytest.raises(MissingPartsError, match=f"{SHARDS} of {SHARDS} shards of .* are not finished"):
-        make(folder, Finish())
+        make(folder, finish=True)
 
 
 @pytest.mark.parametrize("damage", ["file gone", "file cut", "record gone", "report cut"])
 def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     for index in range(2):
-        make(tmp_path / "set", Part(index, 2))
+        make(tmp_path / "set", part=Part(index, 2))
     shard = toy_plan().tasks[3].shard
     victim = {"file": shard.data_path, "record": shard.record_path, "report": shard.report_path}
     file = tmp_path / "set" / victim[damage.split()[0]]
@@ -100,76 +100,57 @@ def test_a_record_counts_only_with_its_whole_file(tmp_path, whole, damage):
     else:
         file.unlink()
     with pytest.raises(MissingPartsError, match=r"1 of 6 shards .* those of part 3 of 6"):
-        make(tmp_path / "set", Finish())
+        make(tmp_path / "set", finish=True)
     made = []
-    make(tmp_path / "set", Part(1, 2), on_progress=lambda told: made.append(told.record))
+    make(tmp_path / "set", part=Part(1, 2), on_progress=lambda told: made.append(told.record))
     assert [record.shard for record in made[1:]] == [shard]
-    make(tmp_path / "set", Finish())
+    make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
-
-
-def test_parts_make_the_same_set_whatever_their_number(tmp_path, whole):
-    """An array that was given again in another length continues with what is there."""
-    make(tmp_path / "set", Part(0, 4))
-    made = []
-    for part in (Part(1, 5), Part(2, 3), Part(1, 1)):
-        make(tmp_path / "set", part, on_progress=lambda told: made.append(told.record))
-    shards = [record.shard for record in made if record is not None]
-    assert sorted([*shards, *shards_of_part(0, 4)]) == sorted(shards_of_part(0, 1))
-    make(tmp_path / "set", Finish())
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-def shards_of_part(index, count):
-    return [task.shard for task in toy_plan().tasks[index::count]]
 
 
 def test_parts_of_other_sets_are_refused(tmp_path):
     plan = toy_plan()
-    make(tmp_path / "set", Part(0, 4))
+    make(tmp_path / "set", part=Part(0, 4))
     before = folder_bytes(tmp_path / "set")
-    for part, other, told in (
-        (Part(1, 4), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
-        (Finish(), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
-        (InlineRunner(), toy_plan(spec={"seed": 2, "size": [1, 2]}), r"seed is 1 there, 2 was asked for"),
-    ):
-        with pytest.raises(SpecMismatchError, match=told):
-            make(tmp_path / "set", part, other)
-    for part in (Part(1, 4), Finish()):
-        with pytest.raises(InputError, match=r"--overwrite was given with --part.*remove '.*set' first"):
-            make(tmp_path / "set", part, overwrite=True)
+    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
+    for mode in ({"part": Part(1, 4)}, {"finish": True}, {}):
+        with pytest.raises(SpecMismatchError, match="seed is 1 there, 2 was asked for"):
+            make(tmp_path / "set", other, **mode)
+    for mode in ({"part": Part(1, 4)}, {"finish": True}):
+        with pytest.raises(InputError, match=r"--overwrite was given with --part.*remove the folder first"):
+            make(tmp_path / "set", **mode, overwrite=True)
     assert folder_bytes(tmp_path / "set") == before
-    make(tmp_path / "libraries", Part(0, 4), replace(plan, libraries=("numpy",)))
+    make(tmp_path / "libraries", replace(plan, libraries=("numpy",)), part=Part(0, 4))
     with pytest.raises(SpecMismatchError, match=r"libraries\.numpy is '[\d.]+' there, None was asked for"):
-        make(tmp_path / "libraries", Part(1, 4), plan)
+        make(tmp_path / "libraries", plan, part=Part(1, 4))
 
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_of_two_first_parts_at_the_same_moment_the_later_is_held_to_the_other(tmp_path, monkeypatch, seed):
-    create, first = DataFolder.create_bytes, toy_plan(spec={"seed": seed, "size": [1, 2]}).new_manifest()
+    create, first = LocalFolder.create_bytes, toy_plan(spec={"seed": seed, "size": [1, 2]}).new_manifest()
 
     def just_behind(folder, path, content):
         create(folder, path, first.to_json().encode())
         return create(folder, path, content)
 
-    monkeypatch.setattr(DataFolder, "create_bytes", just_behind)
+    monkeypatch.setattr(LocalFolder, "create_bytes", just_behind)
     if seed == 1:
-        make(tmp_path / "set", Part(1, 4))
+        make(tmp_path / "set", part=Part(1, 4))
         return
     with pytest.raises(SpecMismatchError, match="seed is 2 there, 1 was asked for"):
-        make(tmp_path / "set", Part(1, 4))
+        make(tmp_path / "set", part=Part(1, 4))
     assert folder_bytes(tmp_path / "set") == {"manifest.json": first.to_json().encode()}
 
 
 def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
     with pytest.raises(MissingPartsError, match=r"6 of 6 shards of '.*nothing' are not finished"):
-        make(tmp_path / "nothing", Finish())
+        make(tmp_path / "nothing", finish=True)
     assert not (tmp_path / "nothing").exists()
     (tmp_path / "thesis").mkdir()
     (tmp_path / "thesis" / "thesis.tex").write_text("years of work")
-    for runner in (Part(0, 2), Finish()):
+    for mode in ({"part": Part(0, 2)}, {"finish": True}):
         with pytest.raises(InputError, match=r"not empty.*thesis\.tex"):
-            make(tmp_path / "thesis", runner)
+            make(tmp_path / "thesis", **mode)
     assert folder_bytes(tmp_path / "thesis") == {"thesis.tex": b"years of work"}
     plan = toy_plan()
     with pytest.raises(StorageError, match="full"):
@@ -180,80 +161,22 @@ def test_a_folder_that_was_not_made_in_parts_is_finished_too(tmp_path, whole):
             ),
         )
     with pytest.raises(MissingPartsError, match=r"1 of 6 shards.*or run the same command without --finish"):
-        make(tmp_path / "set", Finish())
+        make(tmp_path / "set", finish=True)
     make(tmp_path / "set")
-    make(tmp_path / "set", Finish())
-    assert folder_bytes(tmp_path / "set") == whole
-
-
-def test_a_split_is_added_in_parts_beside_a_finished_one(tmp_path, whole):
-    place, folder = tmp_path / "set", DataFolder(str(tmp_path / "set"))
-    make(place, plan=toy_plan(("train",)))
-    before = (place / "manifest.json").read_bytes()
-    make(place, Part(0, 2), toy_plan(("test",)))
-    assert (place / "manifest.json").read_bytes() == before
-    assert not manifest_so_far(folder).complete
-    with pytest.raises(MissingPartsError, match="1 of 2 shards"):
-        make(place, Finish(), toy_plan(("test",)))
-    make(place, Part(1, 2), toy_plan(("test",)))
-    make(place, Finish(), toy_plan(("test",)))
-    assert folder_bytes(place) == whole
-
-
-def test_a_part_that_fails_takes_nothing_of_the_others_along(tmp_path, whole):
-    make(tmp_path / "set", Part(0, 2))
-    before = folder_bytes(tmp_path / "set")
-    plan = toy_plan()
-    broken = replace(plan.tasks[1], error=InputError("no place"))
-    with pytest.raises(InputError, match="no place"):
-        make(tmp_path / "set", Part(1, 2), replace(plan, tasks=(plan.tasks[0], broken, *plan.tasks[2:])))
-    assert folder_bytes(tmp_path / "set") == before
-    make(tmp_path / "set", Part(1, 2))
-    make(tmp_path / "set", Finish())
+    make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
 
 
 def test_finishing_clears_up_after_all_writers(tmp_path, whole):
     for index in range(2):
-        make(tmp_path / "set", Part(index, 2))
+        make(tmp_path / "set", part=Part(index, 2))
     left = tmp_path / "set" / ".pending" / "tmp-0123456789abcdef0123456789abcdef"
     left.write_bytes(b"half")
-    make(tmp_path / "set", Part(1, 2))
+    make(tmp_path / "set", part=Part(1, 2))
     assert left.exists()
-    make(tmp_path / "set", Finish())
+    make(tmp_path / "set", finish=True)
     assert folder_bytes(tmp_path / "set") == whole
-    assert verify(DataFolder(str(tmp_path / "set")), SCHEMA).ok
-
-
-def test_a_writer_whose_temporary_file_was_removed_writes_again(tmp_path, monkeypatch):
-    """By a user who finished a set there, for instance."""
-    folder, replaced = DataFolder(str(tmp_path)), Path.replace
-    gone = []
-
-    def remove_first(self, target):
-        if len(gone) < 3:
-            gone.append(self)
-            self.unlink()
-        return replaced(self, target)
-
-    monkeypatch.setattr(Path, "replace", remove_first)
-    folder.write_bytes("data/a", b"content")
-    assert folder_bytes(tmp_path) == {"data/a": b"content"}
-    assert len(gone) == 3
-
-
-def test_who_makes_the_rest_without_parts_ends_them(tmp_path, whole):
-    """A part that is at work notices, leaves nothing behind, and has not failed."""
-    finished = []
-
-    def others(progress):
-        if progress.record is not None and not finished:
-            make(tmp_path / "set")
-            finished.append(folder_bytes(tmp_path / "set"))
-
-    assert make(tmp_path / "set", Part(0, 2), on_progress=others).complete
-    assert finished == [whole]
-    assert folder_bytes(tmp_path / "set") == whole
+    assert verify(open_folder(str(tmp_path / "set")), SCHEMA).ok
 
 
 @pytest.mark.parametrize("moment", ["at the first look", "between two shards"])
@@ -269,31 +192,19 @@ def test_a_part_writes_nothing_into_a_set_that_was_started_again(tmp_path, momen
             started.append(make(tmp_path / "set", plan=other, overwrite=True))
 
     with pytest.raises(InputError, match="was removed or replaced while this run was at work"):
-        make(tmp_path / "set", Part(0, 2), on_progress=others)
+        make(tmp_path / "set", part=Part(0, 2), on_progress=others)
     assert started
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "other")
 
 
-def test_a_part_begins_while_others_write_their_shards(tmp_path, whole, monkeypatch):
-    """Of many parts some one always writes."""
-    monkeypatch.setattr("tactile_toolkit.store.locks.PATIENCE_S", 0.0)
-    folder = DataFolder(str(tmp_path / "set"))
-    folder.require_folder()
-    with folder.locked(shared=True):
-        for number in range(2):
-            make(folder.url, Part(number, 2))
-    make(folder.url, Finish())
-    assert folder_bytes(tmp_path / "set") == whole
-
-
 def test_parts_in_a_store_of_objects(whole):
-    folder = DataFolder("memory://bucket/parts")
+    folder = open_folder("memory://bucket/parts")
     for index in (0, 2):
-        build(folder, toy_plan(), Part(index, 3))
+        build(folder, toy_plan(), part=Part(index, 3))
     with pytest.raises(MissingPartsError, match="--array=1,4"):
-        build(folder, toy_plan(), Finish())
-    build(folder, toy_plan(), Part(1, 3))
-    build(folder, toy_plan(), Finish())
+        build(folder, toy_plan(), finish=True)
+    build(folder, toy_plan(), part=Part(1, 3))
+    build(folder, toy_plan(), finish=True)
     assert {path: folder.read_bytes(path) for path in whole} == whole
     assert folder.names(".pending") == []
 
@@ -301,12 +212,12 @@ def test_parts_in_a_store_of_objects(whole):
 def test_records_of_another_job_prove_nothing(tmp_path, whole):
     """Somebody removed the manifest of an interrupted run, and began another set there."""
     other = toy_plan(spec={"seed": 2, "size": [1, 2]})
-    make(tmp_path / "set", Part(0, 2), other)
+    make(tmp_path / "set", other, part=Part(0, 2))
     (tmp_path / "set" / "manifest.json").unlink()
     (tmp_path / "set" / "data").rename(tmp_path / "data")
     with pytest.raises(StorageError, match="full"):
         make(tmp_path / "set", plan=toy_plan(error=StorageError("disk full")))
-    make(tmp_path / "set", Part(0, 2))
+    make(tmp_path / "set", part=Part(0, 2))
     assert len(list((tmp_path / "set" / "data").iterdir())) == 3
     make(tmp_path / "set")
     assert folder_bytes(tmp_path / "set") == whole
@@ -332,7 +243,7 @@ def slurm(**values: str) -> dict[str, str]:
     ],
 )
 def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected):
-    assert part_of(text, 1, environment) == expected
+    assert parse_part(text, environment) == expected
 
 
 @pytest.mark.parametrize(
@@ -348,7 +259,7 @@ def test_a_part_is_named_or_taken_from_the_scheduler(text, environment, expected
 )
 def test_what_names_no_part_is_refused(text, told):
     with pytest.raises(InputError, match=told):
-        part_of(text, 1, {"SLURM_ARRAY_TASK_ID": ""})
+        parse_part(text, {"SLURM_ARRAY_TASK_ID": ""})
 
 
 @pytest.mark.parametrize(
@@ -358,97 +269,9 @@ def test_what_names_no_part_is_refused(text, told):
 )
 def test_of_a_part_of_an_array_the_number_of_parts_is_to_be_said(array):
     with pytest.raises(InputError, match=r"the number of parts is unknown.*--part auto/N"):
-        part_of("auto", 1, slurm(**array))
+        parse_part("auto", slurm(**array))
 
 
 def test_numbers_are_written_as_slurm_takes_them():
     assert array_text([44, 3, 17, 41, 40, 42, 43, 3]) == "3,17,40-44"
     assert array_text([7]) == "7"
-
-
-# Forks a child for every moment, which ends itself as `kill -9` would when it touches the folder for the n-th
-# time: a part, and then the end. What the next ones make of it must be the same.
-DIES_EVERYWHERE = """
-import os, shutil, signal, sys
-from pathlib import Path
-from tactile_toolkit.run.processes import Check, Finish, Part
-from tactile_toolkit.run.processes import InlineRunner
-from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
-from tactile_toolkit.store.job import MissingPartsError
-from tests.tactile_toolkit.store.test_parts import few_shards
-from tests.tactile_toolkit.toy import folder_bytes
-
-base, plan = Path(sys.argv[1]), few_shards()
-build(DataFolder(str(base / "few")), plan, InlineRunner())
-whole = folder_bytes(base / "few")
-
-def dies_at(moment, place, runner):
-    process = os.fork()
-    if process == 0:
-        seen = 0
-        def watch(event, arguments):
-            nonlocal seen
-            if event not in ("open", "os.link", "os.rename", "os.remove", "os.rmdir", "os.mkdir"):
-                return
-            if not str(arguments[0]).startswith(str(place)):
-                return
-            if event == "open" and not (arguments[2] or 0) & os.O_CREAT:
-                return
-            seen += 1
-            if seen == moment:
-                os.kill(os.getpid(), signal.SIGKILL)
-        sys.addaudithook(watch)
-        try:
-            build(DataFolder(str(place)), plan, runner)
-            os._exit(0)
-        finally:
-            os._exit(1)
-    _, status = os.waitpid(process, 0)
-    assert os.WIFSIGNALED(status) or os.WEXITSTATUS(status) == 0, moment
-    return os.WIFSIGNALED(status)
-
-def every_moment(before, runner, after):
-    moment = 0
-    while True:
-        moment += 1
-        place = base / f"at-{moment}"
-        if before.exists():
-            shutil.copytree(before, place)
-        was_killed = dies_at(moment, place, runner)
-        after(str(place), was_killed)
-        assert folder_bytes(place) == whole, (runner, moment)
-        shutil.rmtree(place)
-        if not was_killed:
-            return moment - 1
-
-def go_on(place, was_killed):
-    build(DataFolder(place), plan, Part(1, 2))
-    try:
-        build(DataFolder(place), plan, Finish())
-        complete = True
-    except MissingPartsError as error:
-        assert (error.array, error.parts) == ("0", 2), moment
-        complete = False
-    assert complete or was_killed
-    build(DataFolder(place), plan, Part(0, 2))
-    build(DataFolder(place), plan, Finish())
-
-parts = every_moment(base / "none", Part(0, 2), go_on)
-for index in range(2):
-    build(DataFolder(str(base / "ready")), plan, Part(index, 2))
-ends = every_moment(base / "ready", Finish(), lambda place, _: build(DataFolder(place), plan, Finish()))
-print(parts, ends)
-"""
-
-
-def few_shards() -> BuildPlan:
-    """Two shards of one split, one for each of two parts: all moments there are, each of them once."""
-    plan = toy_plan(("test",))
-    return replace(plan, tasks=tuple(replace(task, ids=task.ids[:2]) for task in plan.tasks))
-
-
-def test_killed_at_any_moment_the_same_again_leads_to_the_same_bytes(tmp_path):
-    parts, ends = map(int, printed_by(DIES_EVERYWHERE, tmp_path).split())
-    assert parts > 15
-    assert ends > 15

@@ -5,12 +5,12 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.errors import InputError, StorageError
-from tactile_toolkit.run import Finish, InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.store import (
-    DataFolder,
     build,
     inspect_job,
     manifest_so_far,
+    open_folder,
     read_manifest,
     verify,
     write_manifest,
@@ -19,7 +19,7 @@ from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 
 def make(path, plan):
-    return build(DataFolder(str(path)), plan, InlineRunner())
+    return build(open_folder(str(path)), plan)
 
 
 @pytest.fixture
@@ -37,7 +37,7 @@ def indices(manifest, split="train"):
 
 
 def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted):
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     assert indices(read_manifest(folder)) == []
     so_far = manifest_so_far(folder)
     assert not so_far.complete
@@ -49,9 +49,9 @@ def test_manifest_so_far_counts_what_an_unfinished_run_finished(interrupted):
 
 
 def test_manifest_so_far_is_the_manifest_of_a_finished_run(tmp_path):
-    assert manifest_so_far(DataFolder(str(tmp_path))) is None
+    assert manifest_so_far(open_folder(str(tmp_path))) is None
     manifest = make(tmp_path / "set", toy_plan())
-    assert manifest_so_far(DataFolder(str(tmp_path / "set"))) == manifest
+    assert manifest_so_far(open_folder(str(tmp_path / "set"))) == manifest
 
 
 @pytest.mark.parametrize("damage", ["record cut", "record no JSON object", "file cut", "file gone"])
@@ -66,7 +66,7 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
         file.write_bytes(file.read_bytes()[:-40])
     else:
         file.unlink()
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     assert indices(manifest_so_far(folder)) == [0]
     assert [record.shard.index for record in inspect_job(folder, toy_plan(("train",))).finished] == [0]
     make(interrupted, toy_plan())
@@ -74,26 +74,10 @@ def test_what_no_whole_receipt_vouches_for_is_not_counted_and_made_again(interru
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
 
 
-def test_finishing_one_split_costs_nothing_of_another_that_is_under_way(interrupted, tmp_path):
-    manifest = make(interrupted, toy_plan(("test",)))
-    assert manifest.complete, "all that it lists is there"
-    assert not manifest_so_far(DataFolder(str(interrupted))).complete
-    assert manifest.splits == ("test",)
-    assert indices(manifest_so_far(DataFolder(str(interrupted)))) == [0, 1]
-    kept = inspect_job(DataFolder(str(interrupted)), toy_plan()).finished
-    assert {str(record.shard) for record in kept} == {
-        *(f"train-0000{index}-of-00004" for index in range(2)),
-        *(f"test-0000{index}-of-00002" for index in range(2)),
-    }
-    assert make(interrupted, toy_plan(("train",))).complete
-    make(tmp_path / "whole", toy_plan())
-    assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
-
-
 def made_by(path, plan, runner=None, **options):
     """Make a plan, and return which shards this run made."""
     told = []
-    build(DataFolder(str(path)), plan, runner or InlineRunner(), on_progress=told.append, **options)
+    build(open_folder(str(path)), plan, on_progress=told.append, **options)
     return [progress.record.shard.index for progress in told if progress.record is not None]
 
 
@@ -103,15 +87,6 @@ def test_the_same_command_takes_up_records_whose_manifest_is_gone(interrupted, t
     assert made_by(interrupted, toy_plan(("train",)), overwrite=overwrite) == [2, 3]
     make(tmp_path / "whole", toy_plan(("train",)))
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
-
-
-def test_finishing_takes_them_up_too(tmp_path):
-    for number in (0, 1):
-        made_by(tmp_path / "set", toy_plan(), Part(number, 2))
-    (tmp_path / "set" / "manifest.json").unlink()
-    assert made_by(tmp_path / "set", toy_plan(), Finish()) == []
-    make(tmp_path / "whole", toy_plan())
-    assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "whole")
 
 
 def test_records_of_another_command_are_not_taken_up(interrupted):
@@ -129,7 +104,7 @@ def test_what_is_taken_up_has_the_content_that_the_records_state(interrupted, tm
     shard = interrupted / "data" / "train-00001-of-00004.parquet"
     content = shard.read_bytes()
     shard.write_bytes(content.replace(b"PAR1", b"PAR2", 1))
-    assert made_by(interrupted, toy_plan(("train",)), Part(2, 4)) == [2], "that run took them up"
+    assert made_by(interrupted, toy_plan(("train",)), part=Part(2, 4)) == [2], "that run took them up"
     assert made_by(interrupted, toy_plan(("train",))) == [1, 3]
     make(tmp_path / "whole", toy_plan(("train",)))
     assert folder_bytes(interrupted) == folder_bytes(tmp_path / "whole")
@@ -144,7 +119,7 @@ def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
             path.unlink()
     for split in kept:
         make(interrupted, toy_plan((split,)))
-    folder = DataFolder(str(interrupted))
+    folder = open_folder(str(interrupted))
     manifest = read_manifest(folder)
     if manifest is None:
         write_manifest(folder, toy_plan().new_manifest())
@@ -155,6 +130,6 @@ def test_an_unfinished_set_is_verified_as_such(interrupted, kept, count):
 def test_damage_of_an_unfinished_set_is_named_beside(interrupted):
     shard = interrupted / "data" / "train-00001-of-00004.parquet"
     shard.write_bytes(shard.read_bytes().replace(b"PAR1", b"PAR2", 1))
-    first, second = verify(DataFolder(str(interrupted))).findings
+    first, second = verify(open_folder(str(interrupted))).findings
     assert first.problem == "not finished: 2 of 4 shards; the same command continues"
     assert (second.file, second.problem[:6]) == ("data/train-00001-of-00004.parquet", "sha256")

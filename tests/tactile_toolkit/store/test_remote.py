@@ -9,20 +9,16 @@ import sys
 import tempfile
 import threading
 from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.errors import InputError, IntegrityError, RemoteError, SpecMismatchError
-from tactile_toolkit.run import Check, Finish, InlineRunner, Part, ProcessRunner
+from tactile_toolkit.errors import InputError, IntegrityError, RemoteError
+from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import (
-    DataFolder,
-    MissingPartsError,
-    ParquetStyle,
     build,
-    parquet,
+    open_folder,
     read_manifest,
     remote,
     verify,
@@ -38,7 +34,7 @@ from tests.s3_server import KEY, SECRET  # noqa: E402
 
 @pytest.fixture
 def folder(bucket):
-    return DataFolder(f"s3://{bucket}/deep/set")
+    return open_folder(f"s3://{bucket}/deep/set")
 
 
 def test_what_is_written_is_listed_with_its_size_and_read_again(folder):
@@ -176,7 +172,7 @@ def boto_put(s3, key, body, folder):
     import boto3
 
     boto3.client("s3", endpoint_url=s3.endpoint).put_object(
-        Bucket=folder.url.split("/")[2], Key=key, Body=body
+        Bucket=folder.root.split("/")[2], Key=key, Body=body
     )
 
 
@@ -188,23 +184,18 @@ def test_no_bucket_is_ever_made(s3, act):
     with pytest.raises(
         InputError, match=r"bucket 'mistyped' of 's3://mistyped/set' does not exist; .*; next: "
     ):
-        act(DataFolder("s3://mistyped/set"))
+        act(open_folder("s3://mistyped/set"))
     assert s3.buckets() == before
     assert (
-        DataFolder("s3://mistyped/set").missing_message("data")
+        open_folder("s3://mistyped/set").missing_message("data")
         == "the bucket 'mistyped' of 's3://mistyped/set' does not exist"
     )
-
-
-def test_a_name_that_no_bucket_can_have_is_named(s3):
-    with pytest.raises(InputError, match=r"'s3://two words/set.*' holds no name that a bucket or file can"):
-        DataFolder("s3://two words/set").names()
 
 
 def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
     folder.write_bytes("data/a", b"1")
     with pytest.raises(InputError, match="is a file, a folder was expected"):
-        DataFolder(f"{folder.url}/data/a").require_folder()
+        open_folder(f"{folder.root}/data/a").require_folder()
 
 
 @pytest.mark.parametrize("code", ["SlowDown", "InternalError", "503"])
@@ -236,15 +227,6 @@ def test_an_answer_that_ends_too_early_is_asked_for_again(folder, s3, act):
     assert asked.count("GET") == 2
 
 
-def test_answers_that_always_end_too_early_are_named(folder, s3, monkeypatch):
-    folder.write_bytes("a", b"1" * 999)
-    monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
-    s3.shorten = lambda _: 50
-    with pytest.raises(RemoteError, match=r"gives no answer .*not completed") as told:
-        folder.read_bytes("a")
-    assert "400, message" not in str(told.value).partition("(")[0]
-
-
 def test_a_status_without_a_reason_names_the_region(folder, s3):
     """A question for one file of a bucket in another region: the answer has no body that could say so."""
     folder.write_bytes("a", b"1")
@@ -260,7 +242,7 @@ def test_a_status_without_a_reason_names_the_region(folder, s3):
 @pytest.mark.parametrize("mark", ["\n", "\r", "\x1b"])
 def test_a_line_break_in_an_address_is_refused_and_no_bucket_is_called_missing(bucket, mark):
     with pytest.raises(InputError, match=r"control characters.*; next: ") as told:
-        DataFolder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
+        open_folder(f"s3://{bucket}/se{mark}t").write_bytes("a", b"1")
     assert mark not in str(told.value)
 
 
@@ -306,7 +288,7 @@ def test_a_store_that_is_not_there_is_named_in_bounded_time(s3, monkeypatch, cap
     with pytest.raises(
         RemoteError, match=r"store of 's3://lake/set' gives no answer.*AWS_ENDPOINT_URL"
     ) as told:
-        DataFolder("s3://lake/set").names()
+        open_folder("s3://lake/set").names()
     assert told.value.exit_code == 4
     assert capfd.readouterr() == ("", "")
 
@@ -318,7 +300,7 @@ def test_without_credentials_the_way_to_give_some_is_named(s3, monkeypatch, tmp_
     monkeypatch.setenv("AWS_CONFIG_FILE", str(tmp_path / "none"))
     monkeypatch.setenv("AWS_SHARED_CREDENTIALS_FILE", str(tmp_path / "none"))
     with pytest.raises(RemoteError, match=r"is refused.*next: give credentials.*AWS_PROFILE"):
-        DataFolder("s3://lake/set").names()
+        open_folder("s3://lake/set").names()
 
 
 def wide_plan(rows=2_000):
@@ -333,11 +315,11 @@ def wide_plan(rows=2_000):
 
 def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucket):
     written = []
-    made = build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card"))
+    made = build(folder, wide_plan(), write_card=lambda *_: written.append("card"))
     size = sum(map(len, s3.objects(bucket).values()))
     before = s3.objects(bucket)
     s3.traffic.reset()
-    assert build(folder, wide_plan(), InlineRunner(), write_card=lambda *_: written.append("card")) == made
+    assert build(folder, wide_plan(), write_card=lambda *_: written.append("card")) == made
     assert s3.traffic.sent_bytes < 0.01 * size, (s3.traffic, size)
     assert s3.traffic.requests["PUT"] == 0
     assert written == ["card"]
@@ -345,63 +327,33 @@ def test_a_run_over_a_finished_set_reads_next_to_nothing_of_it(folder, s3, bucke
     # What is there in another size, or not at all, is made again.
     folder.write_bytes("data/train-00001-of-00004.parquet", b"cut")
     folder.remove("data/train-00002-of-00004.parquet")
-    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert build(folder, wide_plan()) == made
     assert s3.objects(bucket) == before
 
 
 @pytest.mark.parametrize("path", ["data/train-00001-of-00004.parquet", "reports/toy.parquet"])
 def test_damage_of_the_same_size_is_put_right_where_it_is_asked_for(folder, s3, bucket, path):
-    made = build(folder, wide_plan(), InlineRunner())
+    made = build(folder, wide_plan())
     before = s3.objects(bucket)
     content = bytearray(folder.read_bytes(path))
     content[len(content) // 2] ^= 1
     folder.write_bytes(path, bytes(content))
-    assert build(folder, wide_plan(), InlineRunner()) == made
+    assert build(folder, wide_plan()) == made
     assert s3.objects(bucket) != before  # sizes are believed
-    assert build(folder, wide_plan(), Check(InlineRunner())) == made
+    assert build(folder, wide_plan(), check=True) == made
     assert s3.objects(bucket) == before
 
 
 def test_a_folder_in_a_store_holds_the_same_bytes_as_a_local_one(folder, s3, bucket, tmp_path):
-    build(folder, toy_plan(), InlineRunner())
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(folder, toy_plan())
+    build(open_folder(str(tmp_path)), toy_plan())
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
     assert verify(folder, SCHEMA).ok
 
 
-def test_the_report_of_splits_made_in_turn_is_that_of_one_run(folder, s3, bucket, tmp_path, monkeypatch):
-    # Shards lie across row groups, as they do in large sets.
-    monkeypatch.setattr(parquet, "REPORT_STYLE", ParquetStyle(rows_per_group=3))
-    for split in ("test", "train"):
-        build(folder, toy_plan((split,)), InlineRunner())
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
-    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
-    assert stored == folder_bytes(tmp_path)
-
-
-def test_parts_at_once_in_a_store_give_the_bytes_of_one_process(folder, s3, bucket, tmp_path):
-    """Nothing but the store stands between them: three at work at once, one of which had been stopped."""
-    plan = toy_plan()
-    broken = (*plan.tasks[:4], replace(plan.tasks[4], error=RuntimeError("stopped")), *plan.tasks[5:])
-    with pytest.raises(RuntimeError, match="stopped"):
-        build(folder, replace(plan, tasks=broken), Part(1, 3))
-    with pytest.raises(MissingPartsError, match="--array=0,2-5"):
-        build(folder, plan, Finish())
-    with ThreadPoolExecutor(3) as threads:
-        made = list(threads.map(lambda index: build(folder, toy_plan(), Part(index, 3)), range(3)))
-    assert not any(manifest.complete for manifest in made)
-    assert build(folder, plan, Finish()).complete
-    build(DataFolder(str(tmp_path)), plan, InlineRunner())
-    stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
-    assert stored == folder_bytes(tmp_path)
-    other = toy_plan(spec={"seed": 2, "size": [1, 2]})
-    with pytest.raises(SpecMismatchError, match=r"in no object store; there, remove it first"):
-        build(folder, other, Part(0, 3))
-
-
 def test_verify_brings_each_shard_once(folder, s3):
-    manifest = build(folder, wide_plan(), InlineRunner())
+    manifest = build(folder, wide_plan())
     size = sum(record.bytes for record in manifest.shards)
     s3.traffic.reset()
     result = verify(folder, SCHEMA, workers=2)
@@ -425,7 +377,7 @@ def test_a_store_that_takes_connections_and_says_nothing_is_named(s3, monkeypatc
     monkeypatch.setattr(remote, "_PATIENCE_S", 1.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         monkeypatch.setenv("AWS_ENDPOINT_URL", f"http://127.0.0.1:{silent.getsockname()[1]}")
-        folder = DataFolder("s3://lake/set")
+        folder = open_folder("s3://lake/set")
         for act in (folder.names, folder.require_folder, lambda: folder.read_bytes("manifest.json")):
             with pytest.raises(RemoteError, match=r"gives no answer \(.*[Tt]imeout.*; next: ") as told:
                 act()
@@ -436,22 +388,22 @@ _KILLED = """
 import os, signal, sys
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store.folder import DataFolder
+from tactile_toolkit.store import, open_folder
 from tests.tactile_toolkit.toy import toy_plan
 def die(progress):
     if progress.done >= 10:
         os.kill(os.getpid(), signal.SIGKILL)
-build(DataFolder(sys.argv[1]), toy_plan(pause_s=0.2), ProcessRunner(2), on_progress=die)
+build(open_folder(sys.argv[1]), toy_plan(pause_s=0.2), workers=ProcessRunner(2), on_progress=die)
 """
 
 
 def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bucket, tmp_path):
-    done = subprocess.run([sys.executable, "-c", _KILLED, folder.url], check=False)
+    done = subprocess.run([sys.executable, "-c", _KILLED, folder.root], check=False)
     assert done.returncode == -9
     assert any(name.endswith(".json") for name in folder.names(".pending"))
     assert not read_manifest(folder).complete
-    build(folder, toy_plan(), ProcessRunner(2))
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(folder, toy_plan(), workers=ProcessRunner(2))
+    build(open_folder(str(tmp_path)), toy_plan())
     # Workers of the killed run may live on for a moment, and what they write is what stands there already.
     stored = {key.removeprefix("deep/set/"): content for key, content in s3.objects(bucket).items()}
     assert stored == folder_bytes(tmp_path)
@@ -459,15 +411,9 @@ def test_a_killed_run_is_resumed_by_two_workers_to_the_same_bytes(folder, s3, bu
 
 
 def test_a_set_in_a_store_is_never_replaced_and_stays_readable(folder, s3, bucket):
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     before = s3.objects(bucket)
     with pytest.raises(InputError, match="--overwrite replaces none in an object store"):
-        build(folder, toy_plan(spec={"seed": 2}), InlineRunner(), overwrite=True)
+        build(folder, toy_plan(spec={"seed": 2}), overwrite=True)
     assert s3.objects(bucket) == before
     assert verify(folder, SCHEMA).ok
-
-
-def test_a_run_that_fails_in_a_store_leaves_it_as_it_was(folder, s3, bucket):
-    with pytest.raises(RuntimeError):
-        build(folder, toy_plan(error=RuntimeError("no")), InlineRunner())
-    assert s3.objects(bucket) == {}

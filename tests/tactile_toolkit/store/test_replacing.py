@@ -10,15 +10,15 @@ import pytest
 
 from tactile_toolkit.errors import InputError, SpecMismatchError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import Finish, InlineRunner, Part, ProcessRunner
-from tactile_toolkit.store import DataFolder, build, read_manifest, verify
+from tactile_toolkit.run import InlineRunner, Part, ProcessRunner
+from tactile_toolkit.store import LocalFolder, build, open_folder, read_manifest
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 FAILURE = InputError("no place for the third object")
 
 
-def make(path, plan=None, runner=None, **options):
-    return build(DataFolder(str(path)), plan or toy_plan(), runner or InlineRunner(), **options)
+def make(path, plan=None, **options):
+    return build(open_folder(str(path)), plan or toy_plan(), **options)
 
 
 def other_plan(**options):
@@ -35,55 +35,13 @@ def finished(tmp_path):
     return tmp_path / "set"
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("runner", [InlineRunner(), ProcessRunner(2)], ids=["inline", "processes"])
 def test_a_run_that_finishes_nothing_gives_the_former_set_back(finished, runner):
     before = folder_bytes(finished)
     with pytest.raises(InputError, match="third object"):
-        make(finished, other_plan(error=FAILURE), runner, overwrite=True)
+        make(finished, other_plan(error=FAILURE), workers=runner, overwrite=True)
     assert folder_bytes(finished) == before
-
-
-def test_ctrl_c_before_the_first_shard_gives_the_former_set_back(finished):
-    before = folder_bytes(finished)
-
-    def stop(progress):
-        raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        make(finished, other_plan(), on_progress=stop, overwrite=True)
-    assert folder_bytes(finished) == before
-
-
-def test_a_run_that_finished_a_shard_leaves_the_former_set_and_goes_on(finished, tmp_path):
-    before, plan = folder_bytes(finished), other_plan()
-    broken = replace(plan.tasks[1], error=FAILURE)
-    with pytest.raises(InputError, match="third object"):
-        make(finished, replace(plan, tasks=(plan.tasks[0], broken)), overwrite=True)
-    assert {
-        path: held for path, held in folder_bytes(finished).items() if not path.startswith(".next")
-    } == before
-    assert verify(DataFolder(str(finished))).ok
-    made = []
-    make(finished, plan, overwrite=True, on_progress=lambda told: made.append(told.record))
-    assert [record.shard.index for record in made[1:]] == [1]
-    make(tmp_path / "fresh", plan)
-    assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
-
-
-def test_what_a_run_began_in_place_of_a_set_is_left_by_a_run_of_that_set(finished):
-    """Its shards may have taken hours; the command that began it continues it."""
-    plan = other_plan()
-    broken = replace(plan.tasks[1], error=FAILURE)
-    with pytest.raises(InputError, match="third object"):
-        make(finished, replace(plan, tasks=(plan.tasks[0], broken)), overwrite=True)
-    before = folder_bytes(finished)
-    for runner in (InlineRunner(), Finish()):
-        make(finished, runner=runner)
-        assert folder_bytes(finished) == before
-    made = []
-    make(finished, plan, overwrite=True, on_progress=lambda told: made.append(told.record))
-    assert [record.shard.index for record in made[1:]] == [1]
-    assert not (finished / ".next").exists()
 
 
 def test_a_set_that_others_began_in_its_place_is_begun_again(finished, tmp_path):
@@ -103,7 +61,7 @@ def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monke
     """Killed in its middle, it is carried on with by who opens the set."""
     make(tmp_path / "fresh", replace(other_plan(), kind="toy"))
     moved = []
-    move = DataFolder.move
+    move = LocalFolder.move
 
     def stop(folder, path, target):
         if moved:
@@ -112,22 +70,12 @@ def test_readers_wait_for_a_replacement_that_was_begun(finished, tmp_path, monke
         move(folder, path, target)
 
     with monkeypatch.context() as patch:
-        patch.setattr(DataFolder, "move", stop)
+        patch.setattr(LocalFolder, "move", stop)
         with pytest.raises(KeyboardInterrupt):
             make(finished, other_plan(), overwrite=True)
-    assert not read_manifest(DataFolder(str(finished))).complete
+    assert not read_manifest(open_folder(str(finished))).complete
     assert len(open_place(str(finished)).shards("test")) == 2
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
-
-
-def test_nothing_is_touched_where_somebody_keeps_files_too(finished):
-    (finished / "thesis.tex").write_text("years of work")
-    before = folder_bytes(finished)
-    with pytest.raises(
-        InputError, match=r"more than a data set .*\(found 'thesis\.tex'\); nothing was changed"
-    ):
-        make(finished, other_plan(), overwrite=True)
-    assert folder_bytes(finished) == before
 
 
 @pytest.mark.parametrize("path", ["data/my.csv", "previews/mine/holiday.png", "reports/thesis.tex"])
@@ -157,7 +105,6 @@ def test_all_that_the_former_set_wrote_beside_its_rows_goes(tmp_path):
     (tmp_path / "set" / "images" / "train" / "0").mkdir(parents=True)
     (tmp_path / "set" / "images" / "train" / "0" / "000.png").write_bytes(b"picture")
     (tmp_path / "set" / "index.csv").write_text("id")
-    (tmp_path / "set" / "croissant.json").write_text("{}")  # of an earlier checkout
     make(tmp_path / "set", other_plan(), overwrite=True)
     make(tmp_path / "fresh", other_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(tmp_path / "fresh")
@@ -177,9 +124,10 @@ def test_nothing_outside_the_folder_goes_with_the_former_set(tmp_path):
     assert folder_bytes(tmp_path) == before
 
 
-@pytest.mark.parametrize("runner", [InlineRunner(), Part(0, 1), Finish()], ids=["run", "part", "finish"])
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("mode", [{}, {"part": Part(0, 1)}, {"finish": True}], ids=["run", "part", "finish"])
 @pytest.mark.parametrize("name", [".pending", ".next", "data", "previews", "reports"])
-def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, runner):
+def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, name, mode):
     """What it leads to is not of the data set."""
     outside = tmp_path / "outside"
     outside.mkdir()
@@ -189,25 +137,15 @@ def test_a_link_inside_the_folder_is_followed_by_nothing(finished, tmp_path, nam
     if (finished / name).exists():
         (finished / name).rename(tmp_path / "moved")
     (finished / name).symlink_to(outside)
-    plans = [toy_plan()] if isinstance(runner, Finish | Part) else [toy_plan(), other_plan()]
+    plans = [toy_plan()] if mode else [toy_plan(), other_plan()]
     for plan in plans:
         is_overwritten = plan.spec["seed"] == 2
         # A run that writes nothing there may end well.
         refused = pytest.raises(InputError, match=rf"{name}' is a symbolic link; .*next: ")
         with refused if is_overwritten else contextlib.suppress(ToolkitError):
-            make(finished, plan, runner, overwrite=is_overwritten)
+            make(finished, plan, **mode, overwrite=is_overwritten)
         assert folder_bytes(outside) == before
         assert (finished / name).is_symlink()
-
-
-@pytest.mark.parametrize("name", ["manifest.json", "README.md", "data/train-00000-of-00004.parquet"])
-def test_a_file_that_is_a_link_is_not_replaced(finished, tmp_path, name):
-    (finished / name).rename(tmp_path / "blob")
-    (finished / name).symlink_to(tmp_path / "blob")
-    before = folder_bytes(tmp_path)
-    with pytest.raises(InputError, match=rf"{name}' is a symbolic link"):
-        make(finished, other_plan(), overwrite=True)
-    assert folder_bytes(tmp_path) == before
 
 
 def test_the_folder_itself_may_be_a_link(tmp_path):
@@ -253,7 +191,7 @@ def test_a_run_that_leaves_everything_out_fails_and_leaves_nothing(finished, tmp
     assert folder_bytes(finished) == before
     for runner in (InlineRunner(), ProcessRunner(2)):
         with pytest.raises(InputError, match="no row is left"):
-            make(tmp_path / "fresh", empty, runner)
+            make(tmp_path / "fresh", empty, workers=runner)
         assert not (tmp_path / "fresh").exists()
 
 
@@ -268,29 +206,18 @@ def test_a_split_of_which_nothing_is_left_is_refused_beside_a_finished_one(tmp_p
 
 
 def test_a_data_set_in_a_store_is_not_replaced():
-    folder = DataFolder("memory://bucket/started-again")
-    finished = build(folder, toy_plan(), InlineRunner(), overwrite=True)
+    folder = open_folder("memory://bucket/started-again")
+    finished = build(folder, toy_plan(), overwrite=True)
     with pytest.raises(
         InputError, match=r"--overwrite replaces none in an object store.*next: choose another"
     ):
-        build(folder, other_plan(), InlineRunner(), overwrite=True)
+        build(folder, other_plan(), overwrite=True)
     with pytest.raises(
         SpecMismatchError,
         match=r"choose another folder \(--out or OUT\), or start again there with --overwrite",
     ):
-        build(folder, other_plan(), InlineRunner())
-    assert build(folder, toy_plan(error=RuntimeError("all is there")), InlineRunner()) == finished
-
-
-def test_what_refuses_to_replace_removes_nothing(finished):
-    """Not even the manifest of a set whose shards are gone, which a run that made nothing takes along."""
-    for shard in (finished / "data").iterdir():
-        shard.unlink()
-    (finished / "notes.txt").write_text("of somebody else")
-    before = folder_bytes(finished)
-    with pytest.raises(InputError, match=r"notes\.txt"):
-        make(finished, overwrite=True)
-    assert folder_bytes(finished) == before
+        build(folder, other_plan())
+    assert build(folder, toy_plan(error=RuntimeError("all is there"))) == finished
 
 
 def test_files_of_the_user_in_hidden_folders_of_a_run_stay(finished, tmp_path):

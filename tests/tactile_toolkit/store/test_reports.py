@@ -10,9 +10,9 @@ import msgspec
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, build, parquet
-from tactile_toolkit.store.parquet import ParquetStyle, merge_reports, read_report
+from tactile_toolkit.store import build, open_folder, parquet
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.reports import merge_reports, read_report
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 REPORT = "reports/toy.parquet"
@@ -26,18 +26,18 @@ def small_row_groups(monkeypatch):
 
 @pytest.fixture
 def whole(tmp_path: Path) -> Path:
-    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+    build(open_folder(str(tmp_path / "whole")), toy_plan())
     return tmp_path / "whole"
 
 
 @pytest.mark.parametrize("splits", [("train", "test"), ("test", "train")])
 def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits):
-    folder = DataFolder(str(tmp_path / "set"))
+    folder = open_folder(str(tmp_path / "set"))
     for split in splits:
-        build(folder, toy_plan((split,)), InlineRunner())
+        build(folder, toy_plan((split,)))
     assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
     (tmp_path / "set" / "data/train-00002-of-00004.parquet").unlink()  # made again, the others are not
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     assert folder_bytes(tmp_path / "set") == folder_bytes(whole)
     assert Counter(read_report(folder, REPORT)["shard"].to_pylist()) == {
         **{f"train-{index:05d}-of-00004": 5 - index % 2 for index in range(4)},
@@ -47,16 +47,16 @@ def test_rows_come_from_the_run_before_and_from_this_one(tmp_path, whole, splits
 
 
 def test_what_is_as_it_should_be_is_not_written_again(whole):
-    folder = DataFolder(str(whole))
+    folder = open_folder(str(whole))
     before = (whole / REPORT).stat()
-    build(folder, toy_plan(), InlineRunner())
+    build(folder, toy_plan())
     after = (whole / REPORT).stat()
     assert (after.st_ino, after.st_mtime_ns) == (before.st_ino, before.st_mtime_ns)
 
 
 def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
-    folder = DataFolder(str(whole))
-    manifest = build(folder, toy_plan(), InlineRunner())
+    folder = open_folder(str(whole))
+    manifest = build(folder, toy_plan())
     before = folder_bytes(whole)
     first, *others = manifest.shards
     more = replace(manifest, files={}, shards=(msgspec.structs.replace(first, rows=first.rows + 1), *others))
@@ -68,9 +68,9 @@ def test_rows_that_are_nowhere_are_named_and_the_report_stays(whole):
 
 def test_a_report_of_more_shards_than_the_manifest_is_put_right(tmp_path, whole):
     """A run of another split was killed between the two."""
-    folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(("train",)), InlineRunner())
+    folder = open_folder(str(tmp_path / "set"))
+    build(folder, toy_plan(("train",)))
     before = folder_bytes(tmp_path / "set")
     (tmp_path / "set" / REPORT).write_bytes((whole / REPORT).read_bytes())
-    build(folder, toy_plan(("train",)), InlineRunner())
+    build(folder, toy_plan(("train",)))
     assert folder_bytes(tmp_path / "set") == before

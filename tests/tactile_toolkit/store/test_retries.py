@@ -8,7 +8,7 @@ import pytest
 
 from tactile_toolkit.errors import RemoteError
 from tactile_toolkit.store import remote
-from tactile_toolkit.store.remote import ASKED_WAIT_S, Failure, ask_store, with_retry
+from tactile_toolkit.store.remote import ASKED_WAIT_S, CallFailure, ask_store, with_retry
 
 WAITS_S = (1.0, 2.0, 4.0)
 
@@ -36,7 +36,7 @@ def fails(times, error=OSError):
 
 
 def transient(error, asked_wait_s=0.0):
-    return Failure(RemoteError(f"the store said {error}"), True, asked_wait_s)
+    return CallFailure(RemoteError(f"the store said {error}"), True, asked_wait_s)
 
 
 @pytest.mark.parametrize("times", range(4))
@@ -59,7 +59,7 @@ def test_after_the_last_wait_the_last_failure_is_raised_without_what_the_client_
 
 def test_what_is_not_transient_or_no_failure_is_raised_at_once(slept):
     with pytest.raises(RemoteError, match="attempt 1"):
-        with_retry(fails(1), lambda error: Failure(RemoteError(str(error)), False), WAITS_S)
+        with_retry(fails(1), lambda error: CallFailure(RemoteError(str(error)), False), WAITS_S)
     with pytest.raises(KeyError, match="attempt 1"):
         with_retry(fails(1, KeyError), lambda _: None, WAITS_S)
     assert slept == []

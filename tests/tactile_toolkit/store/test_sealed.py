@@ -9,11 +9,17 @@ from pathlib import Path
 import pytest
 
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.run import Finish, InlineRunner, Part
-from tactile_toolkit.store import MANIFEST_FILE, DataFolder, Manifest, build, read_manifest
-from tactile_toolkit.store.job import pending_records
-from tactile_toolkit.store.names import require_seal, seal
-from tactile_toolkit.store.origin import RECORD_FILE, DownloadRecord, HubFile, read_record, write_record
+from tactile_toolkit.run import Part
+from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest
+from tactile_toolkit.store.download_record import (
+    RECORD_FILE,
+    DownloadRecord,
+    HubFile,
+    read_record,
+    write_record,
+)
+from tactile_toolkit.store.pending import pending_records
+from tactile_toolkit.store.sealed_json import require_seal, seal
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
@@ -26,7 +32,7 @@ def changed(content: bytes) -> Iterator[bytes]:
 
 
 def test_any_byte_of_a_manifest(tmp_path: Path) -> None:
-    build(DataFolder(str(tmp_path)), toy_plan(("test",)), InlineRunner())
+    build(open_folder(str(tmp_path)), toy_plan(("test",)))
     content = (tmp_path / MANIFEST_FILE).read_bytes()
     assert Manifest.from_json(content, "m").complete
     for damaged in changed(content):
@@ -35,7 +41,7 @@ def test_any_byte_of_a_manifest(tmp_path: Path) -> None:
 
 
 def test_any_byte_of_a_record_of_a_download(tmp_path: Path) -> None:
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     file = HubFile("data/train.parquet", 3, "0" * 40)
     write_record(folder, DownloadRecord("a/b", "0" * 40, None, {file.path: file}, ("train",), ()))
     content = (tmp_path / RECORD_FILE).read_bytes()
@@ -49,12 +55,13 @@ def test_any_byte_of_a_record_of_a_download(tmp_path: Path) -> None:
 @pytest.fixture
 def parts(tmp_path: Path) -> Path:
     """All shards are made, and not finished."""
-    build(DataFolder(str(tmp_path / "set")), toy_plan(), Part(0, 1))
+    build(open_folder(str(tmp_path / "set")), toy_plan(), part=Part(0, 1))
     return tmp_path / "set"
 
 
+@pytest.mark.thorough
 def test_any_byte_of_a_pending_record(parts: Path) -> None:
-    folder = DataFolder(str(parts))
+    folder = open_folder(str(parts))
     manifest = read_manifest(folder)
     assert manifest is not None
     record = parts / ".pending" / "train-00001-of-00004.json"
@@ -74,9 +81,9 @@ def test_a_changed_record_is_not_finished_but_made_again(parts: Path, tmp_path: 
     digit = text[number.end()]
     record.write_text(f"{text[: number.end()]}{(int(digit) + 1) % 10}{text[number.end() + 1 :]}")
     with pytest.raises(IntegrityError, match=r"1 of 6 shards of .* are not finished"):
-        build(DataFolder(str(parts)), toy_plan(), Finish())
-    build(DataFolder(str(parts)), toy_plan(), InlineRunner())
-    build(DataFolder(str(tmp_path / "whole")), toy_plan(), InlineRunner())
+        build(open_folder(str(parts)), toy_plan(), finish=True)
+    build(open_folder(str(parts)), toy_plan())
+    build(open_folder(str(tmp_path / "whole")), toy_plan())
     assert folder_bytes(parts) == folder_bytes(tmp_path / "whole")
 
 
@@ -88,7 +95,7 @@ def test_what_editors_and_git_do_to_ends_of_lines_is_no_damage() -> None:
 
 @pytest.mark.parametrize("version", [1, 2, 4])
 def test_another_schema_version_is_refused(tmp_path: Path, version: int) -> None:
-    build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+    build(open_folder(str(tmp_path)), toy_plan())
     edit(tmp_path / MANIFEST_FILE, lambda values: values.update(schema_version=version))
     with pytest.raises(IntegrityError, match=f"has schema version {version}, expected 3; next: install"):
-        build(DataFolder(str(tmp_path)), toy_plan(), InlineRunner())
+        build(open_folder(str(tmp_path)), toy_plan())

@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, build, remove_drafts, verify, write_file
+from tactile_toolkit.store import build, open_folder, remove_drafts, verify, write_file
 from tests.tactile_toolkit.toy import SCHEMA, toy_plan
 
 NAME = "train-00001-of-00004.parquet"
@@ -86,7 +85,7 @@ def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_p
         make(path, *words, **options)
 
     monkeypatch.setattr(Path, "mkdir", racing)
-    DataFolder(str(tmp_path)).write_bytes("data/rows", b"all")
+    open_folder(str(tmp_path)).write_bytes("data/rows", b"all")
     assert (tmp_path / "data" / "rows").read_bytes() == b"all"
     assert len(met) == 3
     assert names(tmp_path) == ["data"]
@@ -94,8 +93,8 @@ def test_a_folder_of_temporaries_that_goes_between_two_looks_is_made_again(tmp_p
 
 def test_what_is_being_written_is_no_damage(tmp_path):
     """A file that a user writes, or never finished on another machine, is not one of the set."""
-    folder = DataFolder(str(tmp_path / "set"))
-    build(folder, toy_plan(), InlineRunner())
+    folder = open_folder(str(tmp_path / "set"))
+    build(folder, toy_plan())
     (tmp_path / "set" / ".pending").mkdir()
     (tmp_path / "set" / ".pending" / "tmp-0123abcd").write_bytes(b"half")
     (tmp_path / "set" / "data" / f".writing-otherhost-17.3-0123abcd-{NAME}").write_bytes(b"half")

@@ -14,9 +14,8 @@ import pytest
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import MANIFEST_FILE, DataFolder, Manifest, build, read_manifest, verify
-from tactile_toolkit.store.origin import RECORD_FILE, read_record
+from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest, verify
+from tactile_toolkit.store.download_record import RECORD_FILE, read_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -27,7 +26,7 @@ STRANGE: list[Any] = ["10", -5, 10**15, 10**400, True, 1.5, None, [], [[]], {}, 
 @pytest.fixture(scope="module")
 def toy_set(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("typed") / "set"
-    build(DataFolder(str(path)), toy_plan(), InlineRunner())
+    build(open_folder(str(path)), toy_plan())
     return path
 
 
@@ -47,6 +46,7 @@ def changed(values: Any, place: tuple[Any, ...], other: Any) -> str:
     return sealed(values)
 
 
+@pytest.mark.thorough
 def test_every_value_is_of_its_kind_or_named(toy_set: Path) -> None:
     """What is read goes back to the same text; whatever else stands in its place raises one kind of error."""
     values = json.loads((toy_set / MANIFEST_FILE).read_text())
@@ -97,7 +97,7 @@ def test_a_manifest_that_agrees_with_itself_and_not_with_the_files(toy_set: Path
 
 
 def test_a_shard_that_the_manifest_lacks_is_named(toy_set: Path, tmp_path: Path) -> None:
-    manifest = read_manifest(DataFolder(str(toy_set)))
+    manifest = read_manifest(open_folder(str(toy_set)))
     assert manifest is not None
     fewer = replace(manifest, shards=(manifest.shards[0], *manifest.shards[2:]))
     (tmp_path / "data").symlink_to(toy_set / "data")
@@ -120,7 +120,7 @@ def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
         "repository": "a/b", "commit": "0" * 40, "revision": None, "finished": True, "splits": ["train"],
         "labels": ["README.md"], "files": {"data/train.parquet": file},
     }  # fmt: skip
-    folder = DataFolder(str(tmp_path))
+    folder = open_folder(str(tmp_path))
     (tmp_path / RECORD_FILE).write_text(sealed(values))
     assert read_record(folder) is not None
     for place in places(values):
@@ -133,7 +133,7 @@ def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
 def test_what_this_user_may_not_read_is_not_called_damaged(
     toy_set: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    folder = DataFolder(str(toy_set))
+    folder = open_folder(str(toy_set))
     shard = folder.address("data/train-00000-of-00004.parquet")
     real = Path.open
 
@@ -162,7 +162,7 @@ def test_a_folder_that_this_user_may_not_read(toy_set: Path, tmp_path: Path) -> 
     try:
         for ask in (
             lambda: open_place(str(base / "set")).shards("train"),
-            lambda: verify(DataFolder(str(base / "set"))),
+            lambda: verify(open_folder(str(base / "set"))),
         ):
             with pytest.raises(InputError, match=r"set.* cannot be read: permission denied"):
                 ask()

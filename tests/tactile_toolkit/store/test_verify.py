@@ -10,8 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run import InlineRunner
-from tactile_toolkit.store import DataFolder, DownloadRecord, HubFile, build, verify, write_record
+from tactile_toolkit.store import DownloadRecord, HubFile, build, open_folder, verify, write_record
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
@@ -19,8 +18,8 @@ from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
 
 @pytest.fixture
 def folder(tmp_path):
-    made = DataFolder(str(tmp_path / "set"))
-    build(made, toy_plan(), InlineRunner())
+    made = open_folder(str(tmp_path / "set"))
+    build(made, toy_plan())
     return made
 
 
@@ -115,7 +114,7 @@ def test_shards_that_are_as_recorded_and_not_as_they_should_be(folder, change, f
 
 def copy_of(tmp_path, **files):
     """Return a folder that was downloaded, of files whose record says the right or another thing of them."""
-    folder = DataFolder(str(tmp_path / "copy"))
+    folder = open_folder(str(tmp_path / "copy"))
     for name, (content, _, _) in files.items():
         if content is not None:
             folder.write_bytes(f"images/{name}", content)
@@ -152,4 +151,4 @@ def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
 
 def test_what_nothing_is_said_of_cannot_be_verified(tmp_path):
     with pytest.raises(InputError, match=r"no manifest\.json and no record of a download"):
-        verify(DataFolder(str(tmp_path)))
+        verify(open_folder(str(tmp_path)))

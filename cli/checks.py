@@ -1,0 +1,148 @@
+"""Commands that check: the files of a data set folder, and its objects."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import typer
+
+from cli.application import EXIT_FAILED
+from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
+from cli.output import Sink
+from cli.quantities import bytes_text
+from tactile_toolkit import cards, catalog, mesh, places, run, store
+from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import with_count
+
+
+@dataclass(frozen=True, slots=True)
+class Geometry:
+    """How the objects of a kind are checked.
+
+    ``check`` takes names, a split or None, a limit or None, a number of processes, ``opened``, which opens a
+    name, and ``on_progress``; it
+    returns results with ``checked``, ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
+    """
+
+    nouns: str
+    check: Callable[..., Sequence[Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Objects:
+    """Options of ``verify`` for kinds whose objects can be checked."""
+
+    geometry: bool = switch(
+        False, help="Check the objects too, as `validate` does; exit code 1 when one is invalid."
+    )
+    split: str | None = catalog.SPLIT
+    limit: int | None = catalog.LIMIT
+
+
+def verify(
+    *,
+    kind: DatasetKind,
+    checks: Geometry | None,
+    folder: str = FOLDER,
+    objects: Objects,
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
+    """Check every checksum, row count, schema and id of a data set folder.
+
+    Example: verify FOLDER
+
+    Exit code 3 when something is damaged; each damaged file is named.
+    """
+    place = store.open_folder(folder)
+    manifest = places.open_place(folder).require(kind, "verify").manifest
+    result = store.verify(
+        place, kind.schema_of(manifest), check_card=cards.check_card, workers=process_count(workers)
+    )
+    findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
+    counts_of = {"files": result.files, "rows": result.rows}
+    # "witness" is what programs read, and older than the name that Python has for it.
+    document = {"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings}
+    if result.ok:
+        counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
+        sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
+        if objects.geometry and checks is not None:
+            check_objects(sink, checks, [folder], Opening(), objects.split, objects.limit, workers, document)
+        else:
+            sink.document(document)
+        return
+    sink.document(document)
+    if [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:  # else damage is what counts
+        store.require_finished(place)
+    for finding in result.findings:
+        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
+    record = store.read_record(place)
+    again = f"run the same `{kind.command_of(manifest)}` with --check, which makes damaged shards again"
+    if record is not None:
+        again = f"download {record.repo_id} there again, only what is damaged is fetched"
+    # Unknown files, links and cards: what no run would repair states itself what to do.
+    if all("; next: " in finding.problem for finding in result.findings):
+        again = "follow the next step of each"
+    raise IntegrityError(f"{with_count(len(findings), 'problems')} in {folder!r}", next=again)
+
+
+def validate(
+    *,
+    checks: Geometry,
+    paths: list[str] = FOLDERS,
+    opening: Opening,
+    split: str | None = catalog.SPLIT,
+    limit: int | None = catalog.LIMIT,
+    unit: str | None = mesh.UNIT,
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
+    """Check each object of data sets, or mesh files, as it is read back from disk.
+
+    A digit has to be a solid; what speaks against printing it is listed. The objects of a scene have to be
+    solids that do not overlap, as many stars among them as the label states.
+
+    Example: validate FOLDER
+
+    Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
+    """
+    checks = replace(checks, check=partial(checks.check, unit=unit))
+    check_objects(sink, checks, paths, opening, split, limit, workers)
+
+
+def check_objects(
+    sink: Sink,
+    geometry: Geometry,
+    paths: Sequence[str],
+    opening: Opening,
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    verified: dict[str, Any] | None = None,
+) -> None:
+    """Check objects as read back from disk, after the files of the folder where these were ``verified``."""
+    run.prepare_batch_process()
+    if split == "all":
+        split = None
+    with sink.progress("checking", geometry.nouns) as update:
+        opened = partial(opening.open, sink)
+        workers = process_count(workers)
+        results = geometry.check(paths, split, limit, workers, opened=opened, on_progress=update)
+    documents: Any = [result.to_dict() for result in results]
+    if verified is not None:
+        documents = {**verified, "geometry": documents}
+    sink.document(documents)
+    for result in results:
+        for problem in result.unreadable:
+            sink.warn(f"unreadable: {problem}")  # with --quiet, too: such an object has no row in the table
+        sink.table(*result.table())
+    checked = sum(result.checked for result in results)
+    failed = sum(result.failed for result in results)
+    sink.line(f"{checked - failed:,} of {checked:,} {geometry.nouns} are valid")
+    if failed:
+        raise typer.Exit(EXIT_FAILED)

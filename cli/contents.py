@@ -1,0 +1,175 @@
+"""Commands that print what is there: data sets, rows, published sets, folders."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from cli.nested_values import brief, flat_lines, stored_value
+from cli.options import ANY_SET, Opening, argument, local_place
+from cli.output import Sink
+from cli.quantities import bytes_text
+from cli.runs import PrintMade, print_set
+from tactile_toolkit import catalog, hub, places, read, store
+from tactile_toolkit.checked_fields import integer
+from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.kind import DatasetKind, is_copy
+from tactile_toolkit.wording import with_count
+
+_STATES = {True: "finished", False: "unfinished"}
+
+
+def info(
+    *, kind: DatasetKind, print_made: PrintMade, name: str = ANY_SET, opening: Opening, sink: Sink
+) -> None:
+    """Show what a data set holds and how it was made.
+
+    Example: info DIR --json
+    """
+    place = opening.open(sink, name, shows_all=True).require(kind, "info")
+    manifest, folder = place.manifest, place.folder
+    if manifest is None:
+        _print_copy(sink, place, kind)
+        return
+    if folder is None or is_copy(manifest):
+        print_set(sink, kind, manifest, name)
+        return
+    print_made(sink, kind, manifest, folder.address(), None)
+    sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
+    for line in flat_lines(manifest.spec):
+        sink.line(f"  {line}")
+
+
+def _print_copy(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
+    """Print what the splits of a data set without a manifest hold, and where they are from."""
+    repository: store.DownloadRecord | hub.HubRepository | None = place.repository
+    if place.folder is not None:
+        repository = store.read_record(place.folder) or repository
+    entries, rows = [], []
+    for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
+        paths = [shard.path for shard in place.shards(split)]
+        size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
+        # Not by `bincount`, which fails on labels below 0 as other people's data have them.
+        labels = enumerate(dataset.label_names)
+        per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
+        counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
+        entries.append({**counts, "per_class": per_class})
+        classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
+        rows.append((split, len(dataset), len(paths), bytes_text(size), classes))
+    source: dict[str, str | None] = {"repository": None, "commit": None}
+    origin = "no manifest"
+    if repository:
+        source = {"repository": repository.repo_id, "commit": repository.commit}
+        origin = f"downloaded from {repository.repo_id} at {repository.commit[:12]}"
+    sink.document({"folder": place.name, **source, "splits": entries})
+    sink.table(("split", kind.nouns, "shards", "Parquet", "per class"), rows)
+    sink.line(f"{origin}: no provenance recorded")
+
+
+def show(
+    *,
+    name: str = ANY_SET,
+    row: int = integer(0, help="Row of the split, counted from 0."),
+    split: str | None = catalog.SPLIT,
+    opening: Opening,
+    sink: Sink,
+) -> None:
+    """Show a row of a data set: each column, its type and its value, or how many values it has.
+
+    Example: show DIR --row 3 --split test
+    """
+    place = opening.open(sink, name, shows_all=True)
+    chosen = split or place.splits[0]
+    rows = read.ShardedTable(place.shards(chosen))
+    if row >= len(rows):
+        raise InputError(
+            f"--row is {row}; expected less than the {with_count(len(rows), 'rows')} of {chosen!r}"
+        )
+    group, index = rows.locate(row)
+    stored = group.table.slice(index, 1)
+    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
+    sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
+    sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
+    lines = []
+    for field in stored.schema:
+        kept = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
+        for line in flat_lines({field.name: values[field.name]}):
+            column, _, value = line.partition(" = ")
+            lines.append((column, kept, value))
+    sink.table(("column", "type", "value"), lines)
+
+
+def list_sets(
+    *,
+    kind: DatasetKind,
+    folder: str | None = argument("DIR", "Folder of data sets; the published ones by default.", default=None),
+    sink: Sink,
+) -> None:
+    """List the published data sets and which of them are on this machine, or the data sets in a folder.
+
+    Examples: list;  list .
+    """
+    if folder is None:
+        print_sets(sink, kind)
+        return
+    found = _sets_in(local_place(folder))
+    sink.document(found)
+    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
+    sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
+    sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
+
+
+def _sets_in(folder: Path) -> list[dict[str, Any]]:
+    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
+
+    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
+    the folder does not exist.
+    """
+    if not folder.is_dir():
+        raise InputError(
+            store.open_folder(str(folder)).missing_message("data sets"),
+            next="give a folder with data set folders",
+        )
+    found = []
+    inner = sorted(each.name for each in folder.iterdir() if each.is_dir() and not store.is_hidden(each.name))
+    for name in [".", *inner]:
+        kind, table, state = "", dict[str, dict[str, int]](), ""
+        try:
+            manifest = store.manifest_so_far(store.open_folder(str(folder / name)))
+        except ToolkitError as error:
+            state = str(error)
+        else:
+            if manifest is None:
+                continue
+            kind, table = manifest.kind, manifest.split_table()
+            state = _STATES[manifest.complete]
+        sums = {each: sum(split[each] for split in table.values()) for each in ("rows", "bytes")}
+        found.append({"name": name, "kind": kind, "splits": ", ".join(table), **sums, "state": state})
+    return found
+
+
+def print_sets(sink: Sink, kind: DatasetKind) -> None:
+    """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
+    documents, rows = [], []
+    for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
+        licence, size, there = known.licence, None, "?"
+        if on_hub is not None:
+            licence, size = licence or on_hub.licence, on_hub.size_bytes
+            there = bytes_text(size)
+        splits, local_bytes, here = list[str](), 0, "-"
+        if local is not None and local.size_bytes:
+            splits, local_bytes = list(places.splits_by_name(local.remote, known.repo_id)), local.size_bytes
+            here = f"{bytes_text(local_bytes)} ({', '.join(splits)})"
+        names = {"name": known.name, "repository": known.repo_id, "content": known.content}
+        facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
+        documents.append({**names, "citation": known.citation, **facts})
+        rows.append((known.name, known.content, licence or "see its card", there, here))
+    sink.document(documents)
+    if not rows:
+        lists = f"`{kind.package} list` lists what else {kind.package} opens"
+        sink.line(f"no data set of {kind.command} is published; next: {lists}")
+        return
+    sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
+    if any(row[3] == "?" for row in rows):
+        sink.info("?: the Hub did not answer for this one (no network, or no access)")
+    sink.line(f"next: {kind.command} download NAME [--split SPLIT] [--out DIR]")

@@ -1,0 +1,202 @@
+"""From the declared fields of functions and specifications to the options that Typer takes."""
+
+from __future__ import annotations
+
+import inspect
+import os
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
+from enum import StrEnum
+from functools import wraps
+from pathlib import Path
+from typing import Annotated, Any, Literal, get_args, get_type_hints
+
+import typer
+
+from tactile_toolkit import __version__, run
+from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_of, text
+
+DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
+"""Environment variable that shows the traceback of an error."""
+
+
+@dataclass(frozen=True, slots=True)
+class OptionsOf:
+    """Marks a parameter as the options of a specification, of which a command gets a dict of those given.
+
+    ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` serves specifications with defaults that follow from
+    other fields, and commands that must know what was given.
+    """
+
+    spec: type
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        sys.stdout.write(f"tactile-toolkit {__version__}\n")
+        raise typer.Exit
+
+
+def _show_tracebacks(wanted: bool) -> None:
+    if wanted:
+        os.environ[DEBUG_VARIABLE] = "1"
+
+
+def _use_token(token: str) -> str:
+    """Hand a token to libraries and worker processes."""
+    os.environ["HF_TOKEN"] = token
+    return token
+
+
+# Eager ones count whatever is wrong with others.
+Debug = Annotated[
+    bool,
+    typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help="Show the traceback of an error."),
+]
+
+
+Version = Annotated[
+    bool,
+    typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and exit."),
+]
+
+
+_TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, in place of HF_TOKEN.")
+
+
+def with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Callable[..., None]:
+    """Return a function that takes the fields of option groups one by one."""
+    # Annotations are text: those of a group are names of the group's module, where Typer would not look.
+    hints = get_type_hints(function, include_extras=True)
+    taken = inspect.signature(function).parameters
+    groups = {name: _group(hints[name], each) for name, each in taken.items() if name not in known}
+
+    @wraps(function)
+    def call(context: typer.Context, **values: Any) -> None:
+        # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
+        run.skip_pandas()
+        arguments = {name: value for name, value in known.items() if name in taken}
+        for name, group in groups.items():
+            held = {each.name: values[each.name] for each in group}
+            if is_dataclass(hints[name]):
+                arguments[name] = hints[name](**held)
+            elif _mark(hints[name]) is not None:
+                arguments[name] = {each: held[each] for each in held if _is_given(context, each)}
+            else:
+                arguments[name] = values[name]
+        function(**arguments)
+
+    # Typer asks both; two options of one name are refused by `Signature`.
+    context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
+    options = [each for group in groups.values() for each in group]
+    eager = {"debug": Debug, "version": Version}
+    everywhere = [
+        inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
+        for name, hint in eager.items()
+    ]
+    parameters = [context, *options, _parameter("token", _TOKEN), *everywhere]
+    call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    call.__annotations__ = {
+        name: each.annotation for name, each in inspect.signature(call).parameters.items()
+    }
+    return call
+
+
+def _is_given(context: typer.Context, name: str) -> bool:
+    source = context.get_parameter_source(name)
+    return source is not None and source.name == "COMMANDLINE"
+
+
+def _mark(hint: Any) -> OptionsOf | None:
+    return next((each for each in get_args(hint)[1:] if isinstance(each, OptionsOf)), None)
+
+
+def _group(hint: Any, parameter: inspect.Parameter) -> list[inspect.Parameter]:
+    """Return what a parameter of a function takes from the command line: itself, or the fields of a group."""
+    mark, group = _mark(hint), hint
+    if mark is not None:
+        group = mark.spec
+    if not is_dataclass(group):
+        return [_parameter(parameter.name, parameter.default)]
+    found = []
+    for each in fields(group):
+        rule = rule_of(each)
+        if rule is not None and "help" in rule.option:
+            found.append(_parameter(each.name, each, is_optional=mark is not None))
+    return found
+
+
+def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) -> inspect.Parameter:
+    """Return a parameter as Typer takes it; an ``is_optional`` one needs no value."""
+    rule: Any = rule_of(declared)
+    default = declared.default
+    if default is MISSING and is_optional:
+        default = None
+    shown: Any = _shown_default(rule, default)
+    kind: Any = _typer_type(rule, default)
+    if shown is None:
+        kind |= None
+    hint = Annotated[kind, _declaration(name, rule, default)]
+    # By keyword only: options without a default may stand behind those with one.
+    return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=hint)
+
+
+def _shown_default(rule: Rule, default: Any) -> Any:
+    """Return the default as Typer takes it: of a value that is read from text, the text."""
+    if default is MISSING:
+        return inspect.Parameter.empty
+    # Typer would convert a default of another type.
+    if "read" in rule.option and default is not None:
+        return str(default) if isinstance(default, (str, Path)) else None
+    return default
+
+
+def _typer_type(rule: Rule, default: Any) -> Any:
+    """Return the type by which Typer reads a value."""
+    kind: Any = rule.kind
+    if "read" in rule.option:
+        kind = str
+    elif rule.choices:
+        kind = Literal[rule.choices]
+    if rule.choices and isinstance(default, tuple):  # Typer takes lists of enumerations, but not of literals
+        return list[StrEnum("Choice", [(word, word) for word in rule.choices])]  # type: ignore[misc]
+    if "several" in rule.option:
+        return list[kind]
+    return kind
+
+
+def _declaration(name: str, rule: Rule, default: Any) -> Any:
+    """Return the argument or option by which Typer takes the value of a field."""
+    text, is_argument = rule.option, "argument" in rule.option
+    names = text.get("name", f"--{name.replace('_', '-')}").split()
+    label = names[0].partition("/")[0]
+    if is_argument:
+        label = text.get("metavar", name)
+    metavar: str | None = metavar_of(name, rule)
+    if rule.kind is bool or (rule.choices and "read" not in text):  # Typer lists the choices
+        metavar = None
+    if rule.kind is bool and default and "/" not in names[0]:
+        names = [f"{names[0]}/--no-{names[0][2:]}"]
+
+    def check(context: typer.Context, value: Any) -> Any:
+        """Return the one spelling of a value that was given; InputError where it does not fit."""
+        if not _is_given(context, name):
+            return default
+        expected = rule.expected.removeprefix("None or ")  # that is to leave the option out
+        if "read" in text and "several" in text:
+            value = list(map(text["read"], value))
+        elif "read" in text:
+            value = text["read"](value)
+        return check_value(replace(rule, expected=expected), value, label)
+
+    settings: dict[str, Any] = {
+        "help": text.get("help"),
+        "metavar": metavar,
+        "show_default": text.get("shown") or True,
+        "rich_help_panel": text.get("panel"),
+        "callback": check,
+    }
+    if is_argument:
+        return typer.Argument(**settings)
+    return typer.Option(*names, **settings)

@@ -1,0 +1,233 @@
+"""The command that writes files for printers, simulators and other libraries."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from cli.application import EXIT_FAILED
+from cli.declared_options import OptionsOf
+from cli.options import (
+    ANY_SET,
+    Opening,
+    Work,
+    local_out_folder,
+    process_count,
+)
+from cli.output import Sink
+from cli.quantities import bytes_text
+from cli.runs import make_with_progress, print_set
+from tactile_toolkit import catalog, exchange, places, printing, store
+from tactile_toolkit.checked_fields import choice, real, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import with_count
+
+if TYPE_CHECKING:
+    pass
+from cli.options import Job
+
+_ROWS_SHOWN = 20
+_DOING = {True: "checking", False: "writing"}
+
+
+@dataclass(frozen=True, slots=True)
+class Form:
+    """What is written."""
+
+    file_format: str | None = choice(
+        None,
+        ("stl", "3mf", "ply", "obj", "glb", *printing.MODELS, "flat"),
+        optional=True,
+        name="--format",
+        shown="stl, plates 3mf",
+        help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
+        "Parquet tables with a row for each object, its mesh as GLB.",
+    )
+    scale: float = real(1.0, help="Factor for all lengths.")
+    plate: str | None = text(
+        metavar="256x256|prusa-mk4",
+        help="Pack the objects on build plates of this size, in mm, or of this printer.",
+    )
+
+
+def export(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    opening: Opening,
+    form: Form,
+    chosen: catalog.RowFilter,
+    distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
+    material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
+    out: Path = local_out_folder("prints"),
+    job: Job,
+    sink: Sink,
+) -> None:
+    """Write files for printers and simulators, or tables for other libraries.
+
+    Writes a file for each object, or build plates of several objects, or tables with a row for each
+    object.
+
+    Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
+
+    Objects keep their pose; their lowest point is at z = 0.
+
+    Every file is read back; one that is not the same solid is removed and named.
+
+    After an interruption, the same command continues; finished files are kept.
+
+    Exit code 1 when an object or plate could not be written as a solid.
+    """
+    some = chosen.given()
+    # What cannot be used is reported before any work.
+    if form.file_format == "flat":
+        given = [*distances, *material]
+        if form.scale != 1:
+            given.append("scale")
+        _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
+    elif form.file_format not in printing.MODELS:
+        _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
+    if form.plate is None:
+        _refuse(distances, "about build plates", "add --plate 256x256")
+    elif form.file_format not in (None, "3mf", "mjcf"):
+        _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
+    place = opening.open(sink, name).require(kind, "export")
+    datasets = catalog.open_splits(place, some.pop("split"), kind.load, kind.nouns).items()
+    if form.file_format == "flat":
+        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **some), some, str(out), job)
+        return
+    bodies = printing.Physics(**material)
+    spec = form.plate and printing.PlateSpec.parse(form.plate, **distances)
+    objects = printing.choose(datasets, **some)
+    if spec:
+        # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
+        on_floor = {"mjcf": bodies}.get(form.file_format or "")
+        _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
+    else:
+        _export_files(sink, objects, form.file_format or "stl", form.scale, bodies, str(out), job)
+
+
+def _refuse(given: Iterable[str], why: str, instead: str) -> None:
+    """Refuse options that would have no effect."""
+    for name in given:
+        raise InputError(f"--{name.replace('_', '-')} is {why}", next=instead)
+
+
+def _export_files(
+    sink: Sink,
+    objects: list[printing.PrintObject],
+    ending: str,
+    scale: float,
+    physics: printing.Physics,
+    out: str,
+    job: Job,
+) -> None:
+
+    how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
+    with sink.progress(_DOING[job.dry_run], "files") as update:
+        made = printing.export_files(
+            *(objects, out, ending),
+            **how,
+            dry_run=job.dry_run,
+            workers=process_count(job.workers),
+            on_progress=update,
+        )
+    sink.document({"out": out, **asdict(made)})
+    if len(made.files) <= _ROWS_SHOWN:
+        rows = [
+            (
+                file.file,
+                " x ".join(f"{side:.1f}" for side in file.size_mm),
+                f"{file.volume_mm3:,.0f}",
+                file.bytes,
+                file.state,
+            )
+            for file in made.files
+        ]
+        sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
+    kept = _kept(sum(file.state == "kept" for file in made.files))
+    size = bytes_text(sum(file.bytes for file in made.files))
+    if job.dry_run:
+        count = with_count(len(made.files), f"{ending} files")
+        sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
+    else:
+        sink.line(
+            f"{with_count(len(made.files), 'files')} in {out} ({size}), each read back as a solid{kept}"
+        )
+    _report_failures(sink, made.failed)
+
+
+def _export_flat(
+    sink: Sink,
+    kind: DatasetKind,
+    place: places.Place,
+    choices: Any,
+    some: Mapping[str, Any],
+    out: str,
+    job: Job,
+) -> None:
+
+    plan = exchange.plan_tables(kind, place, choices, some, out)
+    if job.dry_run:
+        if not job.overwrite:
+            store.inspect_job(store.open_folder(out), plan)
+        rows = sum(task.size for task in plan.tasks)
+        sink.document({"folder": out, "rows": rows})
+        sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
+        return
+    make = partial(store.build, store.open_folder(out), plan, write_card=kind.write_card)
+    work = Work(job.workers, overwrite=job.overwrite)
+    make_with_progress(sink, "writing", kind, make, work, out, print_set)
+
+
+def _export_plates(
+    sink: Sink,
+    objects: list[printing.PrintObject],
+    spec: printing.PlateSpec,
+    scale: float,
+    bodies: printing.Physics | None,
+    out: str,
+    job: Job,
+) -> None:
+
+    with sink.progress("measuring", "objects") as update:
+        layout = printing.arrange(objects, spec, scale, bodies, update)
+    wrote, removed, ending = "wrote", "removed", f"{printing.TABLE_FILE} lists where each object lies"
+    if job.dry_run:
+        wrote, removed, ending = "would write", "would remove", "nothing was written"
+    with sink.progress(_DOING[job.dry_run], "plates") as update:
+        made = printing.write_plates(
+            layout, out, overwrite=job.overwrite, dry_run=job.dry_run, on_progress=update
+        )
+    document = asdict(made)
+    sink.document({"out": out, "plates": document.pop("files"), **document})
+    if made.removed:
+        sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
+    rows = [
+        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
+    ]
+    sink.table(("plate", "objects", "share of the plate", "size"), rows)
+    kept = _kept(sum(plate.state == "kept" for plate in made.files))
+    placed, plates = with_count(len(made.objects), "objects"), with_count(len(made.files), "plates")
+    sink.line(f"{wrote} {placed} on {plates} of {spec.text} to {out}{kept}; {ending}")
+    _report_failures(sink, made.failed)
+
+
+def _report_failures(sink: Sink, failures: Iterable[printing.FailedExport]) -> None:
+    """Name what could not be written; then the exit code is that of a failed validation."""
+    for failure in failures:
+        sink.warn(f"failed: {failure.name}: {failure.detail}")
+    if failures:
+        raise typer.Exit(EXIT_FAILED)
+
+
+def _kept(count: int) -> str:
+    if not count:
+        return ""
+    return f"; {count:,} unchanged"

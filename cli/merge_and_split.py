@@ -1,0 +1,83 @@
+"""Commands that make data sets of data sets of the same kind."""
+
+from __future__ import annotations
+
+from functools import partial
+from typing import TYPE_CHECKING, Any
+
+from cli.options import ANY_SET, Opening, Work, argument, out_folder
+from cli.output import Sink
+from tactile_toolkit import catalog, exchange
+from tactile_toolkit.checked_fields import integer, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.parsed_text import comma_separated
+
+if TYPE_CHECKING:
+    pass
+from cli.runs import make_with_progress, print_set
+
+
+def _fractions(words: str) -> tuple[float, ...]:
+    try:
+        shares = tuple(map(float, comma_separated(words)))
+    except ValueError:
+        shares = ()
+    if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
+        raise InputError(
+            f"--fractions is {words!r}; expected shares that add up to 1 or less, such as 0.8,0.2"
+        )
+    return shares
+
+
+def merge(
+    *,
+    kind: DatasetKind,
+    names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
+    opening: Opening,
+    out: str = out_folder("merged"),
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Merge data sets whose ids differ into one; shards are copied unchanged.
+
+    Example: merge DIR OTHER --out both
+    """
+    places = [opening.open(sink, name) for name in names]
+    make = partial(exchange.merge_sets, kind, places, out)
+    make_with_progress(sink, "copying", kind, make, work, out, print_set)
+
+
+def split(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    opening: Opening,
+    out: str = out_folder("parts"),
+    fractions: tuple[float, ...] = text(
+        (),
+        metavar="0.8,0.2",
+        read=_fractions,
+        help="Fractions of the rows of each split, one for each part.",
+    ),
+    seed: int = integer(0, help="Random seed for --fractions."),
+    chosen: catalog.RowFilter,
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
+
+    Rows are drawn at random (--fractions), or part-1 gets the objects that --ids, --labels and similar
+    options choose, and part-2 all others.
+
+    Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
+    """
+    given = {each: value for each, value in chosen.given().items() if value is not None}
+    if bool(given) == bool(fractions):
+        raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
+    options: dict[str, Any] = given or {"fractions": fractions, "seed": seed}
+    source = opening.open(sink, name)
+    for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
+        place = f"{out.rstrip('/')}/part-{number}"
+        make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
+        make_with_progress(sink, "copying", kind, make, work, place, print_set)

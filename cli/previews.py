@@ -1,0 +1,80 @@
+"""What is made of a data set: pictures, a page, and files for printers, simulators and other libraries."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+
+from cli.options import (
+    DRY_RUN,
+    TOUCH_SET,
+    Opening,
+    local_place,
+)
+from cli.output import Sink
+from cli.quantities import bytes_text
+from realtouch.kind import KIND
+from realtouch.touch_options import TouchPreviewSpec
+from tactile_toolkit import pictures, store
+from tactile_toolkit.checked_fields import text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+
+
+@dataclass(frozen=True, slots=True)
+class Pictures:
+    """Where pictures go."""
+
+    out: Path | None = text(
+        name="--out -o",
+        metavar="DIR|FILE.png",
+        read=local_place,
+        shown="previews",
+        help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
+    )
+    dry_run: bool = DRY_RUN
+
+    def write(self, sink: Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
+        """Draw planned pictures and print where they are, or print only what would be drawn."""
+        folder, drawn = self.out or Path(usual), plan.pictures
+        if folder.suffix.lower() == ".png":
+            if len(drawn) != 1:
+                what = f"--out is the file {str(folder)!r} for {len(drawn)} pictures"
+                raise InputError(what, next="give a folder")
+            folder, drawn = folder.parent, (replace(drawn[0], name=folder.name),)
+        for reason in plan.left_out:
+            sink.info(f"left out: {reason}")
+        left_out = {"left_out": list(plan.left_out)}
+        if self.dry_run:
+            planned = [{"file": picture.name, "what": picture.what} for picture in drawn]
+            sink.document({"folder": str(folder), "pictures": planned, **left_out})
+            for picture in drawn:
+                sink.line(f"would write {folder / picture.name}: {picture.what}")
+            return
+        with sink.progress("drawing", "pictures") as update:
+            written = pictures.write_pictures(store.open_folder(str(folder.absolute())), drawn, update)
+        sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
+        for made in written:
+            size = f"{made.width:,} x {made.height:,} pixels, {bytes_text(made.bytes)}"
+            sink.line(f"{folder / made.file}: {made.what} ({size})")
+
+
+def preview_touches(
+    *,
+    kind: DatasetKind,
+    name: str = TOUCH_SET,
+    opening: Opening,
+    spec: TouchPreviewSpec,
+    pictures: Pictures,
+    sink: Sink,
+) -> None:
+    """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
+
+    Examples: realtouch preview real-single-64x64 --round 3 --out round.png;
+    realtouch preview real-seq --kind all
+    """
+    usual = "touches.png"
+    if spec.kinds:
+        usual = "previews"
+    place = opening.open(sink, name).require(kind, "preview")
+    pictures.write(sink, KIND.plan_previews(place, spec), usual)

@@ -1,0 +1,190 @@
+"""Making a data set folder as all command lines do it: progress while it lasts, then what was made."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import partial
+from itertools import chain, islice
+from typing import TYPE_CHECKING, Any
+
+from cli.options import Making, Work, process_count
+from cli.output import Sink
+from cli.quantities import bytes_text, duration_text
+from tactile_toolkit import store
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import with_count
+
+if TYPE_CHECKING:
+    from tactile_toolkit.generation import Forecast, Generator as RowMaking
+
+_LEFT_OUT_SHOWN = 20
+
+PrintMade = Callable[..., None]
+"""Prints what a folder holds.
+
+Of a sink, a kind, a manifest, the folder, and how long it took where it was just made, else None.
+"""
+
+
+def generate_set(
+    sink: Sink,
+    what: str,
+    rows: RowMaking,
+    out: str,
+    splits: Sequence[str] | None,
+    making: Making,
+    print_made: PrintMade,
+    require: Callable[[], None] = lambda: None,
+) -> None:
+    """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
+    # Arrow and numpy, which no help needs.
+    from tactile_toolkit.generation import forecast, generate
+
+    if making.dry_run:
+        view = forecast(rows, out, splits, require=require, **making.run_keywords())
+        _print_forecast(sink, rows.kind, view, out, making)
+        return
+    make = partial(generate, rows, out, splits, require=require)
+    manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
+    if manifest is None:
+        return
+    table = manifest.split_table()
+    # One that has rows, so that the line works when it is tried.
+    split = next(name for name in splits or table if table[name]["rows"])
+    call = rows.kind.loading_lines(manifest, out, split)[1]
+    sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
+
+
+def make_with_progress(
+    sink: Sink,
+    what: str,
+    kind: DatasetKind,
+    make: Callable[..., store.Manifest],
+    work: Work,
+    out: str,
+    print_made: PrintMade,
+    unit: str | None = None,
+) -> store.Manifest | None:
+    """Run ``make`` and print what was made; progress counts ``unit`` where that is not the nouns of rows.
+
+    It takes the keywords of a run. Returns None where this was one part of many.
+    """
+    start_s = time.monotonic()
+    rows = skipped = 0
+    with sink.progress(what, unit or kind.nouns) as update:
+
+        def on_progress(progress: store.Progress) -> None:
+            nonlocal rows, skipped
+            if progress.record is not None:
+                rows += progress.record.rows
+                skipped += len(progress.record.skipped)
+            update(progress.done, progress.total)
+
+        try:
+            manifest = make(**work.run_keywords(), on_progress=on_progress)
+        except store.MissingPartsError as error:
+            sink.document({"complete": False, "array": error.array, "parts": error.parts})
+            # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
+            sink.line(f"--array={error.array}")
+            raise
+    elapsed_s = time.monotonic() - start_s
+    made = "nothing was left to make"
+    if rows or skipped:
+        made = f"made {with_count(rows, kind.nouns)} in {duration_text(elapsed_s)}"
+    if skipped:
+        made += f", left out {with_count(skipped, unit or kind.nouns)}"
+    if work.part is not None:
+        counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
+        sink.document({"folder": out, "complete": False, "part": work.part, **counts})
+        sink.line(f"{made}; part {work.part} of the data set in {out} is there")
+        sink.line("next: when all parts have ended, the same command with --finish instead of --part")
+        return None
+    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+    manifest = store.manifest_so_far(store.open_folder(out)) or manifest
+    print_made(sink, kind, manifest, out, elapsed_s)
+    sink.line(f"{made}; the data set is in {out}")
+    return manifest
+
+
+def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
+    sink.document(asdict(view))
+    header = ("split", kind.nouns, "shards", "finished already")
+    sink.table(header, [tuple(entry.values()) for entry in view.splits])
+    if view.replaced is not None:
+        parts = ", ".join(f"{split} {rows:,}" for split, rows in view.replaced.items())
+        held = with_count(sum(view.replaced.values()), "rows")
+        sink.line(f"would replace the data set in {out}: {held} ({parts or 'no split'})")
+    part = ""
+    if making.part is not None:
+        part = f" (part {making.part})"
+    sink.line(
+        f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
+        f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
+        f"{with_count(process_count(making.workers), 'workers')} (measured on "
+        f"{with_count(view.sampled, kind.nouns)}); nothing was written"
+    )
+
+
+def print_set(
+    sink: Sink,
+    kind: DatasetKind,
+    manifest: store.Manifest,
+    out: str,
+    elapsed_s: float | None = None,
+    header: Sequence[str] = (),
+    rows: Sequence[Sequence[object]] = (),
+    left_out: str = "",
+    **further: Any,
+) -> None:
+    """Print what a folder holds, and how it continues where its run is not finished.
+
+    ``rows`` are further figures of a finished one; ``left_out`` is what items that were left out are called,
+    where they are not rows; ``further`` are JSON values for the document.
+    """
+    table = manifest.split_table()
+    planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
+    if elapsed_s is not None:
+        elapsed_s = round(elapsed_s, 3)
+    sink.document(
+        {
+            "folder": out,
+            "complete": manifest.complete,
+            "toolkit_version": manifest.toolkit_version,
+            "elapsed_s": elapsed_s,
+            "shards_planned": planned,
+            "splits": table,
+            **further,
+            "spec": manifest.spec,
+        }
+    )
+    if not manifest.complete:
+        record, activity = store.read_record(store.open_folder(out)), "run"
+        next_step = f"repeat the same `{kind.command_of(manifest)}`, or name what is missing with --finish"
+        if record is not None:
+            activity, next_step = "download", f"download {record.repo_id} there again; it continues"
+        sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
+    counts = [
+        (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
+        for name, e in table.items()
+    ]
+    sink.table(("split", kind.nouns, "shards", "Parquet", "left out"), counts)
+    if manifest.complete:
+        sink.table(header, rows)
+    for reason, count in manifest.skipped_reasons().items():
+        items = with_count(count, left_out or kind.nouns)
+        sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
+
+
+def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
+    """Print the first items that gave no row, and the first files of the source that hold none."""
+    skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
+    source: Any = manifest.spec.get("source")
+    files: dict[str, str] = {}
+    if isinstance(source, dict):
+        files = source.get("left_out") or files
+    named = (f"{name} ({reason})" for name, reason in files.items())
+    for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
+        sink.info(printable(f"left out: {line}"))

@@ -1,0 +1,187 @@
+"""Commands that make data sets or files of touches from data sets of touches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import MISSING, dataclass, fields, replace
+from functools import partial
+from typing import Any
+
+import typer
+
+from cli.application import command
+from cli.options import TOUCH_SET, Opening, Work, out_folder
+from cli.output import Sink
+from cli.runs import make_with_progress, print_set
+from realtouch.kind import KIND
+from tactile_toolkit import catalog, places, store
+from tactile_toolkit.checked_fields import choice, integer, switch
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import contact_height_option, size_option
+
+_FRAME = choice(
+    "contact_end",
+    ("contact_end", "contact_start", "peak", "best"),
+    help="Frame of a clip: last or first of the contact, of the deepest press, or with the best score of "
+    "contact.",
+)
+
+
+class _Options:
+    """Options of a conversion."""
+
+    __slots__ = ()
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of its function."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+
+
+@dataclass(frozen=True, slots=True)
+class ClipsToImages(_Options):
+    """Make a data set of single images from one of clips: a frame of each clip, with its pose.
+
+    Example: realtouch clips-to-images real-seq --frame peak --out touches
+    """
+
+    frame: str = _FRAME
+
+
+@dataclass(frozen=True, slots=True)
+class Resize(_Options):
+    """Write the same data set with images or clips of another size.
+
+    Example: realtouch resize real-single-320x240 --size 64x64 --out small
+    """
+
+    size: tuple[int, int] = size_option(MISSING)
+    quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of its function: width and height are two."""
+        width, height = self.size
+        return {"width": width, "height": height, "quality": self.quality}
+
+
+@dataclass(frozen=True, slots=True)
+class Frames(_Options):
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Example: realtouch frames real-single-64x64 --format jpeg --out pictures
+
+    Example: realtouch frames real-seq --frame best --difference grey --out changes
+    """
+
+    kind: str = choice(
+        "png",
+        ("png", "jpeg"),
+        name="--format",
+        help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
+    )
+    frame: str = _FRAME
+    difference: str | None = choice(
+        None,
+        ("grey", "absolute"),
+        optional=True,
+        help="Write the difference from the median of the clip or round: grey (128 means no change) or "
+        "absolute.",
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Select(_Options):
+    """Write selected rounds and touches of a data set; images are copied byte for byte.
+
+    Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
+    """
+
+    contact: bool = switch(False, help="Only touches in contact with an object.")
+    min_height_mm: float | None = contact_height_option()
+    recalibrate_z: bool = switch(
+        True,
+        name="--recalibrate/--as-recorded",
+        help="Take the deepest touch of each round as the height of the plate, if that is not known.",
+    )
+    ids: tuple[Any, ...] | None = catalog.IDS
+    labels: tuple[str, ...] | None = catalog.LABELS
+    per_class: int | None = catalog.PER_CLASS
+
+    def arguments(self) -> dict[str, Any]:
+        """Return the arguments of its function; InputError for options that would have no effect."""
+        if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
+            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
+        # Ids of objects are numbers.
+        objects = [each if isinstance(each, int) else catalog.id_range(each) for each in self.ids or ()]
+        return {
+            "contact": self.contact,
+            "min_height_m": self.min_height_mm and self.min_height_mm / 1000,
+            "recalibrate_z": self.recalibrate_z,
+            "objects": objects,
+            "labels": self.labels or (),
+            "per_class": self.per_class,
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class Export(_Options):
+    """Write touches for other libraries; stored JPEGs are copied, never encoded again.
+
+    Example: realtouch export real-single-64x64 --split train --format flat --out flat
+
+    Example: realtouch export real-seq --split train --format lerobot --out robots
+    """
+
+    layout: str = choice(
+        MISSING,
+        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
+        name="--format",
+        help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
+        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
+        "anytouch: list files.",
+    )
+    frame: str = _FRAME
+
+
+def add_conversion(
+    app: typer.Typer,
+    name: str,
+    options_of: type,
+    function: Callable[..., store.Manifest],
+    nouns: str = KIND.nouns,
+) -> None:
+    """Add a command: print what will be fetched, convert with progress, print what was made.
+
+    ``options_of`` declares its options, named as the parameters of its function, unless it has a method
+    ``arguments``; the docstring is the help. ``nouns`` are the rows of what is made.
+    """
+
+    def convert(
+        *,
+        source: str = TOUCH_SET,
+        opening: Opening,
+        out: str = out_folder(),
+        options: Any,
+        split: str | None = catalog.SPLIT,
+        limit: int | None = catalog.LIMIT,
+        work: Work,
+        sink: Sink,
+    ) -> None:
+        opened = opening.open(sink, source).require(KIND, name)
+        make = partial(function, opened, out, **options.arguments(), split=split, limit=limit)
+        announce_fetching(sink, opened, split)
+        kind = replace(KIND, nouns=nouns)
+        make_with_progress(sink, "converting", kind, make, work, out, print_set, KIND.nouns)
+
+    convert.__doc__ = options_of.__doc__
+    convert.__annotations__["options"] = options_of
+    command(app, name)(convert)
+
+
+def announce_fetching(sink: Sink, place: places.Place, split: str | None) -> None:
+    """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    if place.repository is None:
+        return
+    part = "all splits (--split takes one)"
+    if split:
+        part = f"split {split!r}"
+    sink.info(f"{place.repository.repo_id}: fetching the missing files of {part} from the Hub")

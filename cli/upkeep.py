@@ -1,0 +1,67 @@
+"""Commands of a data set folder that all command lines share: what it holds, and whether it is intact."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cli.options import FOLDER
+from cli.output import Sink
+from cli.quantities import bytes_text
+from tactile_toolkit import cards, catalog, places, store
+from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
+from tactile_toolkit.checked_fields import choice, real
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.wording import with_count
+
+
+def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
+    """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
+
+    Numbers are computed from the data; examples name FOLDER until the folder is uploaded.
+
+    Example: card FOLDER
+    """
+    opened = places.open_place(folder).require(kind, "card").require_complete()
+    # Touches may be of the publisher, who writes no manifest.
+    kind = opened.kind or kind
+    manifest = opened.manifest
+    if kind.needs_manifest:
+        manifest = opened.require_manifest(kind)
+    place = store.open_folder(folder)
+    with catalog.specification_read(place.address()):
+        kind.write_card(place, manifest)
+    findings = cards.check_card(place)
+    if findings:
+        raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")
+    names = [name for name in place.names(cards.PREVIEW_FOLDER) if name.endswith(".png")]
+    pictures = [f"{cards.PREVIEW_FOLDER}/{name}" for name in names]
+    sink.document({"folder": folder, "card": cards.CARD_FILE, "previews": pictures})
+    made = ", ".join([cards.CARD_FILE, *pictures])
+    sink.line(f"{folder}: wrote {made}; all of it matches the data")
+
+
+def cache(
+    *,
+    action: str = choice("ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."),
+    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for so many days."),
+    sink: Sink,
+) -> None:
+    """List or remove cached files; they are made again when they are needed.
+
+    Files from the Hub are in the Hub's own cache: see `hf cache`.
+
+    Examples: cache ls;  cache prune --unused-days 30
+    """
+    before = cached_files()
+    removed = list[Path]()
+    if action == "prune":
+        removed = prune_cache(unused_days)
+    rows = [(name, len(files), sum(size for _, size, _ in files)) for name, files in before.items()]
+    document = {name: {"files": count, "bytes": size} for name, count, size in rows}
+    sink.document({"folder": str(cache_folder()), "held": document, "removed": list(map(str, removed))})
+    if action == "prune":
+        sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
+        return
+    sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
+    sink.line(f"kept in {cache_folder()}; next: cache prune removes it")

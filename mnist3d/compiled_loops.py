@@ -1,0 +1,198 @@
+"""The loops of a digit that numpy would walk through many times, compiled by numba.
+
+As :mod:`tactile_toolkit.compiled` says of numba: imported by the functions that call it, and all
+in one file, with IEEE operations in the order in which they stand.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from tactile_toolkit.compiled import compiled
+
+
+@compiled
+def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
+    """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
+
+    The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
+    image is paper only if the image says so at its edge. Exact up to the reaches, which are below 127. First
+    along the rows, then over the offsets of the columns (Felzenszwalb and Huttenlocher 2012 write the
+    transform that way); with a short reach plain passes over small integers beat their lower envelope.
+    """
+    # Reaches of the centres, from which the outline is half a pixel away.
+    inside_px, outside_px = inside_px + 0.5, outside_px + 0.5
+    height, width = mask.shape
+    reaches = int(np.ceil(outside_px)), int(np.ceil(inside_px))
+    far = max(reaches)
+    # Squared distances within each row: those of ink, 0 on paper, and the other way around. Below 128^2 they
+    # fit 16 bits, so that sixteen at a time are worked on.
+    along = np.zeros((2, height, width), np.int16)
+    found = np.empty((height, width), np.float32)
+    for row in range(height):
+        begin = -far
+        for column in range(width + 1):
+            if column == width or (column and mask[row, column] != mask[row, column - 1]):
+                kind = int(mask[row, column - 1])
+                end = column if column < width else width + far
+                first = max(begin, 0)
+                for place in range(first, column):
+                    nearest = min(place - begin + 1, end - place, reaches[kind])
+                    along[kind, row, place] = nearest * nearest
+                begin = column
+    ink, least = -mask.astype(np.int16), np.empty(width, np.int16)  # all bits, or none
+    for row in range(height):
+        own, most = ink[row], np.int16(0)
+        for column in range(width):
+            least[column] = along[0, row, column] + along[1, row, column]
+            most = max(most, least[column])
+        for offset in range(1, far):
+            added = np.int16(offset * offset)
+            if added >= most:
+                break
+            for other in (row - offset, row + offset):
+                if 0 <= other < height:
+                    paper, inked = along[0, other], along[1, other]
+                    for column in range(width):
+                        squared = (inked[column] & own[column]) | (paper[column] & ~own[column])
+                        least[column] = min(least[column], np.int16(squared + added))
+        for column in range(width):
+            away = np.sqrt(np.float32(least[column]))
+            if ink[row, column]:
+                found[row, column] = min(away, np.float32(inside_px)) - np.float32(0.5)
+            else:
+                found[row, column] = np.float32(0.5) - min(away, np.float32(outside_px))
+    return found
+
+
+@compiled
+def narrow_pixels(distance: Any, wide_px: float, reach: int) -> Any:
+    """Return rows and columns, shape (2, N), of ink and paper that nothing wide of its kind is near.
+
+    These are necks, gaps, whiskers and notches. Near is within a square.
+    """
+    height, width = distance.shape
+    found, count = np.empty((2, height * width), np.int64), 0
+    for row in range(height):
+        for column in range(width):
+            if abs(distance[row, column]) >= wide_px:
+                continue
+            sign, near = np.float32(1 if distance[row, column] > 0 else -1), False
+            for other in range(max(row - reach, 0), min(row + reach + 1, height)):
+                for beside in range(max(column - reach, 0), min(column + reach + 1, width)):
+                    near |= sign * distance[other, beside] >= wide_px
+                if near:
+                    break
+            if not near:
+                found[0, count], found[1, count] = row, column
+                count += 1
+    return found[:, :count]
+
+
+@compiled
+def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, grain: float) -> Any:
+    """Return what a blur as wide as nodes lie apart leaves at them of values, along the first axis.
+
+    Weights are twice a bell less a wider one, rounded to a grain. They let the waves pass that a bell wears
+    down, so that tips, notches and ridges lose less than half as much, and still hold back what the lattice
+    cannot carry. A bell is near a Gaussian and made of products and sums alone; exponentials differ from
+    processor to processor. A node one pixel from the next is not blurred.
+    """
+    found = np.zeros((len(nodes), values.shape[1]))
+    weights = np.empty((2, len(values)))
+    for node in range(len(nodes)):
+        # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
+        before, after = max(node, 1), min(node + 1, len(nodes) - 1)
+        pitch = min(nodes[before] - nodes[before - 1], nodes[after] - nodes[after - 1])
+        sigma = sigma_per_pitch * pitch if pitch > 1 else 0.0
+        radii = max(bell_reach * sigma, 0.5), max(bell_reach * (2**0.5 * sigma), 0.5)
+        first = max(math.ceil(nodes[node] - radii[1]), 0)
+        last = min(math.floor(nodes[node] + radii[1]), len(values) - 1)
+        for bell in range(2):
+            total = 0.0
+            for pixel in range(first, last + 1):
+                away = nodes[node] - pixel
+                weight = max(1 - away * away / (radii[bell] * radii[bell]), 0.0)
+                weight *= weight
+                weights[bell, pixel] = weight * weight
+                total += weight * weight
+            for pixel in range(first, last + 1):
+                weights[bell, pixel] /= total
+        for pixel in range(first, last + 1):
+            weight = np.rint((2 * weights[0, pixel] - weights[1, pixel]) / grain) * grain
+            if weight != 0:
+                for place in range(values.shape[1]):
+                    found[node, place] += weight * values[pixel, place]
+    return found
+
+
+@compiled
+def runs_of(mask: Any) -> tuple[Any, Any]:
+    """Return the runs of marked pixels, (row, begin, end) each, and the pairs of them that touch."""
+    height, width = mask.shape
+    found = np.empty((height * (width // 2 + 1), 3), np.int64)
+    pairs = np.empty((2 * len(found), 2), np.int64)
+    count = touching = above = 0
+    for row in range(height):
+        line, first, begin = mask[row], count, -1
+        for column in range(width + 1):
+            if column < width and line[column]:
+                begin = column if begin < 0 else begin
+            elif begin >= 0:
+                found[count, 0], found[count, 1], found[count, 2] = row, begin, column
+                while above < first and found[above, 2] <= begin:
+                    above += 1
+                beside = above
+                while beside < first and found[beside, 1] < column:
+                    pairs[touching, 0], pairs[touching, 1] = count, beside
+                    touching += 1
+                    beside += 1
+                # The last of them may touch the next run, too.
+                above = max(above, beside - 1)
+                count, begin = count + 1, -1
+        above = first
+    return found[:count], pairs[:touching]
+
+
+@compiled
+def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
+    """Move vertices by shares of the way to the middle of their neighbours, those of a flat rim in its plane.
+
+    An edge counts once for each of its triangles. The order in which neighbours are added decides the last
+    bit: here it is from the last to the first.
+    """
+    ends = np.zeros(len(vertices) + 1, np.int64)
+    for corner in faces.ravel():
+        ends[corner + 1] += 2
+    ends = np.cumsum(ends)
+    beside, weights = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32)
+    filled = ends[:-1].copy()
+    for face in range(len(faces)):
+        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
+        for corner, other in ((a, b), (a, c), (b, c), (b, a), (c, a), (c, b)):
+            first, place = ends[corner], filled[corner]
+            while place > first and beside[place - 1] < other:
+                place -= 1
+            if place > first and beside[place - 1] == other:
+                weights[place - 1] += 1
+                continue
+            for later in range(filled[corner], place, -1):
+                beside[later], weights[later] = beside[later - 1], weights[later - 1]
+            beside[place], weights[place] = other, 1
+            filled[corner] += 1
+    for share in shares:
+        moved = vertices.copy()
+        for vertex in range(len(vertices)):
+            part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
+            x, y, z = np.float32(0), np.float32(0), np.float32(0)
+            for place in range(ends[vertex], filled[vertex]):
+                weight, other = weights[place] * part, vertices[beside[place]]
+                x, y, z = x + weight * other[0], y + weight * other[1], z + weight * other[2]
+            for axis, middle in enumerate((x, y, z)):
+                if axis < 2 or not flat[vertex]:
+                    moved[vertex, axis] += share * (middle - vertices[vertex, axis])
+        vertices = moved
+    return vertices

@@ -1,0 +1,150 @@
+"""The data card of a data set of digits: its numbers, and what it says of the source of the images."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import islice
+from typing import Any
+
+from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow
+from mnist3d.kind import KIND
+from mnist3d.sources.picture_folder import FolderSource
+from tactile_toolkit import cards, catalog, mesh, pictures, read, store
+from tactile_toolkit.kind import is_copy
+from tactile_toolkit.rows import meanings
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import with_count
+
+COLUMNS = meanings(DigitRow)
+
+# Two pixels of the published scale: a digit is some 150 pixels tall.
+_PITCH_M = 0.0004
+# Rows mix the classes: that 200 of them hold none of one has a chance of 1 in 10^8.
+_ROWS_SEEN = 200
+
+
+def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
+    """Sum up each split of a data set from its manifest and its printability report.
+
+    Raises IntegrityError when the report is missing or damaged.
+    """
+    report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
+    return cards.summarise_columns(manifest, report, SUMMED_UP)
+
+
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
+    """Write ``README.md`` of a data set folder and the picture that it shows.
+
+    Raises IntegrityError when a shard or the printability report is missing or damaged.
+    """
+    # From the manifest, never from defaults: the card may be written again by a later version.
+    spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
+    words = source_words("copy" if spec is None else str(spec["source"]["name"]))
+    # Those of a folder of pictures are not the digits of MNIST 3D.
+    is_own = words["name"] == FolderSource.name
+    if is_copy(manifest):
+        title = "3D digits" if is_own else "MNIST 3D"
+        cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
+        return
+    summaries = summarise(folder, manifest)
+    profile, solid = spec["print_profile"], spec["solid"]
+    columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
+    joined = ", separate pieces bridged" if solid["join_bodies"] else ""
+    cards.Card(
+        template=KIND.card_template,
+        title=printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
+        columns=COLUMNS,
+        picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
+        licence=words["licence"],
+        tags=["tactile", "active-perception", "3d", "mesh", "mnist", "digits", "3d-printing"],
+        figures={
+            "left out": [s.counts["skipped"] for s in summaries],
+        },
+        limits=_limits(manifest, summaries, words),
+        values={
+            "source_text": source_description(words, spec["source"]),
+            "split_rule": _split_rule(spec),
+            "solid_text": (
+                f"{solid['profile']} profile, {solid['half_thickness_mm']:g} mm half thickness, "
+                f"{solid['pixel_pitch_mm']:g} mm per pixel, about {solid['target_vertices']:,} vertices, "
+                f"{solid['smoothing_iterations']} rounds of smoothing{joined}"
+            ),
+            "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
+            "report_columns": ", ".join(f"`{name}`" for name in columns),
+            **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
+            **_terms(words),
+        },
+    ).write(folder, manifest, KIND)
+
+
+def _sheet(facts: cards.FolderSummary) -> bytes | None:
+    """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
+    first: dict[int, read.Row] = {}
+    for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
+        first.setdefault(int(row.required("label")), row)
+        if len(first) == len(KIND.class_names):
+            break
+    rows = [first[label] for label in sorted(first)]
+    tiles = [
+        pictures.Tile(pictures.relief(row.array(mesh.VERTICES), row.array(mesh.FACES), _PITCH_M))
+        for row in rows
+    ]
+    return cards.tiles_png(tiles, 5)
+
+
+def _split_rule(spec: Mapping[str, Any]) -> str:
+    split = spec["split"]
+    unit = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
+    cuts = [
+        f"the first {spec[name]:,} {of} only"
+        for name, of in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
+        if spec[name] is not None
+    ]
+    sizes = "all digits in `train`" if split["by"] == "none" else "published sizes"
+    if split["sizes"] is not None:
+        sizes = "digits per class: " + ", ".join(f"{name} {size:,}" for name, size in split["sizes"].items())
+    return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])
+
+
+def _limits(
+    manifest: store.Manifest, summaries: list[cards.SplitSummary], words: Mapping[str, str]
+) -> list[str]:
+    rows = sum(s.counts["rows"] for s in summaries)
+    pieces = rows - sum(s.facets["bodies"].get("1", 0) for s in summaries)
+    warned = sum(sum(s.facets["warnings"].values()) for s in summaries)
+    in_one = "None of the digits is in several pieces"
+    in_pieces = f"{pieces:,} of {rows:,} digits are in several pieces that print apart" if pieces else in_one
+    lines = [
+        words["limit"],
+        f"{in_pieces}; `--join-bodies` makes bridges.",
+        f"The print profile raises {with_count(warned, 'warnings')}; a digit with a warning may still print.",
+        "Heights and shoulders are inferred from the published meshes: the erosion sizes were not published.",
+    ]
+    if manifest.spec["per_class"] is not None or manifest.spec["limit"] is not None:
+        lines.append("This is a cut of the full splits; it is not meant for comparing results.")
+    return lines
+
+
+def source_words(name: str) -> dict[str, str]:
+    """Return the words about a source of digits; those of one that a user brought along claim nothing."""
+    known = cards.card_words("digit_words.toml")
+    return {"name": name, **known.get(name, known["other"])}
+
+
+def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
+    """Write what a source is, with its fingerprint."""
+    fields = dict(fingerprint)
+    if words["name"] == "mnist":  # which comes in parts
+        fields["images"] = sum(part["images"] for part in fields["parts"])
+        fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
+    return f"`{words['name']}`: {words['text'].format(**fields)}"
+
+
+def _terms(words: Mapping[str, str]) -> dict[str, str]:
+    """Return whose the meshes are."""
+    citation = (
+        "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
+        f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."
+    )
+    cited = ("tactile_mnist", *(["mnist"] if words["name"] == "mnist" else []), "hwd_plus")
+    return {"licence_text": words["licence_text"], "citation_text": citation, "bibtex": cards.bibtex(*cited)}

@@ -1,0 +1,194 @@
+"""Checking meshes as they are read back from disk, whoever wrote them."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mnist3d.kind import KIND
+from tactile_toolkit import catalog, mesh, places, read, store
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.rows import columns
+
+_ROWS_SHOWN = 20
+_COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
+_SHOWN = [
+    each
+    for name, each in columns(mesh.PrintReport).items()
+    if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
+]
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedMesh:
+    """One mesh, named by its file or by split and id of its row, and what was found about it."""
+
+    name: str
+    report: mesh.PrintReport
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        values = {"name": self.name, **self.report.to_row()}
+        # JSON has no NaN: what is unknown of a broken mesh is null.
+        return {
+            name: None if isinstance(value, float) and math.isnan(value) else value
+            for name, value in values.items()
+        }
+
+    def table_row(self) -> tuple[object, ...]:
+        """Return what a table shows of it, below :data:`_SHOWN`."""
+        report = self.report
+        numbers = [each.text(getattr(report, each.name)) for each in _SHOWN]
+        if not report.is_solid:
+            story = ", ".join((report.detail or report.problem or "", *report.notes))
+            return (self.name, "NO", "-", *numbers, story)
+        size = " x ".join(f"{side:.1f}" for side in report.size_mm)
+        return (self.name, "yes", size, *numbers, ", ".join((*report.warnings, *report.notes)) or "none")
+
+
+@dataclass(frozen=True)
+class CheckedMeshes:
+    """Everything found in one data set or file."""
+
+    path: str
+    items: tuple[CheckedMesh, ...]
+
+    @property
+    def checked(self) -> int:
+        """How many meshes were checked."""
+        return len(self.items)
+
+    @property
+    def failed(self) -> int:
+        """How many of them do not bound a solid."""
+        return sum(not item.report.is_solid for item in self.items)
+
+    @property
+    def unreadable(self) -> list[str]:
+        """Why no mesh could be read from files, or rows."""
+        return [item.report.detail or "" for item in self.items if item.report.problem == mesh.UNREADABLE]
+
+    def warnings(self) -> dict[str, int]:
+        """Count the meshes that carry each print warning."""
+        return dict(sorted(Counter(word for item in self.items for word in item.report.warnings).items()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "path": self.path,
+            "checked": self.checked,
+            "failed": self.failed,
+            "warnings": self.warnings(),
+            "meshes": [item.to_dict() for item in self.items],
+        }
+
+    def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
+        """Return header, rows and title of a table of the meshes that fail or, of a few, all."""
+        header = ("mesh", "solid", "size, mm", *(each.heading for each in _SHOWN), "findings")
+        worth = [item for item in self.items if not item.report.is_solid]
+        shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
+        words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())
+        title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; warnings: {words or 'none'}"
+        return header, [item.table_row() for item in shown], title
+
+
+def _inspect_row(row: read.Row, profile: mesh.PrintProfile) -> mesh.PrintReport:
+    try:
+        row.integer("label")
+        return mesh.inspect(mesh.Mesh(row.array(mesh.VERTICES), row.array(mesh.FACES)), profile)
+    except IntegrityError as error:
+        return mesh.unreadable(str(error))
+
+
+def validate_paths(
+    paths: Sequence[str],
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int = 1,
+    *,
+    profile: mesh.PrintProfile | None = None,
+    unit: str | None = None,
+    opened: Callable[[str], places.Place] = places.open_place,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> list[CheckedMeshes]:
+    """Check data set folders and mesh files.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Data sets by their names, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
+    split, limit : optional
+        Of folders only this split, and only the first so many rows of each.
+    workers : int
+        Processes that check rows of folders.
+    profile : PrintProfile, optional
+        Printer and material.
+    unit : str, optional
+        Of mesh files, as :func:`mnist3d.read_mesh` takes it.
+    opened : callable
+        Says what the name of a data set stands for.
+    on_progress : callable
+        Called with meshes done and in all.
+
+    Raises
+    ------
+    InputError
+        A path does not exist, or is not a data set of digits or other meshes.
+    IntegrityError
+        A shard is damaged, or the run that makes a data set is not finished.
+    """
+    profile = profile or mesh.PrintProfile()
+    # All names are looked at first: a typing error should not show after an hour of checking.
+    files = [path for path in paths if _is_single_file(path)]
+    for name in paths:
+        if name not in files:
+            mesh.refuse_unit(unit, name)
+    found = [name if name in files else opened(name) for name in paths]
+    return [
+        _check_file(each, unit, profile)
+        if isinstance(each, str)
+        else _check_data_set(each, split, limit, workers, profile, on_progress)
+        for each in found
+    ]
+
+
+def _check_file(path: str, unit: str | None, profile: mesh.PrintProfile) -> CheckedMeshes:
+    try:
+        report = mesh.inspect(mesh.read_mesh(path, unit=unit), profile)
+    except InputError as error:
+        report = mesh.unreadable(str(error))
+    return CheckedMeshes(path, (CheckedMesh(Path(path).name, report),))
+
+
+def _check_data_set(
+    place: places.Place,
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    profile: mesh.PrintProfile,
+    on_progress: Callable[[int, int], None],
+) -> CheckedMeshes:
+    shards = catalog.shards_to_check(place, split, KIND)
+    check = partial(_inspect_row, profile=profile)
+    items = []
+    for row in catalog.check_rows(shards, check, _COLUMNS, limit, workers, on_progress):
+        report = row.found
+        if report is None:
+            where = f"split {row.split!r}, row {row.row} of {row.file}"
+            report = mesh.unreadable(f"{where}: field {row.null_field!r} is null; expected a value")
+        number = f"row {row.row}" if row.id is None else row.id
+        items.append(CheckedMesh(f"{row.split} {number}", report))
+    return CheckedMeshes(place.name, tuple(items))
+
+
+def _is_single_file(path: str) -> bool:
+    """Return whether a path is a file of this machine that is not Parquet: it is read as a mesh."""
+    if store.is_remote(path):
+        return False
+    place = Path(store.normalize_uri(path))
+    return place.is_file() and not places.is_parquet_file(store.open_folder(str(place.parent)), place.name)

@@ -1,0 +1,149 @@
+"""Loading MNIST 3D: typed, lazy, without copies."""
+
+from __future__ import annotations
+
+from typing import Literal, overload
+
+import numpy as np
+
+from mnist3d.kind import KIND
+from mnist3d.sources.digit_source import NO_WRITER
+from tactile_toolkit import mesh, pictures, places
+from tactile_toolkit.array_types import Int64
+
+
+class DigitRecord(mesh.SolidRecord):
+    """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.
+
+    Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
+    lowest point at z = 0; metres.
+    """
+
+    __slots__ = ()
+
+    @property
+    def writer(self) -> int:
+        """Number of the writer in the source, -1 where it is unknown."""
+        return self._row.integer("writer") if self._row.has("writer") else NO_WRITER
+
+    @property
+    def source(self) -> str:
+        """Name of the source of the digit; empty where it is unknown."""
+        return str(self._row.required("source")) if self._row.has("source") else ""
+
+    def __repr__(self) -> str:
+        return (
+            f"DigitRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"
+        )
+
+    def _repr_html_(self) -> str:
+        """Show the digit from above in a notebook."""
+        size_mm = np.ptp(self.vertices_m, axis=0) * mesh.MM_PER_M
+        caption = (
+            f"digit {self.label}, id {self.id}, writer {self.writer}: "
+            f"{size_mm[0]:.1f} x {size_mm[1]:.1f} x {size_mm[2]:.1f} mm, "
+            f"{self.volume_m3 * mesh.MM_PER_M**3:.0f} mm³, {len(self.faces):,} triangles"
+        )
+        return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), caption)
+
+    def _tile_html(self) -> str:
+
+        return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
+
+
+class DigitDataset(mesh.SolidDataset[DigitRecord]):
+    """A lazy sequence of :class:`DigitRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
+
+    record_class = DigitRecord
+    things = "digits"
+
+    @property
+    def writers(self) -> Int64:
+        """Writer of each row, shape (len,), int64, -1 where unknown; loads no mesh."""
+        return self._integers(
+            "writer", lambda: np.full(len(self), NO_WRITER, np.int64), lambda digit: digit.writer
+        )
+
+
+class DigitStream(mesh.RecordStream[DigitRecord]):
+    """Digits one after another, read as they are asked for.
+
+    See :class:`~tactile_toolkit.mesh.records.RecordStream`.
+    """
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[False] = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> DigitDataset: ...
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[True],
+    revision: str | None = None,
+    config: str | None = None,
+) -> DigitStream: ...
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> DigitDataset | DigitStream: ...
+
+
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> DigitDataset | DigitStream:
+    """Open a data set of 3D digits.
+
+    Parameters
+    ----------
+    name : str or path
+        A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
+        of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
+    split : str, optional
+        Split to open; only its shards are fetched. May be left out where there is only one.
+    streaming : bool
+        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
+        random access.
+    revision : str, optional
+        Branch, tag or commit of a Hub repository.
+    config : str, optional
+        Configuration, of a data set whose card has several.
+
+    Returns
+    -------
+    DigitDataset or DigitStream
+        No row is read until it is asked for.
+
+    Raises
+    ------
+    InputError
+        No such folder or split, several splits and none named, another kind, or no columns of MNIST 3D.
+    IntegrityError
+        The data set is damaged or unfinished.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = places.open_place(name, revision=revision, config=config)
+    shards = place.shards(split, kind=KIND, streaming=streaming)
+    return mesh.open_solids(shards, place.name, DigitDataset, KIND, DigitStream if streaming else None)

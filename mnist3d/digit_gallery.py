@@ -1,0 +1,63 @@
+"""Digits as a gallery: a static page of thumbnails, filters and meshes to turn around."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mnist3d.digit_dataset import DigitDataset, DigitRecord
+from mnist3d.digit_rows import REPORT_FILE, DigitRow
+from mnist3d.kind import KIND
+from mnist3d.sources import NO_WRITER
+from tactile_toolkit import catalog, gallery, mesh, places, store
+from tactile_toolkit.rows import with_role
+from tactile_toolkit.wording import class_name
+
+_ROWS_PER_TASK = 8
+_SHOWN = (*with_role(DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+
+
+def plan_gallery(
+    name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
+) -> gallery.Gallery:
+    """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    # What the data set's own report says of each digit that is shown; nothing where it has none.
+    place = places.open_place(name)
+    folder = place.folder
+    has_report = folder is not None and folder.exists(REPORT_FILE)
+
+    def known(rows: DigitDataset, split: str) -> list[Mapping[str, Any] | None]:
+        import pyarrow as pa
+        import pyarrow.compute as pc
+
+        if folder is None or not has_report:
+            return [None] * len(rows)
+        report = store.read_report(folder, REPORT_FILE)
+        chosen = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
+        found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
+        return [found.get(number) for number in rows.ids.tolist()]
+
+    return gallery.gallery_of_rows(KIND, place, chosen, "3D digits", _SHOWN, _item, _ROWS_PER_TASK, known)
+
+
+def _item(
+    record: DigitRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
+) -> gallery.GalleryItem:
+    gallery.require_mesh(record, split)
+    vertices_m, faces = record.vertices_m, record.faces
+    if report is None:
+        found = mesh.inspect(mesh.Mesh(vertices_m, faces))
+        broken = (found.problem,) if found.problem else ()
+        report = {**found.to_row(), "warnings": [*broken, *found.warnings]}
+    label = class_name(names, record.label)
+    source = [("Source", record.source)] if record.source else []
+    return gallery.GalleryItem(
+        id=str(record.id),
+        title=f"digit {label}",
+        values={**report, "writer": None if record.writer == NO_WRITER else record.writer},
+        thumbnail=gallery.relief_thumbnail(vertices_m, faces),
+        content={
+            "notes": [("Size", gallery.size_text(vertices_m)), *source],
+            "mesh": gallery.packed_mesh(vertices_m, faces),
+        },
+    )

@@ -1,0 +1,19 @@
+"""Digits as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.solid_tensors.SolidTensors`."""
+
+from __future__ import annotations
+
+from tactile_toolkit.mesh import (
+    REPRESENTATIONS as REPRESENTATIONS,
+    TARGETS as TARGETS,
+    MeshBatch as MeshBatch,
+    MeshItem as MeshItem,
+    SolidTensors,
+    collate_meshes as collate_meshes,
+)
+from tactile_toolkit.read import TrainingBatches as TrainingBatches
+
+
+class DigitTensors(SolidTensors):
+    """A map-style data set of digits; its grids cover the 10 x 10 cm of a digit and 1 cm of height."""
+
+    extent_m = (0.1, 0.1, 0.01)

@@ -1,0 +1,5 @@
+"""From images of digits to their ink: grey levels, photographs, binarising and cleaning."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

@@ -1,0 +1,79 @@
+"""The one digit in the ink of a page."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import ndimage
+
+from mnist3d.ink.reflectance import Ink
+from mnist3d.ink.refusals import refuse
+from tactile_toolkit.array_types import Bool
+
+_RIM, _SPECK = 0.05, 0.02
+"""Shares of the longer side: reach of the border of a scan, and least length of ink."""
+
+_PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
+"""Shares of the longest piece: length and thickness of further pieces, gaps, length of another digit."""
+
+_SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
+"""Least size of ink on the page, largest thickness by length, largest width by height."""
+
+_SOFT = 0.1
+"""Least change within a pixel, as a share of the contrast, at nine tenths of the edges of ink."""
+
+NEAR_PX = 2
+"""Reach of the greys of edges, pixels."""
+
+
+def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
+    """Return the ink of the one digit.
+
+    Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
+    """
+    labels, count = ndimage.label(mask, np.ones((3, 3)))
+    if not count:
+        refuse("no-ink", sentence="empty-page")
+    pieces, piece, side = np.arange(1, count + 1), labels[mask], max(mask.shape)
+    depth, from_rim = ndimage.distance_transform_edt(mask), ndimage.distance_transform_cdt(np.pad(inside, 1))
+    # A blur of a pixel removes noise.
+    slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
+    slopes = ndimage.maximum_filter(slopes, 3)
+    edges = (depth > 0) & (depth <= 1)
+    spans = np.array([max(part.stop - part.start for part in box) for box in ndimage.find_objects(labels)])
+    # Ink along the rim only is the border of a scan.
+    possible = ndimage.maximum(from_rim[1:-1, 1:-1][mask], piece, pieces) > _RIM * side
+    possible &= ndimage.median(slopes[edges], labels[edges], pieces) >= _SOFT
+    possible &= spans > _SPECK * side
+    if not possible.any():
+        refuse("no-ink", sentence="empty-page")
+    main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
+    stroke = float(np.percentile(depth[labels == main + 1], 90))
+    possible &= spans >= _PART * spans[main]
+    possible &= ndimage.maximum(depth[mask], piece, pieces) >= _THIN_PART * stroke
+    # Pieces near each other form one digit.
+    away = ndimage.distance_transform_cdt(~np.isin(labels, pieces[possible]))
+    groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, pieces)
+    digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
+    if len(digits) > 1:
+        refuse("several-digits", len(digits))
+    digit = np.isin(labels, pieces[possible & (groups == groups[main])])
+    if from_rim[1:-1, 1:-1][digit].min() <= NEAR_PX:
+        refuse("cut-off")
+    _check(digit, float(depth[digit].max()), inside)
+    if np.percentile(slopes[digit & edges], 10) < _SOFT:
+        refuse("not-a-digit", "ink whose edges are blurred in part", "the edges of a pen")
+    return digit
+
+
+def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
+    """Refuse ink that is too small, too wide or a blob."""
+    height, width = (int(np.ptp(np.flatnonzero(digit.any(axis=axis)))) + 1 for axis in (1, 0))
+    small = max(height, width) / min(int(inside.any(axis=axis).sum()) for axis in (0, 1))
+    thick, wide = 2 * depth_px / max(height, width), width / height
+    for fits, what, expected in (
+        (small >= _SMALLEST, f"ink of {small:.0%} of the page", f"{_SMALLEST:.0%} or more"),
+        (wide <= _WIDEST, f"ink {wide:.1f} times as wide as it is high", f"{_WIDEST} times at most"),
+        (thick <= _BLOB, f"ink {thick:.0%} as thick as it is long", f"{_BLOB:.0%} at most"),
+    ):
+        if not fits:
+            refuse("not-a-digit", what, expected)

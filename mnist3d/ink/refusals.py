@@ -1,0 +1,54 @@
+"""Messages for images that give no solid."""
+
+from __future__ import annotations
+
+from typing import NoReturn
+
+from tactile_toolkit.errors import ItemError
+
+_SENTENCES = {
+    "bad-shape": "the image has shape {}; expected (H, W) with sides of {} px or more",
+    "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
+    "not-finite": "{}: found {} that are NaN or infinite, expected finite levels",
+    "bad-pixels": "{}: found pixels from {:g} to {:g}, expected 0 to {:g}",
+    "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more",
+    "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
+    "the rest dark, expected nearly all of it to be paper",
+    "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
+    "no-ink": "no pixel is dark enough to be ink; expected a digit",
+    "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
+    "paper, with less than {:.0%} of the margin ink",
+    "empty-page": "nothing on the page is as dark as ink and has edges like ink; expected a digit",
+    "half-ink": "ink covers {:.0%} of the image, which would make a slab; expected at most half of it",
+    "border": "ink touches {:.0%} of the border of the image; expected {:.0%} at most, and paper elsewhere",
+    "several-digits": "the page shows {} digits or other pieces of ink; expected one digit",
+    "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
+    "not-a-digit": "found {}; expected a digit, {}",
+    "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
+    "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
+    "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}",
+    "vertex-budget": "the digit needs {:,} vertices to keep its {} bodies and {} holes; {:,} were asked for, "
+    "and at most {:g} times as many are allowed",
+}
+
+_NEXT = {
+    "not-finite": "repair or rescale this image in the file, or leave it out",
+    "bad-pixels": "repair or rescale this image in the file, or leave it out",
+    "too-small": "solidify(..., resample=True) draws it again with 500",
+    "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
+    "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
+    "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
+    "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
+    "not-a-digit": "leave the picture out, or photograph the digit from nearer, in even light",
+    "empty-page": "leave the picture out, or photograph the digit from nearer, in even light",
+    "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",
+    "border": "leave room around the digit, or crop the image to its page",
+    "layers": "leave the digit out, or try method='fast'",
+    "vertex-budget": "ask for {5:,} (target_vertices, --vertices)",
+}
+
+
+def refuse(reason: str, *found: object, sentence: str = "") -> NoReturn:
+    """Raise the ItemError of a reason; ``sentence`` chooses another message of the same reason."""
+    key = sentence or reason
+    raise ItemError(reason, _SENTENCES[key].format(*found), next=_NEXT.get(key, "").format(*found))

@@ -1,0 +1,87 @@
+"""The table of the MNIST 3D splits, and how digits are divided."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+from tactile_toolkit.checked_fields import (
+    check_fields,
+    choice,
+    integer,
+    read_split_counts,
+    split_counts,
+    text,
+)
+from tactile_toolkit.errors import InputError
+
+SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
+"""The five splits in canonical order, which is also the order in which scarce digits are handed out."""
+
+PUBLISHED_SIZES: dict[str, int] = {
+    "train": 1148,
+    "test": 100,
+    "holdout": 50,
+    "printed_train": 50,
+    "printed_test": 10,
+}
+"""Digits per class in each published split; 1,358 in all."""
+
+MOST_DIGITS = 1_000_000_000
+"""Largest number of digits of a source or a split."""
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSpec:
+    """How digits are divided.
+
+    Attributes
+    ----------
+    seed : int
+        Seed of the division.
+    by : {"digit", "writer", "none"}, or None
+        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
+        splits, so that no writer is in two of them; sizes are then as near as that allows. ``"none"``
+        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of images when
+        neither splits nor sizes are given, otherwise ``"digit"``.
+    sizes : tuple of (str, int), or None
+        Digits per class of each split; a mapping is taken too. None means the published sizes, or their
+        proportions where a class has fewer than 1,358 digits.
+    """
+
+    seed: int = integer(0, help="Random seed.")
+    by: Literal["digit", "writer", "none"] | None = choice(
+        None,
+        ("digit", "writer", "none"),
+        optional=True,
+        name="--split-by",
+        shown="digit",
+        help="What the splits divide: digits, all digits of a writer together, or nothing (all are in "
+        "train).",
+    )
+    sizes: tuple[tuple[str, int], ...] | None = text(
+        name="--split-sizes",
+        metavar="train=8,test=2",
+        read=partial(read_split_counts, "--split-sizes"),
+        help="Digits per class in each split, instead of the published numbers.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the division into splits")
+        if self.sizes is None:
+            return
+        if self.by == "none":
+            raise InputError(
+                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
+            )
+        sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MOST_DIGITS)
+        object.__setattr__(self, "sizes", sizes)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {
+            "seed": self.seed,
+            "by": self.by or "digit",
+            "sizes": dict(self.sizes) if self.sizes else None,
+        }

@@ -1,0 +1,77 @@
+"""Decimation of meshes to a vertex budget, with their bodies and holes kept."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mnist3d.ink.refusals import refuse
+from mnist3d.solid.surface import bodies_and_holes
+from tactile_toolkit.mesh import Mesh, self_crossing
+
+FIRST_TOLERANCE_MM = 0.01
+# One pass with a wide tolerance leaves more vertices, and worse placed ones.
+TOLERANCE_GROWTH = 1.25
+FEW_TOO_MANY = 2.0
+
+E_FOLD_MM = 0.1
+"""One pass is tried up to so many times the vertices allowed; each step of tolerance leaves 1/e of them."""
+
+BUDGET_SLACK = 1.5
+"""Largest number of vertices, in budgets."""
+
+
+def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
+    """Remove the vertices that matter least until the budget is met; a mesh within it is returned itself.
+
+    A mesh of 1.5 to 3 budgets keeps up to 1.5. Raises ItemError ``vertex-budget`` where even these are too
+    few for its bodies and holes.
+    """
+    if len(mesh.vertices_m) <= target_vertices:
+        return mesh
+    counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
+    most = BUDGET_SLACK * target_vertices
+    passes, tolerance_mm = [mesh.to_manifold()], FIRST_TOLERANCE_MM
+    over = len(mesh.vertices_m) / most
+    if 1 < over <= FEW_TOO_MANY:
+        solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
+        simpler = _mesh_of(solid)
+        fits = len(simpler.vertices_m) <= most
+        if fits and _is_held(solid, counts) and not _crosses_itself(simpler, counts[0]):
+            return simpler
+    while passes[-1].num_vert() > target_vertices:
+        simpler = passes[-1].simplify(tolerance_mm)
+        if not _is_held(simpler, counts):
+            break
+        passes.append(simpler)
+        tolerance_mm *= TOLERANCE_GROWTH
+    # A pass may fold a thin tip onto itself. The check is slow, so it starts at the last pass.
+    while len(passes) > 1 and _crosses_itself(_mesh_of(passes[-1]), counts[0]):
+        passes.pop()
+    solid = passes[-1]
+    found = solid.num_vert()
+    if found > most:
+        enough = math.ceil(found / BUDGET_SLACK)
+        refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
+    return _mesh_of(solid)
+
+
+def _mesh_of(solid: Any) -> Mesh:
+    mesh = Mesh.from_manifold(solid)
+    mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
+    return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
+
+
+def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
+    return self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
+
+
+def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
+    """Return whether a symmetric solid has these bodies and holes, and none of its walls have met."""
+    if bodies_and_holes(solid.num_vert(), np.asarray(solid.to_mesh64().tri_verts)) != counts:
+        return False
+    low, high = solid.bounding_box()[2], solid.bounding_box()[5]
+    # Walls meet first in the mid-plane, where the solid is widest.
+    return len(solid.slice((low + high) / 2).to_polygons()) == sum(counts)

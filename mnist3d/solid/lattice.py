@@ -1,0 +1,195 @@
+"""The lattice of nodes at which a solid is evaluated.
+
+Nodes lie as far apart as the vertex budget asks for. Where a neck, a gap or a whisker is narrower than the
+lattice can show, rows and columns of nodes are added until it is shown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mnist3d.compiled_loops import narrow_pixels, signed_distance_px
+from mnist3d.solid.node_sampling import FACTOR_GRAIN_PX, linear, on_grid, sampled
+from mnist3d.solid.profile import half_height_px
+from mnist3d.solid_spec import SolidSpec
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+
+# The default budget needs 3.9 to 5.7 px, so two rounds are enough.
+FIRST_PITCH_PX = 4.0
+# Half the published thickness is 20 px: at a larger pitch, only two layers would show the shoulder.
+LARGEST_PITCH_PX = 8.0
+
+NARROW_PX = 2.0
+"""Ink or paper is narrow (a neck, a gap, a whisker) if its middle is nearer to the outline than this."""
+
+NARROW_REACH_PX = 3
+"""Ink and paper within so many pixels of something wider are not narrow: outlines are rough."""
+
+NARROW_ERROR_PX = 0.25
+"""Largest error of the outline of narrow parts: 0.05 mm."""
+
+MIN_NODE_DEPTH = 0.03
+"""Least depth of a node, in pitches: it keeps the vertices on the edges around a node apart."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Lattice:
+    """Nodes in the mid-plane of some ink, and how far each is from the outline.
+
+    Attributes
+    ----------
+    ink : ndarray of bool, shape (H, W)
+        The part of the image with ink in it, and paper around; the other fields are in pixels of this part.
+    corner_px : tuple of int
+        Row and column of the image at which this part begins.
+    distance_px : ndarray of float32, shape (H, W)
+        Distance of each pixel from the outline, positive inside.
+    narrow : ndarray of int, shape (2, N)
+        Rows and columns of the pixels of narrow ink and paper.
+    rows_px, columns_px : ndarray of float64, shape (R,) and (C,)
+        Positions of the nodes.
+    pitch_px : float
+        Distance of the nodes where nothing narrow is near.
+    s_px : ndarray of float32, shape (R, C)
+        Distance from the outline at the nodes.
+    """
+
+    ink: Bool
+    corner_px: tuple[int, int]
+    distance_px: Float32
+    narrow: Int64
+    rows_px: Float64
+    columns_px: Float64
+    pitch_px: float
+    s_px: Float32
+
+    @property
+    def least_px(self) -> np.float32:
+        """Least depth of a node, pixels."""
+        return np.float32(MIN_NODE_DEPTH * self.pitch_px)
+
+    def heights_px(self, spec: SolidSpec) -> Float32:
+        """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
+
+        Each is an array of its own: numpy squares scalars by another function, with another last bit.
+        """
+        top_px = spec.half_thickness_px + 2 * self.pitch_px
+        return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
+
+    def finer(self, inside: Bool) -> Lattice | None:
+        """Return a lattice with more nodes where bodies or holes are lost; None if each pixel is a node.
+
+        Nodes are added where nodes ``inside`` the mid-plane touch at a corner only, or else where the lattice
+        shows ink for paper, or paper for ink.
+        """
+        if self.s_px.shape == self.ink.shape:
+            return None
+        missed = self._corner_contacts(inside)
+        if not missed.size:
+            shown = self._between_nodes(*np.ogrid[: self.ink.shape[0], : self.ink.shape[1]])
+            missed = np.stack(np.nonzero((shown > 0) != self.ink))
+        return self._with_nodes_at(missed).fitted()
+
+    def fitted(self) -> Lattice:
+        """Return a lattice with nodes added until it shows all narrow parts."""
+        lattice = self
+        while True:
+            shown_px = lattice._between_nodes(*lattice.narrow)
+            error_px = np.abs(shown_px - lattice.distance_px[tuple(lattice.narrow)])
+            missed = lattice.narrow[:, error_px > NARROW_ERROR_PX]
+            if not missed.size:
+                return lattice
+            lattice = lattice._with_nodes_at(missed)
+
+    def _with_nodes_at(self, missed: Int64) -> Lattice:
+        rows, columns = map(_refined, (self.rows_px, self.columns_px), missed, self.ink.shape)
+        # If no line can be added, every pixel becomes a node.
+        if (len(rows), len(columns)) == self.s_px.shape:
+            rows, columns = (np.arange(side, dtype=np.float64) for side in self.ink.shape)
+        s_px = sampled(self.distance_px, rows, columns, self.pitch_px)
+        return replace(self, rows_px=rows, columns_px=columns, s_px=s_px)
+
+    def _corner_contacts(self, inside: Bool) -> Int64:
+        """Return the pixels, shape (2, N), between nodes of which two touch at a corner only.
+
+        The surface may join these two, or the two across.
+        """
+        one, other = inside[:-1, :-1], inside[:-1, 1:]
+        contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
+        cells = (
+            np.searchsorted(nodes[1:-1], np.arange(nodes[-1] + 1), side="right")
+            for nodes in (self.rows_px, self.columns_px)
+        )
+        return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
+
+    def _between_nodes(self, rows: Int64, columns: Int64) -> Float64:
+        """Interpolate the lattice at pixels; exact, as :func:`~mnist3d.solid.node_sampling.sampled` is."""
+        s = on_grid(self.s_px, FACTOR_GRAIN_PX).astype(np.float64)
+        row, above, below = linear(self.rows_px, rows)
+        column, left, right = linear(self.columns_px, columns)
+        before, after = (
+            on_grid(above * s[row, side] + below * s[row + 1, side], FACTOR_GRAIN_PX)
+            for side in (column, column + 1)
+        )
+        return np.asarray(left * before + right * after)
+
+
+def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
+    """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all narrow parts."""
+    # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
+    margin_px = math.ceil(2 * LARGEST_PITCH_PX)
+    (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
+    crop = np.pad(ink[top : bottom + 1, left : right + 1], margin_px)
+    # Deeper than the half thickness, the surface is flat; 4 px more keep the cut-off out of the blur.
+    distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
+    distance = on_grid(distance, FACTOR_GRAIN_PX)
+    narrow = narrow_pixels(distance, NARROW_PX, NARROW_REACH_PX)
+    pitch_px = _first_pitch_px(distance, spec)
+    rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
+    corner_px = top - margin_px, left - margin_px
+    s_px = sampled(distance, rows, columns, pitch_px)
+    return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
+
+
+def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
+    """Return the pitch that was asked for, or the one at which marching cubes meet the vertex budget.
+
+    A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
+    surface is made. It falls with the square of the pitch.
+    """
+    if spec.lattice_pitch_mm is not None:
+        return min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
+    pitch = FIRST_PITCH_PX
+    for _ in range(2):  # the second round corrects for what the first lattice was too coarse to see
+        rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
+        crossed = _crossed_edges(distance[np.ix_(rows, columns)], pitch, spec)
+        pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
+    return pitch
+
+
+def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
+    """Count the edges that cross the whole surface, beside and above the nodes; those of the rim once."""
+    layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
+    beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()
+    inked = layers > 0
+    rim = np.count_nonzero(inked[1:] != inked[:-1]) + np.count_nonzero(inked[:, 1:] != inked[:, :-1])
+    return int(2 * (beside + np.count_nonzero(inked)) - rim)
+
+
+def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
+    """Put nodes on every line in which something is missed, and on the lines next to it."""
+    missed = np.zeros(count, dtype=bool)
+    missed[lines] = True
+    wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0
+    if not len(wanted):
+        return nodes
+    place = np.searchsorted(wanted, nodes)
+    below = nodes - wanted[np.maximum(place - 1, 0)]
+    above = wanted[np.minimum(place, len(wanted) - 1)] - nodes
+    away = np.minimum(np.abs(below), np.abs(above))
+    # A node between pixels needs a blur of two pixels.
+    others = np.where(away < 2, np.round(nodes), nodes)[away >= 1]
+    return np.unique(np.concatenate([others, wanted]))

@@ -1,0 +1,12 @@
+"""The public names of this package; type checkers read this list, and each name is imported on first use."""
+
+from .digit_source import (
+    NO_WRITER as NO_WRITER,
+    DigitCatalog as DigitCatalog,
+    DigitImage as DigitImage,
+    DigitSource as DigitSource,
+)
+from .hwdplus import HwdPlusSource as HwdPlusSource
+from .mnist import MnistSource as MnistSource
+from .picture_folder import FolderSource as FolderSource
+from .synthetic import SyntheticSource as SyntheticSource

@@ -1,0 +1,99 @@
+"""Digit images and where they come from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+from tactile_toolkit.array_types import Int64, UInt8
+from tactile_toolkit.errors import ItemError
+
+NO_WRITER = -1
+"""Writer number of digits whose writer is unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DigitImage:
+    """One handwritten digit.
+
+    Attributes
+    ----------
+    id : int
+        Number of the digit in its source (in HWD+: the row of the image array).
+    label : int
+        The digit written, 0 to 9.
+    pixels : ndarray of uint8, shape (H, W)
+        Grey levels, dark ink on light paper whatever the source stored: 0 is ink, 255 is paper. Row 0 is
+        the top of the digit as it is read.
+    writer : int
+        Number of the writer in the source, or :data:`NO_WRITER`.
+    """
+
+    id: int
+    label: int
+    pixels: UInt8
+    writer: int = NO_WRITER
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DigitCatalog:
+    """The content of a source without its pixels: three arrays of the same length.
+
+    Attributes
+    ----------
+    ids : ndarray of int64, shape (N,)
+        Distinct, in increasing order.
+    labels : ndarray of int64, shape (N,)
+        Digit of each id, 0 to 9.
+    writers : ndarray of int64, shape (N,)
+        Writer of each id, or :data:`NO_WRITER`.
+    """
+
+    ids: Int64
+    labels: Int64
+    writers: Int64
+
+    def __len__(self) -> int:
+        """Count the digits of the source."""
+        return len(self.ids)
+
+
+class DigitSource(Protocol):
+    """A collection of labelled digit images.
+
+    Sources are small frozen dataclasses: they pickle in a few hundred bytes (paths, seeds, options), open
+    their files on first use in each process, and never hold all images in memory.
+    """
+
+    @property
+    def name(self) -> str:
+        """Word that selects this source on the command line (``--source``)."""
+        ...
+
+    def fingerprint(self) -> dict[str, object]:
+        """Return what identifies the content, as JSON values; equal content gives an equal value.
+
+        It holds no machine path: the same files in another folder are the same source.
+        """
+        ...
+
+    def catalog(self) -> DigitCatalog:
+        """Return ids, labels and writers without reading pixels."""
+        ...
+
+    def image(self, digit_id: int) -> DigitImage:
+        """Read or draw one digit.
+
+        Raises
+        ------
+        ItemError
+            When this one image cannot be used (unreadable, wrong shape, NaN pixels); a run lists it and
+            continues.
+        """
+        ...
+
+
+def require_known(digit_id: int, count: int, where: str) -> None:
+    """Refuse an id that a source of so many digits does not have, with an ItemError."""
+    if not 0 <= digit_id < count:
+        raise ItemError("unknown-id", f"{where}: found id {digit_id}, expected 0 to {count - 1}")

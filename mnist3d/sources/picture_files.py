@@ -1,0 +1,136 @@
+"""Files of pictures: which there are, how many pages they have, and how they are opened."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from functools import cache
+from pathlib import Path
+
+from PIL import Image, ImageOps, UnidentifiedImageError, features
+
+from tactile_toolkit import store
+from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
+from tactile_toolkit.touch import require_bounded_jpeg
+
+_ENDINGS = {
+    "PNG": (".png", ".apng"),
+    "JPEG": (".jpg", ".jpeg", ".jpe", ".jfif"),
+    "BMP": (".bmp",),
+    "TIFF": (".tif", ".tiff"),
+    "WEBP": (".webp",),
+    "GIF": (".gif",),
+    "PPM": (".pgm", ".ppm", ".pbm", ".pnm"),
+    "JPEG2000": (".jp2", ".j2k"),
+    "TGA": (".tga",),
+    "AVIF": (".avif",),
+    "HEIF": (".heic", ".heif"),
+}
+
+ENDINGS = tuple(ending for endings in _ENDINGS.values() for ending in endings)
+"""Endings of pictures, in lower case; what is in a file decides how it is read."""
+
+# Each picture of such a file is one of its pages. The further pictures of a JPEG (MPO) are other views.
+_PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
+_MOST_PAGES = 1000
+# Kind of a picture in TIFF: smaller copies and masks are not pages.
+_SUBFILE, _COPY_OR_MASK = 254, 1 | 4
+# Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits.
+_BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
+
+
+def is_picture_name(name: str) -> bool:
+    """Return whether a name ends as those of pictures do, in upper or lower case."""
+    return name.lower().endswith(ENDINGS)
+
+
+def pages_of(path: Path) -> tuple[int, ...]:
+    """Return the numbers of the pictures in a file that are pages, from 0.
+
+    Raises ItemError ``"unreadable"``.
+    """
+    with _opened(path) as picture:
+        count = getattr(picture, "n_frames", 1) if picture.format in _PAGED else 1
+        if count > _MOST_PAGES:
+            raise InputError(f"it has {count:,} pages, expected {_MOST_PAGES:,} at most")
+        if picture.format != "TIFF" or count == 1:
+            return tuple(range(count))
+        return tuple(number for number in range(count) if _is_page(picture, number))
+
+
+def _is_page(picture: Image.Image, number: int) -> bool:
+    picture.seek(number)
+    kind = picture.tag_v2.get(_SUBFILE, 0)  # type: ignore[attr-defined]
+    return not kind & _COPY_OR_MASK
+
+
+@cache
+def _formats() -> tuple[str, ...]:
+    """Return the formats that can be read here; AVIF and HEIF depend on how Pillow was built."""
+    known = [name for name in _ENDINGS if name not in ("TGA", "HEIF")]
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if not features.check("avif"):
+            known.remove("AVIF")
+    try:
+        from pillow_heif import register_heif_opener
+    except ImportError:
+        return tuple(known)
+    register_heif_opener()
+    return (*known, "HEIF")
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Image.Image]:
+    """Open a picture by its content; what goes wrong is an ItemError."""
+    ending = path.suffix.lower()
+    # Nearly anything can pass for TGA, which has no mark of its own.
+    formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            # Pillow only warns of pictures up to twice its limit; one of them takes half a gigabyte.
+            warnings.simplefilter("error", Image.DecompressionBombWarning)
+            with store.open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
+                yield picture
+    # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
+    except Exception as error:
+        next_step = "replace or remove it"
+        if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
+            next_step = f"{install_line('heic')}, or store it as JPEG"
+        found = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
+        raise ItemError("unreadable", found, next=next_step) from error
+
+
+def _problem(error: Exception) -> str:
+    """Return what is wrong in words that do not depend on the versions of libraries."""
+    if isinstance(error, ToolkitError):
+        return error.message
+    if isinstance(error, (Image.DecompressionBombWarning, Image.DecompressionBombError)):
+        return "it has too many pixels"
+    if isinstance(error, UnidentifiedImageError):
+        return "its content is of no known type"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    return "its content is damaged or cut off"
+
+
+def _decoded(path: Path, page: int) -> Image.Image:
+    with _opened(path) as picture:
+        if page:
+            picture.seek(page)
+        memory = picture.width * picture.height * _BYTES_PER_PIXEL.get(picture.mode, 24)
+        require_unpackable(memory, f"a picture of {picture.width} x {picture.height} pixels")
+        if picture.format in ("JPEG", "MPO"):
+            try:
+                require_bounded_jpeg(path.read_bytes())
+            except ValueError as error:
+                raise InputError(str(error)) from error
+        upright = ImageOps.exif_transpose(picture)
+        if upright.mode[:1] in ("F", "I"):
+            return upright
+        if upright.has_transparency_data:
+            return upright.convert("RGBA")
+        return upright.convert("L" if upright.mode in ("1", "L") else "RGB")

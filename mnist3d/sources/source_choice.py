@@ -1,0 +1,80 @@
+"""The source of images that options ask for, or that a manifest describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from mnist3d.sources.digit_source import DigitSource
+from mnist3d.sources.hwdplus import HwdPlusSource
+from mnist3d.sources.mnist import MnistSource, download_mnist
+from mnist3d.sources.picture_folder import FolderSource
+from mnist3d.sources.synthetic import HWD_PLUS_COUNT, SyntheticSource
+from tactile_toolkit.errors import InputError
+
+_NEEDED = {
+    "synthetic": (),
+    "hwdplus": ("images", "writer_info"),
+    "mnist": ("images",),
+    "folder": ("images",),
+}
+"""Options without which a source cannot be made."""
+
+_TAKEN = {
+    "synthetic": ("digits",),
+    "hwdplus": (*_NEEDED["hwdplus"], "writer_column"),
+    "mnist": (*_NEEDED["mnist"], "download"),
+    "folder": (*_NEEDED["folder"], "foreground", "threshold"),
+}
+"""All options of a source."""
+
+_UNCOMPARED = ("writers_sha256", "left_out")
+"""Parts of a fingerprint that decide no solid: the column of writers is not asked for again."""
+
+
+def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
+    """Return the source that options ask for; InputError for a missing option, or one of another source."""
+    for option in _NEEDED[name]:
+        if option not in given:
+            raise InputError(f"--source {name} needs --{option.replace('_', '-')}, which was not given")
+    for option in given:
+        if option not in _TAKEN[name]:
+            owners = " or ".join(each for each, taken in _TAKEN.items() if option in taken)
+            raise InputError(
+                f"--{option.replace('_', '-')} does not belong to --source {name}",
+                next=f"leave it out, or name its source (--source {owners})",
+            )
+    if name == "synthetic":
+        return SyntheticSource(seed, given.get("digits", HWD_PLUS_COUNT))
+    if name == "hwdplus":
+        return HwdPlusSource(**given)
+    if name == "folder":
+        return FolderSource(given["images"], given.get("foreground", "auto"), given.get("threshold", "auto"))
+    if given.get("download"):
+        download_mnist(given["images"])
+    return MnistSource(given["images"])
+
+
+def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSource:
+    """Return the source that a fingerprint describes; ``files`` are where its files are now.
+
+    Raises InputError where files are missing, or differ from those that the data set was made from.
+    """
+    name = described["name"]
+    if name not in _TAKEN:
+        raise InputError(f"the data set was made from source {name!r}, which is not known")
+    known = {
+        **files,
+        "digits": described.get("count"),
+        "foreground": described.get("ink"),
+        "threshold": described.get("threshold"),
+    }
+    given = {option: known[option] for option in _TAKEN[name] if known.get(option) is not None}
+    source = chosen_source(name, given, int(described.get("seed", 0)))
+    found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
+    if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
+        raise InputError(
+            f"--images {files.get('images')!r} holds other images than the data set was made from",
+            next="give the same files as when it was made",
+        )
+    return source

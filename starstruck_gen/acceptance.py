@@ -1,0 +1,64 @@
+"""How hard it was to place the objects of scenes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+from starstruck_gen.scene import Scene
+from starstruck_gen.scene_rows import SceneRow
+from starstruck_gen.scene_spec import SceneSpec
+
+
+@dataclass(frozen=True, slots=True)
+class Acceptance:
+    """Acceptance statistics of scenes, counted so that shards add up."""
+
+    classes: tuple[int, ...]  # scenes of each class
+    distractors: tuple[int, ...]  # scenes with 0, 1, 2, ... distractors
+    objects: tuple[int, ...]  # scenes that have a first object, a second one, ...
+    attempts: tuple[int, ...]  # positions drawn for the first objects, the second ones, ..., in all layouts
+    restarts: int  # how often scenes were started over
+
+    @property
+    def attempts_per_object(self) -> tuple[float, ...]:
+        """Mean number of positions drawn for the first object of a scene, the second one, ..."""
+        return tuple(tried / count for tried, count in zip(self.attempts, self.objects, strict=True) if count)
+
+    @property
+    def accepted(self) -> float:
+        """Share of all positions drawn at which an object was left standing."""
+        return sum(self.objects) / max(1, sum(self.attempts))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that add up over shards."""
+        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Acceptance:
+        """Rebuild counts from :meth:`to_dict`, as they were written."""
+        plain: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in values.items()}
+        return cls(**plain)
+
+
+def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Acceptance:
+    """Count scenes of one specification."""
+    classes = Counter(scene.star_count for scene in scenes)
+    distractors = Counter(scene.distractor_count for scene in scenes)
+    sizes = Counter(len(scene.attempts) for scene in scenes)
+    attempts = [0] * spec.most_objects
+    for scene in scenes:
+        for number, tried in enumerate(scene.attempts):
+            attempts[number] += tried
+    return Acceptance(
+        classes=tuple(classes[stars] for stars in spec.stars),
+        distractors=tuple(distractors[count] for count in range(spec.distractors[1] + 1)),
+        objects=tuple(
+            sum(count for size, count in sizes.items() if size > number)
+            for number in range(spec.most_objects)
+        ),
+        attempts=tuple(attempts),
+        restarts=sum(scene.restarts for scene in scenes),
+    )

@@ -1,0 +1,212 @@
+"""The toolkit's own kinds of shapes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from starstruck_gen.proportions import KINDS, Outline, Proportions, within
+from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.errors import InputError
+
+STAR = "star"
+"""The shape that is counted."""
+
+_PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
+_DEEPEST_NOTCH_SHARE = 0.99
+
+
+def _segments() -> Any:
+    return within(_PUBLISHED_SEGMENTS, 8, 256)
+
+
+def _arc(
+    radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
+) -> list[tuple[float, float]]:
+    """Return corners at equal steps of an arc, its end left out."""
+    turns = [cosine_sine(start_rad + sweep_rad * step / corners) for step in range(corners)]
+    return [(centre_x + radius * cosine, radius * sine) for cosine, sine in turns]
+
+
+def _regular(corners: int, start_rad: float = 0.0) -> Outline:
+    return (np.array(_arc(1.0, start_rad, math.tau, corners)),)
+
+
+@dataclass(frozen=True, slots=True)
+class Star(Proportions):
+    """A star, its first tip on +x.
+
+    Attributes
+    ----------
+    points : int
+        Number of tips (package tactile-mnist 0.13.0: 5).
+    inner_ratio : float
+        Radius of the notches over that of the tips (package tactile-mnist 0.13.0: 5 mm and 10 mm).
+    """
+
+    name: ClassVar[str] = STAR
+    points: int = within(5, 3, 64)
+    inner_ratio: float = within(0.5, 0.05, 0.95)
+
+    def __post_init__(self) -> None:
+        # super() without arguments knows the class before it got its slots.
+        Proportions.__post_init__(self)
+        # At a share of 1 a notch lies on the line between its two tips, and the star is a polygon.
+        deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
+        if self.inner_ratio > deepest:
+            raise InputError(
+                f"inner_ratio of shape {STAR!r} is {self.inner_ratio!r}; expected at most {deepest:.4g} with "
+                f"{self.points} points, so that notches lie between the tips",
+                next="lower inner_ratio (--star-inner-mm)",
+            )
+
+    def rings(self) -> Outline:
+        """Return one ring: tip, notch, tip, ..."""
+        tips = _arc(1.0, 0.0, math.tau, self.points)
+        notches = _arc(self.inner_ratio, math.pi / self.points, math.tau, self.points)
+        return (np.array([corner for pair in zip(tips, notches, strict=True) for corner in pair]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Box(Proportions):
+    """A square, its sides along x and y."""
+
+    name: ClassVar[str] = "box"
+
+    def rings(self) -> Outline:
+        """Return one ring of four corners."""
+        return _regular(4, math.pi / 4)
+
+
+@dataclass(frozen=True, slots=True)
+class Disc(Proportions):
+    """A disc.
+
+    Attributes
+    ----------
+    segments : int
+        Corners of its rim.
+    """
+
+    name: ClassVar[str] = "disc"
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring."""
+        return _regular(self.segments)
+
+
+@dataclass(frozen=True, slots=True)
+class Triangle(Proportions):
+    """An equilateral triangle, one corner on +x."""
+
+    name: ClassVar[str] = "triangle"
+
+    def rings(self) -> Outline:
+        """Return one ring of three corners."""
+        return _regular(3)
+
+
+@dataclass(frozen=True, slots=True)
+class Hexagon(Proportions):
+    """A regular hexagon, one corner on +x."""
+
+    name: ClassVar[str] = "hexagon"
+
+    def rings(self) -> Outline:
+        """Return one ring of six corners."""
+        return _regular(6)
+
+
+@dataclass(frozen=True, slots=True)
+class Ring(Proportions):
+    """A disc with a round hole.
+
+    Attributes
+    ----------
+    hole_ratio : float
+        Radius of the hole.
+    segments : int
+        Corners of the rim and of the hole.
+    """
+
+    name: ClassVar[str] = "ring"
+    hole_ratio: float = within(0.5, 0.05, 0.95)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return the rim, then the hole."""
+        hole = np.array(_arc(self.hole_ratio, 0.0, -math.tau, self.segments))
+        return (*_regular(self.segments), hole)
+
+
+@dataclass(frozen=True, slots=True)
+class Cross(Proportions):
+    """Two bars across each other, along x and y.
+
+    Attributes
+    ----------
+    arm_ratio : float
+        Half the width of a bar.
+    """
+
+    name: ClassVar[str] = "cross"
+    arm_ratio: float = within(0.3, 0.05, 0.65)
+
+    def rings(self) -> Outline:
+        """Return one ring of twelve corners."""
+        side = self.arm_ratio
+        # The corners of the arms lie on the circumscribed circle.
+        far = math.sqrt(1.0 - side**2)
+        arm = [(far, -side), (far, side), (side, side)]
+        turned = [arm, [(-y, x) for x, y in arm], [(-x, -y) for x, y in arm], [(y, -x) for x, y in arm]]
+        return (np.array([corner for quarter in turned for corner in quarter]),)
+
+
+@dataclass(frozen=True, slots=True)
+class Crescent(Proportions):
+    """A disc with a round bite from +x.
+
+    Attributes
+    ----------
+    horn_rad : float
+        Angle of the two horns, where rim and bite meet, from +x.
+    bite_ratio : float
+        Distance of the bite's centre from that of the disc.
+    segments : int
+        Corners of the rim; the bite has half as many.
+    """
+
+    name: ClassVar[str] = "crescent"
+    horn_rad: float = within(math.pi / 3, 0.25, 1.5)
+    bite_ratio: float = within(0.6, 0.2, 0.9)
+    segments: int = _segments()
+
+    def rings(self) -> Outline:
+        """Return one ring: the rim from horn to horn, then the bite back."""
+        horn_x, horn_y = cosine_sine(self.horn_rad)
+        # Rounded to where all processors agree.
+        bite_rad = round(math.atan2(horn_y, horn_x - self.bite_ratio), 12)
+        bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
+        back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
+        bite = _arc(bite_radius, -bite_rad, 2 * bite_rad - math.tau, self.segments // 2, self.bite_ratio)
+        return (np.array(back + bite),)
+
+
+TOOLKIT_KINDS = (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
+"""Kinds that come with the toolkit; star, box and disc are published (package tactile-mnist 0.13.0)."""
+
+KINDS.update({kind.name: kind for kind in TOOLKIT_KINDS})
+
+
+def kind_named(name: str) -> type[Proportions]:
+    """Return a kind of shape by its name; InputError where it is unknown."""
+    if name not in KINDS:
+        raise InputError(
+            f"unknown shape {name!r}; expected one of {', '.join(KINDS)}, or one registered with "
+            "starstruck_gen.register_shape"
+        )
+    return KINDS[name]

@@ -1,0 +1,130 @@
+"""The data card of a data set of scenes, and its numbers: how hard it was to place the objects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from functools import partial
+from itertools import islice
+
+import numpy as np
+
+from starstruck_gen.acceptance import Acceptance
+from starstruck_gen.kind import KIND
+from starstruck_gen.placement import Placement
+from starstruck_gen.scene_drawing import draw_scene
+from starstruck_gen.scene_rows import SceneRow
+from starstruck_gen.scene_spec import SceneSpec
+from tactile_toolkit import cards, pictures, store
+from tactile_toolkit.kind import is_copy
+from tactile_toolkit.rows import meanings
+from tactile_toolkit.shown_text import markdown_text
+from tactile_toolkit.wording import with_count
+
+_SCENES_SHOWN = 12
+_TILE_PX = 140
+_RULES = {
+    "circles": "the circumscribed circles of two objects do not meet",
+    "exact": "the outlines of two objects do not touch",
+}
+
+COLUMNS = meanings(SceneRow)
+
+
+def summarise(manifest: store.Manifest) -> dict[str, Acceptance]:
+    """Return the acceptance of the scenes of each split; splits of an unfinished run as far as they got."""
+    return {split: Acceptance.from_dict(counts) for split, counts in manifest.statistics().items()}
+
+
+def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
+    """Write ``README.md`` of a data set folder and the picture that it shows; scenes have no report.
+
+    Raises IntegrityError when a shard is missing or damaged.
+    """
+    if is_copy(manifest):
+        is_ours = manifest.spec["source_spec"] is not None
+        text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
+        licence = "mit" if is_ours else "other"
+        terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
+        cards.write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
+        return
+    spec = SceneSpec.from_dict(manifest.spec["scene"])
+    found = summarise(manifest)
+    cards.Card(
+        template=KIND.card_template,
+        title="Starstruck",
+        columns=COLUMNS,
+        picture=("scenes.png", partial(_sheet, spec.cell_m), "The first scenes from above; stars are orange"),
+        licence="mit",
+        tags=["tactile", "active-perception", "3d", "mesh", "counting"],
+        figures={"per class": [", ".join(f"{count:,}" for count in each.classes) for each in found.values()]},
+        limits=_limits(manifest, spec),
+        values={
+            **_placement_values(spec),
+            "seed": str(manifest.spec["seed"]),
+            "acceptance_table": _acceptance_table(found),
+        },
+    ).write(folder, manifest, KIND)
+
+
+def _placement_values(spec: SceneSpec) -> dict[str, str]:
+    """Write the specification in words; sizes as a printer needs them, in millimetres."""
+    least, most = spec.distractors
+    turned = math.degrees(spec.rotation_rad)
+    radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
+    widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
+    kept = f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""
+    return {
+        "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
+        "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
+        "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
+        "classes": ", ".join(map(markdown_text, spec.class_names)),
+        "class_count": str(len(spec.class_names)),
+        "distractors": with_count(most, "objects")
+        if least == most
+        else f"{cards.between(least, most)} objects",
+        "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
+        "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
+        "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
+        "rule": _RULES[spec.collision] + kept,
+        "attempts": f"{spec.attempts:,}",
+        "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
+    }
+
+
+def _sheet(cell_m: tuple[float, float], facts: cards.FolderSummary) -> bytes | None:
+    """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
+    px_per_mm = _TILE_PX / (1e3 * max(cell_m))
+    tiles = []
+    for row in islice(cards.rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
+        # As Python objects: numpy's way of lists of structs imports pandas, which takes a second.
+        (stored,) = row.group.table.slice(row.index, 1).to_pylist()
+        placements = [Placement(**entry) for entry in stored["placements"]]
+        tiles.append(pictures.Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
+    return cards.tiles_png(tiles, 6)
+
+
+def _acceptance_table(found: Mapping[str, Acceptance]) -> str:
+    header = ("split", "positions drawn per object (first, second, ...)", "accepted", "scenes started over")
+    rows = [
+        (
+            split,
+            ", ".join(f"{mean:.2f}" for mean in each.attempts_per_object),
+            f"{each.accepted:.1%}",
+            f"{each.restarts:,}",
+        )
+        for split, each in found.items()
+    ]
+    return cards.markdown_table(header, rows)
+
+
+def _limits(manifest: store.Manifest, spec: SceneSpec) -> list[str]:
+    lines = [
+        "Objects lie flat and are of one height each; nothing is stacked.",
+        "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
+    ]
+    if spec.to_dict() != SceneSpec().to_dict():
+        lines.append("The specification is not the published one; results do not compare with the paper's.")
+    if manifest.spec["limit"] is not None:
+        lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")
+    return lines

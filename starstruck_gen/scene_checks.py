@@ -1,0 +1,186 @@
+"""Proving the stored scenes of a whole data set, with manifold3d."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from functools import partial
+from typing import Any, ClassVar
+
+import numpy as np
+
+from starstruck_gen.kind import KIND
+from starstruck_gen.proportions import KINDS, Proportions
+from starstruck_gen.scene_dataset import SceneRecord
+from starstruck_gen.scene_meshes import build_meshes
+from tactile_toolkit import catalog, places, read
+from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
+from tactile_toolkit.wording import with_count
+
+_COLUMNS = (
+    *("id", "label", VERTICES, FACES),
+    *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),
+)
+# Rows whose id is null: JSON and tables want a number.
+_NO_ID = -1
+_SHOWN = 20
+# How far a stored corner may lie from the declared object: other processors round in other ways.
+_PLACE_TOLERANCE_M = 1e-7
+
+
+@dataclass(frozen=True, slots=True)
+class InvalidScene:
+    """A scene that is invalid: where it is, and what was found and what was expected."""
+
+    split: str
+    id: int
+    problem: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedScenes:
+    """Everything found in one data set: how many scenes were checked, and those that are invalid.
+
+    ``bodies`` stand in the valid scenes; ``stars`` of them are declared stars. The published data set is not
+    ``declared``: it does not state what stands where.
+    """
+
+    path: str
+    checked: int
+    bodies: int
+    stars: int
+    failures: tuple[InvalidScene, ...]
+    declared: bool = True
+    unreadable: ClassVar[tuple[str, ...]] = ()
+
+    @property
+    def failed(self) -> int:
+        """How many scenes are invalid."""
+        return len(self.failures)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
+
+    def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
+        """Return header, rows and title of a table of the scenes that fail."""
+        which = (
+            f", {self.stars:,} of them stars"
+            if self.declared
+            else "; which of them are stars is not declared"
+        )
+        solids = f"{with_count(self.bodies, 'solids')}{which}"
+        title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; {solids}"
+        shown = [(failure.split, failure.id, failure.problem) for failure in self.failures[:_SHOWN]]
+        return ("split", "scene", "finding"), shown, title
+
+
+def validate_folder(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    limit: int | None = None,
+    workers: int = 1,
+    *,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> CheckedScenes:
+    """Prove the scenes of a data set, or of a Parquet file, as they are read back from disk.
+
+    Only one split, and only the first ``limit`` rows of each, where asked for; ``on_progress`` is called with
+    scenes done and in all. Raises InputError where there is no data set of scenes, and IntegrityError where a
+    shard is damaged or the run that makes the data set is not finished.
+    """
+    place = places.open_place(name)
+    shards = catalog.shards_to_check(place, split, KIND)
+    names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
+    rows = catalog.check_rows(
+        shards,
+        partial(_prove, names=names, shapes=[kind() for kind in KINDS.values()]),
+        _COLUMNS,
+        limit,
+        workers,
+        on_progress,
+    )
+    failures, bodies, stars = [], 0, 0
+    for row in rows:
+        null = f"field {row.null_field!r} of row {row.row} is null; expected a value"
+        problem, standing, declared = row.found or (null, 0, 0)
+        if problem is None:
+            bodies, stars = bodies + standing, stars + declared
+        else:
+            failures.append(InvalidScene(row.split, _NO_ID if row.id is None else row.id, problem))
+    declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
+    return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
+
+
+def _prove(
+    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
+) -> tuple[str | None, int, int]:
+    """Return what is wrong with a scene, the number of bodies, and that of declared stars.
+
+    ``shapes`` are of all kinds: a new process knows those of the user once it has unpickled these.
+    """
+    record = SceneRecord(row)
+    try:
+        problem, bodies = check_scene(record, names[row.path])
+        return problem, bodies, record.star_count if record.has_placements else 0
+    except (ToolkitError, TypeError, ValueError, OverflowError) as error:
+        # Columns of other types than those of a data set of scenes, and shapes that are not known.
+        return f"cannot be read as a scene: {error}", 0, 0
+
+
+def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> tuple[str | None, int]:
+    """Prove one stored scene from its triangles: return what is wrong, None if nothing is, and its bodies.
+
+    The triangles bound solids that do not overlap (:mod:`tactile_toolkit.mesh.solid_check`) and stand on
+    z = 0. Each declared object has one solid, which is that object. There are as many stars as the class
+    says. Of a scene without declared objects (the published data set), only the solids are checked.
+    """
+    mesh = Mesh(record.vertices_m, record.faces)
+    verdict = check_manifold(mesh)
+    if verdict.problem is not None:
+        return f"{verdict.problem}: {verdict.detail}", verdict.bodies
+    problem = _check_on_plate(mesh, verdict.manifold.decompose())
+    if record.has_placements:
+        problem = problem or _check_placements(mesh, verdict.bodies, record)
+    return problem or _check_star_count(record, names), verdict.bodies
+
+
+def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+    lowest_m = [float(mesh.bounds_m[0, 2])]
+    # Bodies of negative volume are hollows inside the others.
+    lowest_m += [body.bounding_box()[2] / MM_PER_M for body in bodies if body.volume() > 0]
+    for number, each_m in enumerate(lowest_m):
+        if each_m != 0.0 if number == 0 else each_m > _PLACE_TOLERANCE_M:
+            what = f"body {number} of {len(lowest_m) - 1}" if number else "the mesh"
+            return f"the lowest point of {what} is at z = {each_m:g} m; expected 0"
+    return None
+
+
+def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
+    declared = build_meshes([record.placements])[0]
+    if bodies != len(record.placements):
+        return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
+    same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
+    if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
+        return "the mesh is not that of the declared objects"
+    # Caps that face into their prism, which a solid of many triangles can hide from the check of its whole.
+    corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
+    level = (corners[:, :, 2] == corners[:, :1, 2]).all(axis=1)
+    a, b, c = np.moveaxis(corners[level], 1, 0)
+    doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
+    return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
+
+
+def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:
+    declared = record.star_count
+    if not 0 <= record.label < len(names) or names[record.label] != str(declared):
+        return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
+    if record.has_placements:
+        stars = sum(placement.is_star for placement in record.placements)
+        others = len(record.placements) - stars
+        if (stars, others) != (declared, record.distractor_count):
+            expected = f"{declared} and {record.distractor_count}"
+            return f"{stars} stars and {others} others stand there, {expected} are declared"
+    return None

@@ -1,0 +1,181 @@
+"""Loading Starstruck: typed and lazy."""
+
+from __future__ import annotations
+
+from typing import Literal, overload
+
+import numpy as np
+
+from starstruck_gen.kind import KIND
+from starstruck_gen.placement import Placement
+from starstruck_gen.scene import Scene
+from starstruck_gen.scene_drawing import draw_scene
+from tactile_toolkit import mesh, pictures, places, read
+from tactile_toolkit.array_types import Int64, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
+
+
+class SceneRecord(mesh.SolidRecord):
+    """One scene; fields are loaded on first use.
+
+    Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
+    z = 0; metres. Data sets without our columns (the published one) give ``id``, ``label``, ``star_count``
+    and the mesh; what is not stored raises :class:`~tactile_toolkit.errors.InputError`.
+    """
+
+    __slots__ = ()
+
+    @property
+    def star_count(self) -> int:
+        """Number of stars; in data sets that do not store it, that of the published class."""
+        return self._row.integer("star_count") if self._row.has("star_count") else self.label + 1
+
+    @property
+    def distractor_count(self) -> int:
+        """Number of objects that are not stars; InputError where it is not stored."""
+        return self._stated("distractor_count").integer("distractor_count")
+
+    @property
+    def has_placements(self) -> bool:
+        """Whether the data set stores the placements; the published one does not."""
+        return self._row.has("placements")
+
+    @property
+    def placements(self) -> tuple[Placement, ...]:
+        """Objects in the order of placing, stars first; InputError where they are not stored."""
+        return self._once(
+            "placements",
+            lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
+        )
+
+    @property
+    def seed(self) -> int:
+        """Seed of the scene: with the specification and the star count it makes the scene again."""
+        return self._stated("seed").integer("seed")
+
+    @property
+    def scene(self) -> Scene:
+        """The scene: its placements, and statistics of how they were found."""
+        attempts = tuple(int(count) for count in self._stated("attempts").required("attempts"))
+        return Scene(self.star_count, self.placements, attempts, self._stated("restarts").integer("restarts"))
+
+    def _stated(self, name: str) -> read.Row:
+        """Return the row; InputError where the data set has no such column."""
+        if not self._row.has(name):
+            raise InputError(
+                f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
+            )
+        return self._row
+
+    def __repr__(self) -> str:
+        return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"
+
+    def _repr_html_(self) -> str:
+        """Show the scene from above in a notebook."""
+        if not self.has_placements:
+            return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
+        caption = f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
+        return pictures.figure_html(self._drawn(2.0), caption)
+
+    def _tile_html(self) -> str:
+
+        caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
+        if not self.has_placements:
+            return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
+        return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
+
+    def _drawn(self, px_per_mm: float) -> UInt8:
+        # A record does not know its specification; the published cell is what most were made for.
+        return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
+
+
+class SceneMeshDataset(read.RecordDataset[SceneRecord]):
+    """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
+
+    record_class = SceneRecord
+    things = "scenes"
+
+    @property
+    def star_counts(self) -> Int64:
+        """Number of stars of each row, shape (len,); loads no mesh. As :attr:`SceneRecord.star_count`."""
+        return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[False] = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> SceneMeshDataset: ...
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: Literal[True],
+    revision: str | None = None,
+    config: str | None = None,
+) -> mesh.RecordStream[SceneRecord]: ...
+
+
+@overload
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]: ...
+
+
+def load(
+    name: places.Name | places.Place,
+    split: str | None = None,
+    *,
+    streaming: bool = False,
+    revision: str | None = None,
+    config: str | None = None,
+) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]:
+    """Open a data set of scenes.
+
+    Parameters
+    ----------
+    name : str or path
+        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
+        columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
+    split : str, optional
+        Split to open; only its shards are fetched. May be left out where there is only one.
+    streaming : bool
+        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
+        random access.
+    revision : str, optional
+        Branch, tag or commit of a Hub repository.
+    config : str, optional
+        Configuration, of a data set whose card has several.
+
+    Returns
+    -------
+    SceneMeshDataset or RecordStream
+        No row is read until it is asked for.
+
+    Raises
+    ------
+    InputError
+        No such folder or split, several splits and none named, another kind, or no columns of Starstruck.
+    IntegrityError
+        The data set is damaged or unfinished.
+    HubError
+        The repository cannot be reached or does not exist.
+    """
+    place = places.open_place(name, revision=revision, config=config)
+    shards = place.shards(split, kind=KIND, streaming=streaming)
+    return mesh.open_solids(
+        shards, place.name, SceneMeshDataset, KIND, mesh.RecordStream if streaming else None
+    )

@@ -1,0 +1,98 @@
+"""Scenes as a gallery: a static page of top views, filters and meshes to turn around."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from starstruck_gen.kind import KIND
+from starstruck_gen.prisms import prism
+from starstruck_gen.scene_dataset import SceneRecord
+from starstruck_gen.scene_drawing import draw_scene
+from starstruck_gen.scene_rows import SceneRow
+from starstruck_gen.scene_spec import SceneSpec
+from tactile_toolkit import catalog, gallery, places
+from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
+from tactile_toolkit.rows import Column, columns, with_role
+from tactile_toolkit.wording import with_count
+
+_ROWS_PER_TASK = 32
+_OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
+_PUBLISHED_CELL_M = SceneSpec.cell_m
+
+_SHOWN = (
+    *with_role(SceneRow, "facet", "measure"),
+    Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(columns(PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+)
+
+
+def plan_gallery(
+    name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
+) -> gallery.Gallery:
+    """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    return gallery.gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _SHOWN, _item, _ROWS_PER_TASK)
+
+
+def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None) -> gallery.GalleryItem:
+    gallery.require_mesh(record, split)
+    stars = record.star_count
+    mesh = Mesh(record.vertices_m, record.faces)
+    notes = [("Size over all", gallery.size_text(mesh.vertices_m))]
+    values: dict[str, Any] = {
+        "star_count": stars,
+        "distractor_count": None,
+        "volume_mm3": mesh.volume_m3 * MM_PER_M**3,
+        "vertices": len(mesh.vertices_m),
+        "faces": len(mesh.faces),
+    }
+    if record.has_placements:
+        notes.append(("Seed", str(record.seed)))
+        values |= {
+            "distractor_count": record.distractor_count,
+            "shapes": sorted({placement.shape for placement in record.placements}),
+            "objects": len(record.placements),
+            "positions": sum(record.scene.attempts),
+            "restarts": record.scene.restarts,
+        }
+    return gallery.GalleryItem(
+        id=str(record.id),
+        title=with_count(stars, "stars"),
+        values=values,
+        thumbnail=_thumbnail(record),
+        content={
+            "notes": notes,
+            "mesh": gallery.packed_mesh(mesh.vertices_m, mesh.faces, _parts(record), flat=True),
+        },
+    )
+
+
+def _parts(record: SceneRecord) -> list[tuple[int, str]]:
+    """Separate stars from other objects; nothing where the triangles are not those of the declared objects.
+
+    Where it is not stored which objects are stars, none is painted as one.
+    """
+    if not record.has_placements:
+        return [(len(record.faces), "other")]
+    runs = [
+        (len(prism(placement.shape).faces), "main" if placement.is_star else "other")
+        for placement in record.placements
+    ]
+    return runs if sum(count for count, _ in runs) == len(record.faces) else []
+
+
+def _thumbnail(record: SceneRecord) -> bytes:
+    """Show the scene from above, in the published cell or a larger one where it reaches beyond that."""
+    if not record.has_placements:
+        return gallery.relief_thumbnail(record.vertices_m, record.faces)
+    # Twice the farthest corner, and a little room.
+    reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
+    width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
+    px_per_mm = gallery.THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
+    return gallery.thumbnail(
+        np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM
+    )

@@ -1,0 +1,179 @@
+"""From a specification to a finished data set folder of scenes."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, Unpack
+
+from starstruck_gen.acceptance import count_scenes
+from starstruck_gen.kind import KIND
+from starstruck_gen.rejection import LayoutFailed, require_feasible, sample_scenes
+from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.scene_rows import PARQUET_STYLE, SceneRow, scene_schema
+from starstruck_gen.scene_seeds import MOST_SCENES, SPLITS, scene_id, scene_seed
+from starstruck_gen.scene_spec import SceneSpec
+from tactile_toolkit import generation, store
+from tactile_toolkit.checked_fields import check_fields, integer, split_counts
+from tactile_toolkit.errors import InputError
+
+PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
+"""Scenes of each split (Tactile MNIST paper, section Starstruck)."""
+
+
+def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
+    """Make rows ``start`` to ``start + count - 1`` of a split; each depends on nothing but its number.
+
+    Raises SamplingExhausted when a scene cannot be made.
+    """
+    scenes = sample_scenes(spec, split, seed, start, count)
+    meshes = build_meshes([scene.placements for scene in scenes])
+    return [
+        SceneRow(
+            id=scene_id(split, number),
+            label=number % len(spec.stars),
+            vertices_m=meshes.vertices_m[index],
+            faces=meshes.faces[index],
+            star_count=scene.star_count,
+            distractor_count=scene.distractor_count,
+            placements=scene.placements,
+            seed=scene_seed(seed, split, number),
+            attempts=scene.attempts,
+            restarts=scene.restarts,
+        )
+        for index, (number, scene) in enumerate(zip(range(start, start + count), scenes, strict=True))
+    ]
+
+
+@dataclass(frozen=True)
+class SceneSetSpec:
+    """Everything that decides which rows a data set holds.
+
+    Attributes
+    ----------
+    scene : SceneSpec
+        How scenes are made.
+    scenes : tuple of (str, int)
+        Number of scenes of each split; a mapping is taken too.
+    seed : int
+        Random seed.
+    limit : int or None
+        Make only the first ``limit`` rows of a split.
+
+    Notes
+    -----
+    The splits made in one call and the number of workers are not part of it: a folder can be filled split by
+    split, on any machine.
+    """
+
+    scene: SceneSpec = field(default_factory=SceneSpec)
+    scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
+    seed: int = integer(0)
+    limit: int | None = integer(None, 1, optional=True)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the data set's specification")
+        scenes = split_counts(self.scenes, "scenes of the data set's specification", SPLITS, MOST_SCENES)
+        object.__setattr__(self, "scenes", scenes)
+        if not isinstance(self.scene, SceneSpec):
+            raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
+
+    def rows(self, split: str) -> int:
+        """Return how many rows a split has."""
+        count = dict(self.scenes).get(split, 0)
+        return count if self.limit is None else min(count, self.limit)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that identify the rows; two equal values give equal Parquet."""
+        return {
+            "scene": self.scene.to_dict(),
+            "scenes": dict(self.scenes),
+            "seed": self.seed,
+            "limit": self.limit,
+        }
+
+
+@dataclass(frozen=True)
+class SceneMaking(generation.Generator):
+    """How scenes are made: drawn by rejection, then made solids."""
+
+    spec: SceneSetSpec
+    kind = KIND
+
+    def items(self) -> Mapping[str, range]:
+        """Return the numbers of the scenes of each split."""
+        return {split: range(self.spec.rows(split)) for split in SPLITS}
+
+    def layout(self) -> generation.StorageLayout:
+        """Return how rows are stored."""
+        return generation.StorageLayout(
+            PARQUET_STYLE,
+            libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
+            smallest=1_000,
+            largest=10_000,
+            wanted=48,
+            sampled=200,  # a scene takes tens of microseconds: fewer would measure the clock
+        )
+
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of a shard."""
+        return scene_schema(self.spec.scene.class_names)
+
+    def make(self, split: str, items: Any) -> list[SceneRow]:
+        """Make the rows; SamplingExhausted when a scene cannot be made."""
+        with store.without_collecting():
+            return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
+
+    def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
+        """Count what it took."""
+        return count_scenes(self.spec.scene, rows).to_dict()
+
+
+def generate(
+    spec: SceneSetSpec,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] = SPLITS,
+    *,
+    on_failure: LayoutFailed = lambda _failed, _allowed: None,
+    **run: Unpack[store.RunKeywords],
+) -> store.Manifest:
+    """Make a data set of scenes.
+
+    A folder that holds a run of the same specification is completed. The same specification gives
+    byte-identical Parquet whatever the number of workers and however often the run was interrupted.
+
+    Parameters
+    ----------
+    spec : SceneSetSpec
+        What to make.
+    out : str or path-like
+        Folder to write.
+    splits : sequence of str
+        Splits to make; others that the folder holds already stay.
+    on_failure : callable
+        Called after each layout that failed while it is tried whether the fullest scene has room.
+    **run
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
+
+    Raises
+    ------
+    InputError
+        An option cannot be used.
+    SamplingExhausted
+        The specification cannot be satisfied. Shards that were finished before stay.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written. What was finished stays.
+    """
+    require = partial(require_feasible, spec.scene, spec.seed, on_failure)
+    return generation.generate(SceneMaking(spec), out, splits, require=require, **run)
+
+
+def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
+    """Return how scenes are made without any input: as published, or with fewer scenes."""
+    most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
+    scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
+    sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
+    spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
+    return generation.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})

@@ -1,0 +1,121 @@
+"""Scenes as commands have options of them: numbers in words, lengths in millimetres."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import starstruck_gen
+from tactile_toolkit import catalog
+from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.parsed_text import comma_separated, is_count
+
+_BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
+# Notches at half the radius, as published, are not notches any more between 3 tips.
+_FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
+
+
+def _counts(option: str, words: str) -> tuple[int, ...]:
+    """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
+    least, _, most = (part.strip() for part in words.partition("-"))
+    # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
+    if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
+        return tuple(range(int(least), int(most) + 1))
+    if not all(map(is_count, comma_separated(words))) or not comma_separated(words):
+        raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
+    return tuple(map(int, comma_separated(words)))
+
+
+def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
+    """Read lengths in millimetres, separated by commas or by an x."""
+    try:
+        lengths_m = tuple(float(part) / 1e3 for part in words.replace("x", ",").split(","))
+    except ValueError:
+        lengths_m = ()
+    if not 0 < len(lengths_m) <= most:
+        raise InputError(f"{option} is {words!r}; expected millimetres such as 120, or up to {most} of them")
+    return lengths_m
+
+
+def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
+    """Read ``5000`` or ``train=5000,test=500``."""
+    if is_count(words.strip()):
+        return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
+    return read_split_counts("--scenes", words)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneOptions:
+    """What stands in a scene, and how close; lengths are of metres in :class:`SceneSpec`."""
+
+    stars: str = text("1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class.")
+    distractors: str = text(
+        "0-5", metavar="0-5", help="Minimum and maximum number of distractors: objects that are not stars."
+    )
+    star_points: int | None = integer(None, help="Number of tips of a star.", optional=True, shown="5")
+    star_inner_mm: float | None = real(
+        None,
+        optional=True,
+        help="Inner radius of a star; by default half of --radius-mm as published, a quarter with 3 points.",
+    )
+    shapes: str = text(
+        "box,disc",
+        metavar="box,disc",
+        help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with proportions "
+        "of their own such as ring(hole_ratio=0.3).",
+    )
+    radius_mm: float = real(10.0, help="Radius of the circle around every object.")
+    heights_mm: str = text("5", metavar="5|4,6", help="Heights of objects, drawn with equal probability.")
+    cell_mm: str = text("120", metavar="120|120x120", help="Size of the cell along x and y.")
+    collision: str = choice(
+        "circles",
+        ("circles", "exact"),
+        help="What must not overlap: circles around objects, or their exact outlines.",
+    )
+    clearance_mm: float = real(0.0, help="Minimum distance between them.")
+
+    def spec(self) -> starstruck_gen.SceneSpec:
+        """Return the specification of scenes. Raises InputError for what cannot be read or made."""
+        others = _counts("--distractors", self.distractors)
+        if len(comma_separated(self.distractors)) > 2:
+            raise InputError(
+                f"--distractors is {self.distractors!r}; expected the least and the most such as 0-5"
+            )
+        sides_m = _lengths_m("--cell-mm", self.cell_mm, 2)
+        shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
+        return starstruck_gen.SceneSpec(
+            cell_m=(sides_m[0], sides_m[-1]),
+            stars=_counts("--stars", self.stars),
+            distractors=(others[0], others[-1]),
+            star=self._star(),
+            distractor_shapes=tuple(
+                starstruck_gen.Shape.parse(each, self.radius_mm / 1e3) for each in shapes
+            ),
+            heights_m=_lengths_m("--heights-mm", self.heights_mm, 1000),
+            collision=self.collision,
+            clearance_m=self.clearance_mm / 1e3,
+        )
+
+    def _star(self) -> starstruck_gen.Shape:
+        # A radius that cannot be is refused first, not a ratio that follows from it.
+        plain = starstruck_gen.Shape("star", self.radius_mm / 1e3)
+        numbers: dict[str, float] = {} if self.star_points is None else {"points": self.star_points}
+        if self.star_inner_mm is not None:
+            numbers["inner_ratio"] = self.star_inner_mm / self.radius_mm
+        elif self.star_points == _FEWEST_POINTS:
+            numbers["inner_ratio"] = _RATIO_OF_FEWEST
+        return starstruck_gen.Shape("star", plain.radius_m, starstruck_gen.Star.from_dict(numbers))
+
+
+@dataclass(frozen=True, slots=True)
+class ScenePreviewSpec(catalog.PreviewSpec):
+    """Which pictures of scenes to draw."""
+
+    per_class: int = integer(8, 1, help="Objects of each class on a sheet.")
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("sheet", "all"),
+        name="--kind",
+        help="What to draw; may be repeated. By default sheet.",
+    )

@@ -1,0 +1,62 @@
+"""The columns of Starstruck: published ones first, then ours."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import pyarrow as pa
+
+from starstruck_gen.kind import KIND
+from starstruck_gen.placement import Placement
+from starstruck_gen.scene_seeds import SPLITS, scene_id
+from tactile_toolkit import mesh, store
+from tactile_toolkit.rows import column, row
+
+PARQUET_STYLE = store.ParquetStyle(
+    rows_per_group=1_000,
+    compression="zstd",
+    # Level 9: scenes are few bytes, and repeat the triangles of their shapes.
+    compression_level=9,
+    encodings=(
+        # A corner stands twice, on the plate and above it: zstd finds the pair in plain bytes, where any
+        # encoding that takes numbers apart hides it.
+        (f"{mesh.VERTICES}.list.element.list.element", "PLAIN"),
+        (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
+    ),
+)
+"""1,000 scenes are about 5 MB unpacked: enough for the codec to meet the triangles of each shape again."""
+
+_NUMBERS = [(name, pa.float64()) for name in Placement._fields if name != "shape"]
+_PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
+_IDS = f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"
+_OBJECTS = (
+    "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
+    "`radius_m` of the circumscribed circle, `height_m`"
+)
+
+_SEED = "seed of the scene: with the specification and the star count it makes the scene again"
+
+
+@row
+class SceneRow(mesh.MeshRow):
+    """One scene."""
+
+    id: int = column(pa.int64(), "", _IDS)
+    label: int = column(pa.int64(), "", "the class, named by the number of stars")
+    star_count: int = column(pa.int64(), "", "number of stars", role="facet", title="Stars")
+    distractor_count: int = column(
+        pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
+    )
+    placements: Sequence[Placement] = column(_PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS)
+    seed: int = column(pa.int64(), "", _SEED)
+    attempts: Sequence[int] = column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
+    restarts: int = column(
+        pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
+    )
+
+
+@cache
+def scene_schema(class_names: tuple[str, ...] = KIND.class_names) -> pa.Schema:
+    """Return the Arrow schema of a shard."""
+    return mesh.mesh_schema(SceneRow, class_names)

@@ -1,0 +1,19 @@
+"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.solid_tensors.SolidTensors`."""
+
+from __future__ import annotations
+
+from tactile_toolkit.mesh import (
+    REPRESENTATIONS as REPRESENTATIONS,
+    TARGETS as TARGETS,
+    MeshBatch as MeshBatch,
+    MeshItem as MeshItem,
+    SolidTensors,
+    collate_meshes as collate_meshes,
+)
+from tactile_toolkit.read import TrainingBatches as TrainingBatches
+
+
+class SceneTensors(SolidTensors):
+    """A map-style data set of scenes, of files or on the fly; its grids cover the published cell of 12 cm."""
+
+    extent_m = (0.12, 0.12, 0.01)

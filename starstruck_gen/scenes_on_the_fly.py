@@ -1,0 +1,200 @@
+"""Scenes made from a seed when they are asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from starstruck_gen.rejection import sample_scenes
+from starstruck_gen.scene import Scene
+from starstruck_gen.scene_dataset import SceneMeshDataset
+from starstruck_gen.scene_generation import make_rows
+from starstruck_gen.scene_meshes import SceneMeshes, build_meshes
+from starstruck_gen.scene_rows import scene_schema
+from starstruck_gen.scene_seeds import MOST_SCENES, scene_id, scene_seed
+from starstruck_gen.scene_spec import SceneSpec
+from tactile_toolkit import mesh, read
+from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.rows import table_of
+
+DEFAULT_SIZE = 300_000
+"""Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
+
+_MADE_TOGETHER = 4096  # rows that training mixes as those of a shard
+# Columns that follow from the number of a scene.
+_KNOWN = ("id", "label", "star_count", "seed")
+
+
+class MadeScenes:
+    """The rows of a split, each made when it is asked for: a source of rows without a file."""
+
+    path = ""
+
+    def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
+        self.spec = spec
+        self.split = split
+        self.size = size
+        self.seed = seed
+        self.identity = (spec, split, size, seed)
+        self.origin = self.set_name = (f"seed {seed}", split)
+        self.class_names = spec.class_names
+        self.group_starts = (0, size)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return type(self), (self.spec, self.split, self.size, self.seed)
+
+    @cached_property
+    def schema(self) -> Any:
+        """Arrow schema of the rows."""
+        return scene_schema(self.spec.class_names)
+
+    @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes."""
+        return [min(_MADE_TOGETHER, self.size - row) for row in range(0, self.size, _MADE_TOGETHER)]
+
+    def __len__(self) -> int:
+        return self.size
+
+    def unpack(self, _index: int) -> int:
+        """Return that nothing is unpacked."""
+        return 0
+
+    def locate(self, row: int) -> tuple[read.Rows, int]:
+        """Return a row alone; nothing of it is made yet."""
+        return MadeScene(self, row), 0
+
+    def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[read.RowGroup]:
+        """Make all rows, which are one row group, some at once."""
+        start = 0
+        for count in self.part_sizes:
+            table = self.made(start, count)
+            yield read.RowGroup(table if columns is None else table.select(columns), first_row=start)
+            start += count
+
+    def made(self, start: int, count: int) -> Any:
+        """Make some rows at once, as an Arrow table."""
+        return table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
+
+    def column(self, name: str) -> Any:
+        """Return one column of all rows, of those that need no scene."""
+        return pa.array(self.known(name, range(self.size)))
+
+    def known(self, name: str, rows: range) -> Int64:
+        """Return what follows from the number of each of some rows; KeyError for any other column."""
+        numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
+        classes = numbers % len(self.spec.stars)
+        if name == "id":
+            return numbers + scene_id(self.split, 0)
+        if name == "label":
+            return classes
+        if name == "star_count":
+            return np.array(self.spec.stars, dtype=np.int64)[classes]
+        if name == "seed":
+            return np.array([scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
+        raise KeyError(name)
+
+
+class MadeScene(read.Rows):
+    """One row, of which scene and mesh are made on first use."""
+
+    def __init__(self, source: MadeScenes, row: int) -> None:
+        super().__init__("", row)
+        self._source = source
+
+    @cached_property
+    def table(self) -> Any:
+        """The row as an Arrow table, for pickling."""
+        return self._source.made(self.first_row, 1)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name."""
+        return read.column_names(self._source.schema)
+
+    # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
+    @property
+    def _scene(self) -> Scene:
+        source, row = self._source, self.first_row
+        return self.once("scene", lambda: sample_scenes(source.spec, source.split, source.seed, row, 1)[0])
+
+    def _built(self) -> SceneMeshes:
+        meshes = build_meshes([self._scene.placements])
+        for column in (meshes.vertices_m, meshes.faces):
+            column.values.setflags(write=False)
+        return meshes
+
+    def ragged(self, name: str) -> read.RaggedColumn:
+        """Return the vertices or the faces."""
+        if name not in (mesh.VERTICES, mesh.FACES):
+            return super().ragged(name)
+        meshes = self.once("meshes", self._built)
+        return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
+
+    def flat(self, name: str) -> AnyArray:
+        """Return a plain column of one value."""
+        if name in _KNOWN:
+            return self._source.known(name, range(self.first_row, self.first_row + 1))
+        # Filled by index: numpy would spread a list over an array of its own.
+        values = np.empty(1, dtype=object)
+        values[0] = getattr(self._scene, name)
+        if name == "placements":
+            values[0] = [placement._asdict() for placement in values[0]]
+        return values
+
+
+class SceneDataset(SceneMeshDataset):
+    """Scenes on the fly: the records that ``starstruck generate`` writes, index by index, without any files.
+
+    Parameters
+    ----------
+    spec : SceneSpec, optional
+        How scenes are made; as published by default.
+    split : str
+        One of :data:`starstruck_gen.SPLITS`. Splits never share a scene.
+    size : int
+        Number of scenes; scene i does not depend on it.
+    seed : int
+        Seed of the data set.
+
+    Raises
+    ------
+    InputError
+        Unknown split, a size outside 0 to 1,000,000,000, or a negative seed.
+
+    Examples
+    --------
+    >>> scenes = SceneDataset(size=1_000_000, seed=3)
+    >>> scenes[123_456].star_count
+    1
+    >>> scenes[123_456].mesh.is_watertight
+    True
+    """
+
+    def __init__(
+        self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
+    ) -> None:
+        spec = spec or SceneSpec()
+        size = checked_integer(size, "size", 0, MOST_SCENES)
+        seed = checked_integer(seed, "seed")
+        scene_seed(seed, split, 0)  # refuses an unknown split
+        super().__init__(
+            read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
+        )
+
+    def column(self, name: str) -> AnyArray:
+        """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.
+
+        Raises
+        ------
+        InputError
+            When the records have no such column.
+        """
+        if name in _KNOWN or name not in self._plain_columns:
+            return super().column(name)
+        return np.array([record._row.value(name) for record in self], np.int64)

@@ -1,0 +1,96 @@
+"""Further kinds of shapes."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import fields, is_dataclass
+from typing import Any, TypeVar
+
+import numpy as np
+
+from starstruck_gen.collisions import prism_solid
+from starstruck_gen.outlines import TOOLKIT_KINDS
+from starstruck_gen.prisms import prism, prisms, proved_prism
+from starstruck_gen.proportions import KINDS, Proportions
+from starstruck_gen.shapes import outline, read_only
+from tactile_toolkit.errors import InputError
+
+K = TypeVar("K", bound=type[Proportions])
+_REACH_TOLERANCE = 1e-9
+
+
+def register_shape(kind: K) -> K:
+    """Make a kind of shape known, so that :class:`starstruck_gen.Shape` and all that follows take it.
+
+    Parameters
+    ----------
+    kind : type
+        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name`` names the
+        shape, ``rings()`` gives its outline, and each field is a number with a default. A field's range is
+        its metadata ``least`` and ``most``.
+
+    Returns
+    -------
+    type : the same, so that this serves as a decorator
+
+    Raises
+    ------
+    InputError
+        The name is taken or not a plain word, a field is not a number, or the default outline bounds no area
+        or does not reach distance 1 from the origin.
+
+    Notes
+    -----
+    Specifications and shapes carry the class with them when they are pickled. Reading JSON or a stored data
+    set needs the kind registered first. The command line has the toolkit's own shapes alone.
+
+    Examples
+    --------
+    >>> from dataclasses import dataclass, field
+    >>> import numpy as np
+    >>> @register_shape
+    ... @dataclass(frozen=True, slots=True)
+    ... class Kite(Proportions):
+    ...     name = "kite"
+    ...     width: float = field(default=0.6, metadata={"least": 0.1, "most": 1.0})
+    ...
+    ...     def rings(self):
+    ...         return (np.array([(1.0, 0.0), (0.0, self.width), (-0.5, 0.0), (0.0, -self.width)]),)
+    >>> from starstruck_gen import Shape
+    >>> Shape("kite", 0.012, Kite(width=0.4)).key
+    'kite(width=0.4)'
+    """
+    _require_described(kind)
+    former = KINDS.get(kind.name)
+    if former is kind:
+        return kind
+    # A cell of a notebook that is run again defines its class once more; that class replaces its former.
+    if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
+        raise InputError(f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name")
+    made = proved_prism(kind.name, read_only(kind().rings()))
+    reach = float(np.linalg.norm(made.corners, axis=1).max())
+    if abs(reach - 1.0) > _REACH_TOLERANCE:
+        raise InputError(
+            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
+            "the circumscribed radius"
+        )
+    KINDS[kind.name] = kind
+    # What is kept by key may belong to a former kind of the same name.
+    for kept in (outline, prism, prisms, prism_solid):
+        kept.cache_clear()
+    return kind
+
+
+def _require_described(kind: Any) -> None:
+    is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
+    if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
+        raise InputError(
+            f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions, with a "
+            "plain word as its name"
+        )
+    for entry in fields(kind):
+        if type(entry.default) not in (int, float):
+            raise InputError(
+                f"field {entry.name!r} of shape {kind.name!r} has the default {entry.default!r}; expected a "
+                "number"
+            )

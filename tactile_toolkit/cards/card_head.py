@@ -1,0 +1,104 @@
+"""The YAML head of a data card, which the Hub and ``datasets.load_dataset`` read.
+
+It follows from the summary of the folder: splits, files, rows, bytes and columns.
+"""
+
+from __future__ import annotations
+
+import copy
+import fnmatch
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import yaml
+
+from tactile_toolkit import store
+from tactile_toolkit.cards.folder_summary import FolderSummary
+from tactile_toolkit.shown_text import printable
+
+CARD_FILE = "README.md"
+
+_LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
+_FENCE = "---\n"
+
+
+def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
+    """Return the head of a card: the given fields, then what follows from the folder.
+
+    ``dataset_info`` has the form that `datasets` writes, and verifies on loading.
+    """
+    return {
+        **fields,
+        "size_categories": [size_category(facts.rows)],
+        "configs": configs(facts),
+        "dataset_info": {
+            "features": facts.features,
+            "splits": [
+                {"name": split.split, "num_bytes": split.unpacked_bytes, "num_examples": split.rows}
+                for split in facts.splits
+            ],
+            "download_size": sum(split.file_bytes for split in facts.splits),
+            "dataset_size": sum(split.unpacked_bytes for split in facts.splits),
+        },
+    }
+
+
+def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """Return the configurations, the default one first: which files each split has.
+
+    ``others`` lie next to them and belong to none.
+    """
+    folders = {"default": (store.DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
+    if facts.viewer:
+        folders[store.VIEWER_FOLDER] = (store.VIEWER_FOLDER, dict(facts.viewer))
+    found = []
+    for name, (folder, paths) in folders.items():
+        there = [*others, *(path for each in paths.values() for path in each)]
+        files = [
+            {"split": split, "path": _path_of(split, folder, own, there)} for split, own in paths.items()
+        ]
+        found.append({"config_name": name, "data_files": files})
+    return found
+
+
+def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]) -> str | list[str]:
+    """Return patterns where they find the files of this split and no other, and else their names."""
+    # `datasets` sorts what a pattern finds as text: numbers of each length have one of their own.
+    names = (store.ShardName.parse(path.rpartition("/")[2]) for path in paths)
+    lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
+    several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
+    patterns = several if len(lengths) > 1 else [f"{folder}/{split}-*"]
+    if [path for pattern in patterns for path in fnmatch.filter(there, pattern)] == list(paths):
+        return patterns[0] if len(patterns) == 1 else patterns
+    return list(paths)
+
+
+def size_category(rows: int) -> str:
+    """Return the Hub's word for a number of rows, such as ``"1K<n<10K"``."""
+    above = min(max(0, len(str(rows)) - 3), len(_LIMITS))
+    if above == len(_LIMITS):
+        return f"n>{_LIMITS[-1]}"
+    return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
+
+
+def head_text(head: dict[str, Any]) -> str:
+    """Write a head between its two lines of dashes."""
+    text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
+    # YAML escapes control characters itself, but not those that turn the direction of a text.
+    if text != printable(text, keep="\n"):
+        text = yaml.safe_dump(head, sort_keys=False, width=110)
+    return f"{_FENCE}{text}{_FENCE}"
+
+
+def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
+    """Return a card with a changed head, and a note in front of its text; ValueError where it has none."""
+    start, text, body = card.split(_FENCE, 2)
+    try:
+        head = yaml.safe_load(text)
+    except (yaml.YAMLError, RecursionError) as error:
+        raise ValueError(str(error)) from error
+    if start or not isinstance(head, dict):
+        raise ValueError("the card does not begin with a YAML head")
+    changed = copy.deepcopy(head)
+    change(changed)
+    return card if changed == head and not note else head_text(changed) + note + body

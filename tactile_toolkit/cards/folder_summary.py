@@ -1,0 +1,108 @@
+"""What a data set folder holds: splits, files, rows, bytes and columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from pathlib import PurePosixPath
+from typing import Any
+
+from tactile_toolkit import places, read, run, store
+from tactile_toolkit.cards.card_features import yaml_features
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.system import usable_cores
+
+
+@dataclass(frozen=True)
+class SplitFiles:
+    """One split: its files (opened when a user looks into them), their paths in the folder, and sizes.
+
+    ``unpacked_bytes`` is the size of the rows in memory, estimated where the manifest does not state it.
+    """
+
+    split: str
+    shards: tuple[read.Shard, ...]
+    paths: tuple[str, ...]
+    rows: int
+    file_bytes: int
+    unpacked_bytes: int
+
+
+@dataclass(frozen=True)
+class FolderSummary:
+    """A whole folder: its splits in canonical order, and their schema.
+
+    What is ``recorded`` is said by the manifest; no file was opened for it. ``viewer`` are the files that
+    repeat the rows of a split for the Hub's page, as far as the manifest lists any.
+    """
+
+    splits: tuple[SplitFiles, ...]
+    schema: Any
+    recorded: bool = False
+    viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def rows(self) -> int:
+        """Rows of all splits."""
+        return sum(split.rows for split in self.splits)
+
+    @cached_property
+    def features(self) -> list[dict[str, Any]]:
+        """Columns as `datasets` describes them in a card."""
+        first = next((shard.path for split in self.splits for shard in split.shards), "")
+        return yaml_features(self.schema, first)
+
+
+def folder_summary(
+    folder: store.DataFolder, manifest: store.Manifest | None = None, place: places.Place | None = None
+) -> FolderSummary:
+    """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
+
+    ``manifest`` is one that is to be written there, ``place`` what is known of a folder without one. The
+    manifests of others do not state sizes. Raises InputError when the folder holds no Parquet files, and
+    IntegrityError when one is missing or damaged.
+    """
+    manifest = manifest or store.read_manifest(folder)
+    splits = []
+    if manifest is None:
+        held = (place or places.folder_place(folder)).all_shards()
+    else:
+        held = {split: _recorded(folder, manifest.shards_of(split)) for split in manifest.splits}
+    for split, shards in held.items():
+        records = () if manifest is None else manifest.shards_of(split)
+        paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
+        sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
+        if manifest is None:
+            files = zip(shards, paths, strict=True)
+            sizes = run.in_threads(partial(_sizes, folder), files, usable_cores())
+        splits.append(SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
+    if not splits:
+        raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
+    return FolderSummary(
+        tuple(splits), splits[0].shards[0].schema, manifest is not None, viewer_files(manifest)
+    )
+
+
+def _recorded(folder: store.DataFolder, records: Iterable[store.ShardRecord]) -> tuple[read.Shard, ...]:
+    return tuple(read.Shard(folder.address(each.shard.data_path), each.rows) for each in records)
+
+
+def _sizes(folder: store.DataFolder, file: tuple[read.Shard, str]) -> tuple[int, int, int]:
+    """Return rows, bytes and unpacked bytes of a file."""
+    shard, path = file
+    groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
+    return len(shard), folder.size_bytes(path), sum(group.total_byte_size for group in groups)
+
+
+def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
+    """Return the files of each split that a manifest lists for the Hub's page."""
+    if manifest is None:
+        return {}
+    listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]
+    names = sorted(filter(None, (store.ShardName.parse(PurePosixPath(path).name) for path in listed)))
+    found: dict[str, tuple[str, ...]] = {}
+    for split in manifest.splits:
+        if paths := tuple(f"{store.VIEWER_FOLDER}/{name}.parquet" for name in names if name.split == split):
+            found[split] = paths
+    return found

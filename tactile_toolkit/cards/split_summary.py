@@ -1,0 +1,101 @@
+"""What the rows of each split are like, by the roles of their columns, for cards and commands."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyarrow as pa
+
+from tactile_toolkit import store
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.rows import Column
+
+_MOST_LISTED = 12
+
+
+@dataclass(frozen=True, slots=True)
+class SplitSummary:
+    """One split: what the manifest counts, and facts of its columns by name.
+
+    Attributes
+    ----------
+    split : str
+        Name of the split.
+    counts : mapping of str to int
+        Rows, shards, bytes and skipped items.
+    facets : mapping
+        Rows of each value.
+    measures : mapping
+        Least, median and most; empty without rows.
+    sums : mapping
+        Totals.
+    """
+
+    split: str
+    counts: Mapping[str, int]
+    facets: Mapping[str, Mapping[str, int]] = field(default_factory=dict)
+    measures: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    sums: Mapping[str, int] = field(default_factory=dict)
+
+    def to_dict(self) -> dict[str, object]:
+        """Return JSON values."""
+        return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
+
+    def text(self, column: Column) -> str:
+        """Write the fact of a column for a table."""
+        if column.role == "sum":
+            return column.text(self.sums[column.name])
+        if column.role == "measure":
+            spread = self.measures[column.name]
+            return "{0} to {2} (median {1})".format(*map(column.text, spread)) if spread else "-"
+        counts = self.facets[column.name]
+        if len(counts) > 1 and len(set(counts.values())) == 1:
+            return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
+        if len(counts) > _MOST_LISTED:
+            return f"{len(counts):,} values"
+        return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
+
+
+def summarise_columns(
+    manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
+) -> list[SplitSummary]:
+    """Sum up the columns of a table for each split; ``table`` has a column ``split``."""
+    # pyarrow.compute takes 40 ms to import, and few commands need it.
+    import pyarrow.compute as pc
+
+    found = []
+    for split, counts in manifest.split_table().items():
+        rows = table.filter(pc.equal(table["split"], split))
+        found.append(
+            SplitSummary(
+                split,
+                counts,
+                {each.name: _counts(rows[each.name]) for each in declared if each.role == "facet"},
+                {each.name: _spread(rows[each.name]) for each in declared if each.role == "measure"},
+                {each.name: int(rows[each.name].to_numpy().sum()) for each in declared if each.role == "sum"},
+            )
+        )
+    return found
+
+
+def _counts(values: pa.ChunkedArray) -> dict[str, int]:
+    flat = values.combine_chunks()
+    flat = flat.flatten() if pa.types.is_list(flat.type) else flat
+    counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
+    return {value: counts[value] for value in sorted(counts, key=natural_key)}
+
+
+def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
+    numbers = values.to_numpy()
+    found = (numbers.min(), np.median(numbers), numbers.max()) if len(numbers) else ()
+    return tuple(round(float(number), 3) for number in found)
+
+
+def facts_table(
+    summaries: Sequence[SplitSummary], declared: Sequence[Column]
+) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
+    """Lay out the facts of splits: a header with their names, and a line for each column."""
+    header = ("", *(summary.split for summary in summaries))
+    return header, [(each.heading, *(summary.text(each) for summary in summaries)) for each in declared]

@@ -1,0 +1,82 @@
+"""Meshes as the viewer of a gallery reads them, and what the page says of their size.
+
+A mesh is packed in integer steps of 10 µm, as differences, deflated, as text: a digit of 5,000 vertices takes
+about 30 kB, where its plain arrays take 180 kB.
+"""
+
+from __future__ import annotations
+
+import base64
+import zlib
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from tactile_toolkit import mesh
+from tactile_toolkit.array_types import Floating, Int64, Integers
+from tactile_toolkit.errors import IntegrityError
+
+STEP_MM = 0.01
+"""Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm and finer
+for those below 10 mm."""
+
+_FEWEST_STEPS = 1_000
+_LEAST_STEP_MM = 1e-6
+_MOST_STEPS = np.iinfo(np.uint16).max
+
+
+def packed_mesh(
+    vertices_m: Floating,
+    faces: Integers,
+    parts: Sequence[tuple[int, str]] = (),
+    *,
+    flat: bool = False,
+) -> dict[str, Any]:
+    """Pack a mesh, (V, 3) in metres with z up and (F, 3), as JSON values for the viewer of the page.
+
+    ``parts`` are runs of triangles and the paint of each, ``"main"`` or ``"other"``; all are ``"main"`` by
+    default. ``flat`` shows edges sharp instead of rounding the shade off. ``vertices`` and ``faces`` become
+    base64 of zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number
+    before; vertices as x of all, y of all, z of all in steps of ``step_mm`` above ``low_mm``.
+    """
+    vertices_mm = np.asarray(vertices_m, np.float64) * mesh.MM_PER_M
+    low_mm = vertices_mm.min(axis=0)
+    extent_mm = float((vertices_mm.max(axis=0) - low_mm).max())
+    step_mm = max(min(STEP_MM, max(extent_mm / _FEWEST_STEPS, _LEAST_STEP_MM)), extent_mm / _MOST_STEPS)
+    steps = np.round((vertices_mm - low_mm) / step_mm).astype(np.int64)
+    return {
+        "vertices": _packed(steps.T.reshape(-1)),
+        "faces": _packed(np.asarray(faces, np.int64).reshape(-1)),
+        "vertex_count": len(vertices_mm),
+        "face_count": len(faces),
+        "step_mm": step_mm,
+        "low_mm": [round(float(value), 6) for value in low_mm],
+        "parts": [list(part) for part in parts] or [[len(faces), "main"]],
+        "flat": flat,
+    }
+
+
+def _packed(numbers: Int64) -> str:
+    # Neighbours differ little, so the upper planes of bytes are almost all zero and deflate to nothing.
+    change = np.diff(numbers, prepend=0)
+    # Small differences of either sign become small numbers (as in Protocol Buffers).
+    zigzag = ((change << 1) ^ (change >> 63)).astype("<u4")
+    planes = zigzag.view(np.uint8).reshape(-1, 4).T
+    return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")
+
+
+def size_text(vertices_m: Floating) -> str:
+    """Write the size of a mesh for people: ``"38.2 x 52.1 x 8.0 mm"``."""
+    size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * mesh.MM_PER_M
+    return " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
+
+
+def require_mesh(record: mesh.SolidRecord, split: str) -> None:
+    """Refuse a stored mesh that nothing can draw, with an IntegrityError."""
+    problem = mesh.array_problem(mesh.Mesh(record.vertices_m, record.faces))
+    if problem is not None:
+        raise IntegrityError(
+            f"the mesh of id {record.id} in split {split!r} cannot be drawn: {problem[1]}",
+            next="run `verify` and `validate` on the data set, then generate or download it again",
+        )

@@ -1,0 +1,299 @@
+"""One way from a specification to a finished data set folder, for every kind of data set."""
+
+from __future__ import annotations
+
+import os
+import time
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any, Unpack
+
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.rows import table_of
+from tactile_toolkit.system import usable_cores
+
+# What workers need to start and import their libraries.
+_START_S = 1.5
+
+
+@dataclass(frozen=True)
+class StorageLayout:
+    """How the rows of a kind are stored.
+
+    Attributes
+    ----------
+    style : ParquetStyle
+        StorageLayout of the shards.
+    libraries : tuple of str
+        Distributions whose versions decide bytes.
+    smallest, largest, wanted : int
+        Rows of a shard, and how many shards a split of middle size has; see
+        :func:`~tactile_toolkit.store.shards.shard_ranges`.
+    sampled : int
+        Items of a shard from which the time and size of a run are estimated.
+    report_file : str or None
+        Path of the report, where there is one.
+    together : int
+        Items that are made of one thing, and so stand in one shard where that is possible.
+    """
+
+    style: store.ParquetStyle
+    libraries: tuple[str, ...]
+    smallest: int = 1
+    largest: int = 1
+    wanted: int = 1
+    sampled: int = 1
+    report_file: str | None = None
+    together: int = 1
+
+
+class Generator(ABC):
+    """How a data set of a kind is made: what a kind brings to :func:`generate`.
+
+    A small picklable value, usually a frozen dataclass of a specification: each task takes it to the process
+    that makes the rows.
+    """
+
+    kind: DatasetKind
+    spec: Any  # has `to_dict`
+
+    def manifest(self) -> Mapping[str, Any]:
+        """Return JSON values that identify the rows; two equal values give equal Parquet."""
+        values: Mapping[str, Any] = self.spec.to_dict()
+        return values
+
+    @abstractmethod
+    def items(self) -> Mapping[str, Any]:
+        """Return what the rows of each split are made of: sequences or arrays; splits in canonical order."""
+
+    @abstractmethod
+    def layout(self) -> StorageLayout:
+        """Return how rows are stored."""
+
+    @abstractmethod
+    def schema(self, split: str) -> Any:
+        """Return the Arrow schema of the shards of a split."""
+
+    @abstractmethod
+    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
+        """Yield the row of each item, or why it gives none; touches no file of the data set."""
+
+    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
+        """Return rows of the report about rows of a shard, an Arrow table; None without a report."""
+        return None
+
+    def statistics(self, rows: Sequence[Any]) -> Mapping[str, Any] | None:
+        """Return JSON values about rows, which add up over shards, for the manifest."""
+        return None
+
+
+def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
+    """Make the rows of a shard; items that give none are listed instead."""
+    rows: list[Any] = []
+    skipped: list[store.Skipped] = []
+    for each in generator.make(shard.split, items):
+        (skipped if isinstance(each, store.Skipped) else rows).append(each)
+    with store.without_collecting():
+        table = table_of(rows, generator.schema(shard.split))
+    return store.ShardContent(
+        table, tuple(skipped), generator.report(shard, rows), generator.statistics(rows)
+    )
+
+
+def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> store.BuildPlan:
+    """Decide which shards hold what; writes nothing. InputError: an unknown split, or nothing to make."""
+    items, layout = generator.items(), generator.layout()
+    known = tuple(items)
+    wanted = known if splits is None else splits
+    for split in wanted:
+        if split not in known:
+            raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
+    # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
+    chosen = {split: each for split, each in items.items() if split in wanted}
+    tasks = _tasks(generator, chosen, layout)
+    if not tasks:
+        sizes = {split: len(each) for split, each in items.items()}
+        raise InputError(
+            f"no {generator.kind.nouns} to make for {', '.join(wanted)}: the splits have {sizes}",
+            next="choose another --split, or larger ones",
+        )
+    return store.BuildPlan(
+        generator.kind.name,
+        generator.manifest(),
+        known,
+        tasks,
+        layout.style,
+        layout.report_file,
+        libraries=layout.libraries,
+    )
+
+
+def _tasks(
+    generator: Generator, items: Mapping[str, Any], layout: StorageLayout
+) -> tuple[store.ShardTask[Any], ...]:
+    return tuple(
+        store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
+        for split, each in items.items()
+        for shard, rows in store.shard_ranges(
+            split,
+            len(each),
+            smallest=layout.smallest,
+            largest=layout.largest,
+            wanted=layout.wanted,
+            together=layout.together,
+        )
+    )
+
+
+def generate(
+    generator: Generator,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None = None,
+    *,
+    require: Callable[[], None] = lambda: None,
+    **run: Unpack[store.RunKeywords],
+) -> store.Manifest:
+    """Make a data set folder.
+
+    A folder that holds a finished or interrupted run of the same specification is completed: finished shards
+    are kept. The same specification gives byte-identical Parquet whatever the number of workers and however
+    often the run was interrupted.
+
+    Parameters
+    ----------
+    generator : Generator
+        What to make.
+    out : str or path-like
+        Folder to write.
+    splits : sequence of str, optional
+        Splits to make, all by default; others that the folder holds already stay.
+    require : callable
+        Raises what speaks against the run, once it is known what is to be made.
+    **run
+        Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now.
+    """
+    plan = plan_build(generator, splits)
+    require()
+    return store.build(store.open_folder(os.fspath(out)), plan, write_card=generator.kind.write_card, **run)
+
+
+@dataclass(frozen=True, slots=True)
+class Forecast:
+    """What a run would do.
+
+    ``splits`` has of each split its ``rows`` and ``shards``, and how many rows are ``finished`` already.
+    ``bytes`` of Parquet and ``seconds`` are estimated from ``sampled`` rows that were made. ``replaced`` are
+    the rows of each split of the data set that the run would replace; None where it would replace none.
+    """
+
+    splits: list[dict[str, Any]]
+    rows_to_make: int
+    bytes: int
+    seconds: float
+    sampled: int
+    replaced: dict[str, int] | None = None
+
+
+def forecast(
+    generator: Generator,
+    out: str | os.PathLike[str],
+    splits: Sequence[str] | None = None,
+    *,
+    require: Callable[[], None] = lambda: None,
+    **run: Unpack[store.RunKeywords],
+) -> Forecast:
+    """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
+
+    Of one part of a run, the shards of that part count. Raises what the run would raise before its first row.
+    """
+    options = store.RunOptions(**run)
+    plan = plan_build(generator, splits)
+    require()
+    folder = store.open_folder(os.fspath(out))
+    if options.overwrite and store.require_replaceable(folder, plan):
+        job = store.BuildJob(folder, plan, plan.new_manifest(), plan.tasks)
+    else:
+        job = store.inspect_job(folder, plan, options)
+    rows, left = Counter[str](), Counter[str]()
+    for task in job.tasks:
+        rows[task.shard.split] += task.size
+    for task in job.remaining:
+        left[task.shard.split] += task.size
+    shards = Counter(task.shard.split for task in job.tasks)
+    sampled, item_bytes, item_s = _sample(generator, plan)
+    # A runner that states no number, or 0, is taken for one worker, or for one per core.
+    processes = (
+        options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
+    )
+    processes = processes or usable_cores()
+    return Forecast(
+        [
+            {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}
+            for each in rows
+        ],
+        left.total(),
+        round(left.total() * item_bytes),
+        round(left.total() * item_s / processes + (_START_S if left else 0), 1),
+        sampled,
+        _existing_rows(folder) if options.overwrite else None,
+    )
+
+
+def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, float]:
+    """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
+    first = plan.tasks[0]
+    replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
+    few = replace(first, items=first.items[: generator.layout().sampled])
+    start_s = time.perf_counter()
+    content = few.make()
+    table = content.table
+    if few.size == sum(task.size for task in plan.tasks):
+        store.require_rows([(len(table), content.skipped)])
+    size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
+    return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
+
+
+def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
+    """Return the rows of each split of a data set; empty where its manifest is damaged, None without one."""
+    try:
+        manifest = store.manifest_so_far(folder)
+    except IntegrityError:
+        return {}
+    return None if manifest is None else {name: row["rows"] for name, row in manifest.split_table().items()}
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """How a data set is made without any input.
+
+    ``options`` are those of the command that makes the same, by name; None where it takes no ``--split``.
+    """
+
+    generator: Generator
+    options: Mapping[str, Any] | None = None
+
+    @property
+    def splits(self) -> tuple[str, ...]:
+        """Splits that can be made, in order."""
+        return tuple(self.generator.items())
+
+    def arguments(self, split: str) -> str:
+        """Return the arguments of the command that makes a split, but for the folder."""
+        if self.options is None:
+            return ""
+        options = {"split": split, **self.options}
+        return " ".join(f"--{name} {value}" for name, value in options.items() if value)
+
+    def make(self, out: str, split: str, workers: int) -> None:
+        """Make one split in a folder, continuing where an interrupted run stopped."""
+        generate(self.generator, out, (split,), workers=workers)

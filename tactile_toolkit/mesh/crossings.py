@@ -1,0 +1,151 @@
+"""Whether a closed surface crosses itself: edges against triangles, over a tree of boxes.
+
+Where two sheets of a closed surface cross, some space is enclosed twice, or inside out, and the volume counts
+it so. Sheets that only touch enclose nothing twice and are left alone.
+
+Sheets cross where an edge passes through a triangle with which it shares no corner, and neighbours where one
+is folded back onto the other. An edge that meets a triangle only within :func:`tolerance_mm` of its ends, or
+of the rim of the triangle, may touch it or be the seam of a crossing: winding numbers around it decide.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+
+import numpy as np
+
+from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.mesh.nearness import connected, near_pairs
+from tactile_toolkit.mesh.surface_kernels import halves, passages
+
+_TOLERANCE = 2.0**-21
+# Each of them takes a pass over all faces.
+_MOST_ODD = 64
+# Each takes 26 winding numbers, every one over all faces.
+_DOUBTS_TRIED = 32
+# How many tolerances from a doubtful place the winding number is asked for, in directions all around, none of
+# which lies in a plane that faces of things made by hand lie in.
+_ASIDE = 16.0
+_GRID = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_GRID += (0.137, 0.211, 0.293)
+_DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
+
+
+def tolerance_mm(vertices_mm: Float64) -> float:
+    """Return how deep sheets may lie in one another: a few times what single precision moves them."""
+    return _TOLERANCE * float(np.abs(vertices_mm).max())
+
+
+def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float64 | None:
+    """Return a place, shape (3,), where a body of a closed manifold mesh crosses itself; None if none does.
+
+    ``bodies`` are the connected surfaces of the mesh; crossings of different ones are not looked for.
+    """
+    suspects = faces_not_proven_free(vertices_mm, faces)
+    if not len(suspects):
+        return None
+    if bodies == 1:
+        return _crossing_among(vertices_mm, faces, suspects)
+    body = connected(faces.ravel(), np.roll(faces, -1, axis=1).ravel(), len(vertices_mm))[faces[:, 0]]
+    for one in np.unique(body[suspects]):
+        own = np.flatnonzero(body == one)
+        place = _crossing_among(vertices_mm, faces[own], np.flatnonzero(np.isin(own, suspects)))
+        if place is not None:
+            return place
+    return None
+
+
+def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
+    """Return the faces that may cross others; fewer than all where the surface splits along a level plane.
+
+    Over any point of the plane the upper half has as many more faces that look up than faces that do not as
+    its rim winds around the point. If the rim is simple that is at most one: then no two faces share a point
+    unless one lies there that does not look up, and of these there are few.
+    """
+    x, y, z = vertices_mm.T
+    is_split, odd, edges = halves(vertices_mm, faces, (z.max() + z.min()) / 2)
+    if not is_split or len(odd) > _MOST_ODD or not _rim_is_simple(vertices_mm, edges):
+        return np.arange(len(faces))
+    if not len(odd):
+        return odd
+    corners = np.ascontiguousarray(faces.T)
+    sides = [np.stack([np.minimum.reduce(at), np.maximum.reduce(at)]) for at in (x[corners], y[corners])]
+    near = np.zeros(len(faces), dtype=bool)
+    for face in odd:
+        near |= np.logical_and.reduce([(at[0] <= at[1, face]) & (at[1] >= at[0, face]) for at in sides])
+    return np.flatnonzero(near)
+
+
+def _rim_is_simple(points: Float64, edges: Int64) -> bool:
+    """Return whether the rim of a half, of its edges in the level, is lines apart that wind once at most."""
+    start, end = edges.T
+    # An edge that the half has in both directions is not of its rim.
+    forth, back = np.sort(start * len(points) + end), end * len(points) + start
+    rim = forth[np.searchsorted(forth[:-1], back)] != back
+    start, end = start[rim], end[rim]
+    if np.bincount(start, minlength=1).max() > 1:
+        return False  # lines that share a corner
+    p, q = points[start], points[end]
+    one, other = near_pairs(np.stack([p, q], axis=1), 0.0)
+    a, b, c, d = p[one], q[one], p[other], q[other]
+    turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
+    # Edges cross unless one of them has both ends of the other on one side.
+    apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
+    # Neighbours share their corner; they are apart otherwise unless one runs back along the other.
+    joined = (start[one] == end[other]) | (end[one] == start[other])
+    onwards = ((b - a) * (d - c)).sum(axis=1) > 0
+    if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
+        return False
+    # Simple closed lines: how often each is wound around by the others, 0 times or once and it winds back.
+    line = connected(start, end, len(points))[start]
+    for number in np.unique(line):
+        own = line == number
+        area = _turn(np.zeros_like(p[own]), p[own], q[own]).sum()
+        point, a, b = p[own][:1], p[~own], q[~own]
+        left, upwards = _turn(a, b, point), b[:, 1] > point[:, 1]
+        passing = ((a[:, 1] > point[:, 1]) != upwards) & np.where(upwards, left > 0, left < 0)
+        if np.where(upwards, 1, -1)[passing].sum() != (0 if area > 0 else 1):
+            return False
+    return True
+
+
+def _turn(a: Float64, b: Float64, c: Float64) -> Float64:
+    """Return which way points, shape (N, 3), turn seen from above: positive counter-clockwise."""
+    return np.asarray((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
+
+
+def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Float64 | None:
+    """Return where faces among the suspects cross each other, if they do."""
+    tolerance = tolerance_mm(vertices_mm)
+    a, b, c = (vertices_mm[faces[suspects, corner]] for corner in range(3))
+    normal = np.cross(b - a, c - a)
+    doubled = np.sqrt((normal * normal).sum(axis=1))
+    longest = np.sqrt(np.max([((v - u) ** 2).sum(axis=1) for u, v in ((a, b), (b, c), (c, a))], axis=0))
+    # Nothing passes through a triangle narrower than the tolerance; its neighbours have its edges, too.
+    wide = doubled > tolerance * longest
+    triangles, normal = faces[suspects[wide]].astype(np.int64), normal[wide] / doubled[wide, None]
+    pairs = near_pairs(vertices_mm[triangles], tolerance)
+    points = np.ascontiguousarray(vertices_mm, dtype=np.float64)
+    certain, places = passages(points, triangles, normal, pairs, tolerance)
+    if certain:
+        return np.asarray(places[0])
+    chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_TRIED)).astype(np.int64)
+    for place in places[chosen]:
+        winding = _winding_numbers(vertices_mm, faces, place + _ASIDE * tolerance * _DIRECTIONS)
+        # Off the surface these are integers: 1 inside, 0 outside, and the quarter is for rounding.
+        if ((winding > 1.25) | (winding < -0.25)).any():
+            return np.asarray(place)
+    return None
+
+
+def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> Float64:
+    """Return how often a surface goes around points: its solid angles (Van Oosterom and Strackee 1983)."""
+    found = np.empty(len(points_mm))
+    for index, point in enumerate(points_mm):
+        away = vertices_mm - point
+        far = np.sqrt((away * away).sum(axis=1))
+        (a, b, c), (la, lb, lc) = away[faces.T], far[faces.T]
+        volume = (a * np.cross(b, c)).sum(axis=1)
+        base = la * lb * lc + (a * b).sum(axis=1) * lc + (b * c).sum(axis=1) * la + (c * a).sum(axis=1) * lb
+        found[index] = np.arctan2(volume, base).sum() / (2 * np.pi)
+    return found

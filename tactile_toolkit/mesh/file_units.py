@@ -1,0 +1,69 @@
+"""The unit of a mesh file, as users give it and as its size suggests; light, for --help needs it."""
+
+from __future__ import annotations
+
+import math
+
+from tactile_toolkit.checked_fields import choice
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.units import MM_PER_UNIT
+
+UNITS = ("mm", "cm", "m", "in")
+
+UNIT = choice(
+    None,
+    UNITS,
+    optional=True,
+    name="--unit",
+    help="Unit of STL, PLY and OBJ files, mm by default; 3MF and GLB state theirs.",
+)
+"""Option of commands that take mesh files."""
+
+_LEAST_MM, _MOST_MM, _USUAL_MM = 1.0, 1000.0, 50.0
+
+
+def require_unit(unit: str | None) -> None:
+    """Raise InputError unless a unit is one of :data:`UNITS`, or None."""
+    if unit is not None and unit not in UNITS:
+        raise InputError(f"unit is {unit!r}; expected one of {', '.join(UNITS)}")
+
+
+def refuse_unit(unit: str | None, name: str) -> None:
+    """Refuse a unit for what is not a mesh file."""
+    if unit is not None:
+        raise InputError(f"--unit is for mesh files, and {name!r} is not one; data sets are in metres")
+
+
+def require_likely_size(size_mm: float, unit: str | None, stated: str | None) -> None:
+    """Refuse an object of 1 mm or less, or 1 m or more, unless its unit was given.
+
+    Parameters
+    ----------
+    size_mm : float
+        Longest side of the object, mm; 0 and what is not finite are left to the check of the solid.
+    unit : str or None
+        Unit that the user gave.
+    stated : str or None
+        Unit that the file states; None for formats that state none.
+
+    Raises
+    ------
+    InputError
+        The message names the unit in which the object would be nearest to 50 mm.
+    """
+    is_meant = unit is not None and stated in (None, unit)
+    if is_meant or _LEAST_MM <= size_mm <= _MOST_MM or not size_mm or not math.isfinite(size_mm):
+        return
+    read_as = stated or "mm"
+    number = size_mm / MM_PER_UNIT[read_as]
+    likely = min(UNITS, key=lambda name: abs(math.log(number * MM_PER_UNIT[name] / _USUAL_MM)))
+    found = (
+        f"the object, read in {read_as}, is {size_mm:.3g} mm long; expected {_LEAST_MM:g} to {_MOST_MM:g} mm"
+    )
+    meant = f"--unit {read_as} if it is meant to be so"
+    if likely == read_as:
+        raise InputError(found, next=f"scale it, or give {meant}")
+    found += f"; it is probably in {likely}"
+    if stated is not None:
+        raise InputError(f"{found}, but the file states {stated}", next=f"export it again, or give {meant}")
+    raise InputError(found, next=f"give --unit {likely} (in Python, unit={likely!r}), or {meant}")

@@ -1,0 +1,79 @@
+"""Polygons with more than three corners, cut into triangles."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import manifold3d
+import numpy as np
+
+from tactile_toolkit.array_types import Float64, Int32, Int64
+from tactile_toolkit.errors import InputError
+
+# Cutting a polygon that crosses itself takes a time that grows with the square of its corners.
+_MOST_CORNERS = 10_000
+
+
+def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
+    """Cut polygons into triangles that lie in them, whether they are convex or not.
+
+    Parameters
+    ----------
+    vertices : ndarray of float64, shape (V, 3)
+        In whatever unit.
+    sizes : ndarray of int64, shape (P,)
+        How many corners each polygon has.
+    corners : ndarray of int64, shape (sum of sizes,)
+        Rows of ``vertices``, polygon after polygon.
+
+    Returns
+    -------
+    ndarray of int32, shape (F, 3)
+        Turned as their polygons.
+
+    Raises
+    ------
+    InputError
+        A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there.
+    """
+    if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
+        wrong = corners.max() if corners.min() >= 0 else corners.min()
+        raise InputError(f"a face names vertex {wrong}, counted from 0; there are {len(vertices):,}")
+    if not len(sizes) or (sizes == 3).all():
+        return corners.reshape(-1, 3).astype(np.int32)
+    least, most = int(sizes.min()), int(sizes.max())
+    if least < 3 or most > _MOST_CORNERS:
+        wrong_size = least if least < 3 else most
+        raise InputError(f"a face has {wrong_size:,} corners; expected 3 to {_MOST_CORNERS:,}")
+    starts = np.cumsum(sizes) - sizes
+    found = []
+    for size in np.unique(sizes).tolist():
+        polygons = corners[starts[sizes == size][:, None] + np.arange(size)]
+        found.append(polygons if size == 3 else _cut_equal(vertices, polygons))
+    return np.concatenate(found).astype(np.int32)
+
+
+def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
+    """Cut polygons of equally many corners, shape (P, corners)."""
+    places = vertices[polygons]
+    places -= places[:, :1]
+    following = np.roll(places, -1, axis=1)
+    normal = np.cross(places, following).sum(axis=1)
+    # Seen along the axis that the polygon faces most; mirrored where it faces against it.
+    axis = np.abs(normal).argmax(axis=1)
+    rows = np.arange(len(polygons))
+    upwards = np.where(normal[rows, axis] < 0, -1.0, 1.0)
+    x = np.take_along_axis(places, ((axis + 1) % 3)[:, None, None], axis=2)[..., 0]
+    y = np.take_along_axis(places, ((axis + 2) % 3)[:, None, None], axis=2)[..., 0] * upwards[:, None]
+    flat = np.stack([x, y], axis=2)
+    along = np.roll(flat, -1, axis=1) - flat
+    onward = np.roll(along, -1, axis=1)
+    turns = along[..., 0] * onward[..., 1] - along[..., 1] * onward[..., 0]
+    is_convex = (turns > 0).all(axis=1)
+    middle = np.arange(1, polygons.shape[1] - 1)
+    fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
+    found = [polygons[is_convex][:, fan].reshape(-1, 3)]
+    cut: Callable[..., Any] = manifold3d.triangulate
+    found += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
+    return np.concatenate(found)

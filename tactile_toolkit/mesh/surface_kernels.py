@@ -1,0 +1,132 @@
+"""Kernels of a surface: proof by halves, triangles that pass through one another, triangles that lean out."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.compiled import compiled
+from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, sub
+
+
+@compiled
+def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
+    """Return whether a level plane splits triangles into two halves, and what a proof by them has to look at.
+
+    That are the triangles that do not look away from the plane, and the edges in it of those above, (N, 2).
+    """
+    odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
+    reaches, odds, count = False, 0, 0
+    for face in range(len(faces)):
+        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        least, most = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
+        # It passes through the plane, or lies in it.
+        if (least < level < most) or least == most == level:
+            return False, odd[:0], edges[:0]
+        reaches |= least == level or most == level
+        upwards = cross(sub(b, a), sub(c, a))[2]
+        if (upwards if most > level else -upwards) <= 0:
+            odd[odds] = face
+            odds += 1
+        if least == level:
+            for k, (at, beyond) in enumerate(((a[2], b[2]), (b[2], c[2]), (c[2], a[2]))):
+                if at == level and beyond == level:
+                    edges[count, 0], edges[count, 1] = faces[face, k], faces[face, (k + 1) % 3]
+                    count += 1
+    return reaches, odd[:odds], edges[:count]
+
+
+@compiled
+def passages(
+    points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float
+) -> tuple[bool, Float64]:
+    """Return whether a triangle of a pair certainly passes through the other or is folded onto it, and where.
+
+    If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
+    """
+    doubtful, count = np.empty((6 * pairs.shape[1], 3)), 0
+    for pair in range(pairs.shape[1]):
+        one, other = pairs[0, pair], pairs[1, pair]
+        # Within 8 degrees of opposite: by the angle alone a fold is like a thin edge; the gap differs.
+        opposed = dot(row(normal, one), row(normal, other)) < -0.99
+        for target, passing in ((one, other), (other, one)):
+            for k in range(3):
+                found, place = _passage(points, triangles, row(normal, target), target, passing, k, tolerance)
+                if opposed and _is_fold(points, triangles, target, passing, k, tolerance):
+                    found = 2
+                if found:
+                    doubtful[count, 0], doubtful[count, 1], doubtful[count, 2] = place
+                    count += 1
+                if found == 2:
+                    return True, doubtful[count - 1 : count]
+    return False, doubtful[:count]
+
+
+@compiled
+def _passage(
+    points: Float64, triangles: Int64, into: Vector, target: int, passing: int, k: int, tolerance: float
+) -> tuple[int, Vector]:
+    """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
+    start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
+    p, q = row(points, start), row(points, end)
+    base = row(points, triangles[target, 0])
+    at_p, at_q = dot(sub(p, base), into), dot(sub(q, base), into)
+    if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
+        return 0, p
+    share = 0.5 if at_p == at_q else min(max(at_p / (at_p - at_q), 0.0), 1.0)
+    place = p[0] + share * (q[0] - p[0]), p[1] + share * (q[1] - p[1]), p[2] + share * (q[2] - p[2])
+    inside = np.inf
+    for side in range(3):
+        corner = triangles[target, side]
+        if corner in (start, end):
+            return 0, p
+        here = row(points, corner)
+        along = sub(row(points, triangles[target, (side + 1) % 3]), here)
+        inward = cross(into, along)
+        inside = min(inside, dot(sub(place, here), inward) / math.sqrt(dot(along, along)))
+    through = min(at_p, at_q) < -tolerance and max(at_p, at_q) > tolerance
+    return (0 if inside < -tolerance else 2 if through and inside > tolerance else 1), place
+
+
+@compiled
+def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
+    """Return whether triangles that share edge k of the one lie on one another instead of side by side."""
+    start, end = triangles[one, k], triangles[one, (k + 1) % 3]
+    apex, far, shared = row(points, triangles[one, (k + 2) % 3]), row(points, start), 0
+    for corner in triangles[other]:
+        if corner in (start, end):
+            shared += 1
+        else:
+            far = row(points, corner)
+    if shared != 2:
+        return False
+    p = row(points, start)
+    along = normalized(sub(row(points, end), p))
+    first, second = _across(sub(apex, p), along), _across(sub(far, p), along)
+    between = sub(normalized(first), normalized(second))
+    # How far the shorter one stands off the longer.
+    shorter = min(dot(first, first), dot(second, second))
+    return math.sqrt(shorter * dot(between, between)) <= tolerance
+
+
+@compiled
+def _across(u: Vector, along: Vector) -> Vector:
+    """Return what of a way does not lead along a direction."""
+    part = dot(u, along)
+    return u[0] - part * along[0], u[1] - part * along[1], u[2] - part * along[2]
+
+
+@compiled
+def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
+    """Return twice the areas of the triangles that reach above a bed and look down by more than a sine."""
+    doubled, count = np.empty(len(faces)), 0
+    for face in range(len(faces)):
+        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        normal = cross(sub(b, a), sub(c, a))
+        size = math.sqrt(dot(normal, normal))
+        if normal[2] < 0 and normal[2] < -sine * size and max(a[2], b[2], c[2]) > bed:
+            doubled[count] = size
+            count += 1
+    return doubled[:count]

@@ -1,0 +1,122 @@
+"""Pictures in files and notebooks: planned first, then drawn one by one; equal pixels give equal bytes."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from PIL import Image
+
+from tactile_toolkit import store
+from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.errors import InputError
+
+TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
+"""Style of a small picture among others in a notebook."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedPicture:
+    """A picture that is not drawn yet: its file name (``.png``) and what it shows, in a few words."""
+
+    name: str
+    what: str
+    draw: Callable[[], UInt8]
+
+
+@dataclass(frozen=True, slots=True)
+class PicturePlan:
+    """What will be drawn, in order, and why kinds that were not named are left out."""
+
+    pictures: tuple[PlannedPicture, ...]
+    left_out: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenPicture:
+    """A picture on disk: name and words as planned, size in pixels and bytes."""
+
+    file: str
+    what: str
+    width: int
+    height: int
+    bytes: int
+
+
+def plan_kinds(
+    asked: Sequence[str], plans: Mapping[str, Callable[[], Sequence[PlannedPicture]]]
+) -> PicturePlan:
+    """Plan the pictures of each kind that was asked for, or of the first one.
+
+    ``"all"`` among those asked for stands for all. What cannot be drawn and was not named one by one is left
+    out, with the reason; an InputError of a kind that was named or is unknown, or of all where nothing can be
+    drawn, is raised.
+    """
+    unknown = [kind for kind in asked if kind not in (*plans, "all")]
+    if unknown:
+        raise InputError(f"no pictures of kind {unknown[0]!r}; expected {', '.join(plans)} or all")
+    named = bool(asked) and "all" not in asked
+    wanted = plans if "all" in asked else asked or next(iter(plans))
+    pictures: list[PlannedPicture] = []
+    reasons: list[InputError] = []
+    for kind in filter(wanted.__contains__, plans):
+        try:
+            pictures += plans[kind]()
+        except InputError as error:
+            if named:
+                raise
+            reasons.append(error)
+    if not pictures and reasons:
+        raise reasons[0]
+    # Several kinds may need the same missing package.
+    return PicturePlan(tuple(pictures), tuple(dict.fromkeys(str(reason) for reason in reasons)))
+
+
+def write_pictures(
+    folder: store.DataFolder,
+    pictures: Sequence[PlannedPicture],
+    on_progress: Callable[[int, int], None] = lambda _done, _all: None,
+) -> list[WrittenPicture]:
+    """Draw pictures and write each whole or not at all; one of the same name is replaced.
+
+    When one cannot be drawn or written, those before it stay.
+    """
+    written = []
+    for done, planned in enumerate(pictures, start=1):
+        pixels = planned.draw()
+        content = png_bytes(pixels)
+        folder.write_bytes(planned.name, content)
+        height, width = pixels.shape[:2]
+        written.append(WrittenPicture(planned.name, planned.what, width, height, len(content)))
+        on_progress(done, len(pictures))
+    return written
+
+
+def png_bytes(pixels: UInt8) -> bytes:
+    """Encode a picture as PNG without times, names of programs or anything else but its pixels."""
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=6)
+    return stream.getvalue()
+
+
+def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
+    """Return what a notebook shows of a picture and its caption, which is plain text."""
+    source = base64.b64encode(png_bytes(pixels)).decode("ascii")
+    styled = f' style="{style}"' if style else ""
+    return (
+        f'<figure{styled}><img src="data:image/png;base64,{source}">'
+        f"<figcaption>{html.escape(caption)}</figcaption></figure>"
+    )
+
+
+def file_stem(name: str) -> str:
+    """Return by what pictures of data sets differ in name: the last part of a path, in plain letters."""
+    path = store.expanded(name)
+    last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
+    plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
+    # With a dot in front it would be hidden, and with a dash an option.
+    return plain.strip("-.") or "pictures"

@@ -1,0 +1,45 @@
+"""The kind of a data set, as its columns tell it, and the refusal of other kinds."""
+
+from __future__ import annotations
+
+import shlex
+
+import pyarrow as pa
+
+from tactile_toolkit import mesh, read
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind, kinds
+
+
+def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
+    """Return the kind of rows by a column that only it has, or else of meshes by their published classes."""
+    names = read.column_names(schema)
+    for kind in kinds():
+        if any(name.partition(".")[0] in kind.columns for name in names):
+            return kind
+    if mesh.FACES not in names:
+        return None
+    classes = read.class_names(schema, ())
+    known = (kind for kind in kinds() if kind.published and kind.class_names)
+    return next((kind for kind in known if kind.class_names == classes), None)
+
+
+def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str = "") -> None:
+    """Refuse a data set of another kind: say what it is, and which command or function is for it.
+
+    Raises
+    ------
+    InputError
+        The two kinds are not opened alike.
+    """
+    if found.package == kind.package:
+        return
+    asked, next_step = command_or_load(kind, command), f"use {found.package}.load({name!r})"
+    if command:
+        next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
+    raise InputError(f"{name!r} holds {found.content}; `{asked}` is for {kind.content}", next=next_step)
+
+
+def command_or_load(kind: DatasetKind, command: str) -> str:
+    """Return a command of a kind as it was given, or without one ``load`` of its package."""
+    return f"{kind.command} {command}" if command else f"{kind.package}.load"

@@ -1,0 +1,311 @@
+"""Which Parquet files belong to which split: as the data card says, or else by names of folders and files.
+
+The rules are those of `datasets.load_dataset` (package datasets 4.8, ``data_files.py``), so that both open
+the same rows. Where names alone leave a choice, nothing is guessed: the files are refused and named.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from fnmatch import fnmatchcase
+from functools import cache
+from pathlib import PurePosixPath
+from typing import Any, TypeAlias
+
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.kind import kinds
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.wording import did_you_mean, with_count
+
+CARD_FILE = "README.md"
+PARQUET = ".parquet"
+USUAL_SPLIT = "train"
+
+# The words for each split in names of files and folders, between any of the separators.
+_KEYWORDS = {
+    "train": ("train", "training"),
+    "validation": ("validation", "valid", "dev", "val"),
+    "test": ("test", "testing", "eval", "evaluation"),
+}
+_SPLIT_OF_WORD = {word: split for split, words in _KEYWORDS.items() for word in words}
+_SEPARATORS = re.compile("[-._ 0-9]+")
+# Older releases of `datasets` put a digest behind the count.
+_SHARD = re.compile(r"(\w+)-\d{5,}-of-\d{5,}(?:[-.].*)?\.parquet")
+_SPLIT_NAME = re.compile(r"\w[\w.-]*")
+# Folders with Parquet files that do not hold rows of the data set.
+_OTHER_FOLDERS = ("reports", store.VIEWER_FOLDER)
+_LARGEST_CARD_BYTES = 1 << 20
+
+Splits: TypeAlias = dict[str, tuple[str, ...]]
+"""Paths of the Parquet files of each split, both in order."""
+
+
+def parquet_paths(paths: Iterable[str]) -> list[str]:
+    """Return the paths of Parquet files that are not hidden, in the order in which people count."""
+    # A path that leads out of the folder stays: it is refused later on, by name.
+    found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
+    return sorted(found, key=natural_key)
+
+
+def splits_by_name(paths: Iterable[str], where: str) -> Splits:
+    """Sort Parquet files by split, by the first of these rules that applies.
+
+    Shards in ``data``, ``data/SPLIT-00000-of-00001.parquet``, whatever else there is; then of each file: a
+    folder called as a split, or with one of its keywords; the file name likewise. A name without any is that
+    of a split of its own, and in other folders ``train``.
+
+    Parameters
+    ----------
+    paths : iterable of str
+        Paths in the folder or repository, with slashes.
+    where : str
+        Its name, for messages.
+
+    Returns
+    -------
+    dict of str to tuple of str
+
+    Raises
+    ------
+    InputError
+        Two folders hold files of one split.
+    """
+    files = [path for path in parquet_paths(paths) if path.partition("/")[0] not in _OTHER_FOLDERS]
+    shards = [path for path in files if _is_shard_in_data(path)]
+    holders: dict[str, dict[str, list[str]]] = {}
+    for path in shards or files:
+        split, folder = _split_of(path)
+        holders.setdefault(split, {}).setdefault(folder, []).append(path)
+    for split, folders in holders.items():
+        if len(folders) > 1:
+            named = " and ".join(repr(folder or ".") for folder in list(folders)[:2])
+            raise InputError(
+                f"{where!r} has files of split {split!r} in {named}, and no {CARD_FILE} states which of "
+                "them is the split",
+                next=f"give one of these folders, or name the files of each split in {CARD_FILE} (`configs`)",
+            )
+    return {split: tuple(next(iter(folders.values()))) for split, folders in sorted(holders.items())}
+
+
+def has_shards(paths: Iterable[str]) -> bool:
+    """Return whether there is a shard in ``data``: then no other folder is looked at."""
+    return any(map(_is_shard_in_data, paths))
+
+
+def _is_shard_in_data(path: str) -> bool:
+    folder, _, name = path.rpartition("/")
+    return folder == store.DATA_FOLDER and _SHARD.fullmatch(name) is not None
+
+
+def _split_of(path: str) -> tuple[str, str]:
+    """Return the split that a path states, and the folder that says so or holds the file."""
+    *folders, name = path.split("/")
+    stem, parent = name.removesuffix(PARQUET), "/".join(folders)
+    for depth, folder in enumerate(folders if folders != [store.DATA_FOLDER] else ()):
+        stated = _split_in(folder)
+        if stated:
+            return stated, "/".join(folders[: depth + 1])
+    is_numbered = stem.isdigit()
+    if is_numbered and parent not in ("", store.DATA_FOLDER):
+        return folders[-1], parent  # as in the branch refs/convert/parquet of the Hub
+    shard = _SHARD.fullmatch(name)
+    stated = shard[1] if shard is not None else _split_in(stem)
+    if stated:
+        return stated, parent
+    if is_numbered or parent not in ("", store.DATA_FOLDER):
+        return USUAL_SPLIT, parent
+    return re.split("[-.]", stem)[0], parent
+
+
+def _split_in(name: str) -> str:
+    """Return the split that the name of a folder or file states; empty where it states none."""
+    if name in _known_splits():
+        return name
+    words = _SEPARATORS.split(name)
+    return next((_SPLIT_OF_WORD[word] for word in words if word in _SPLIT_OF_WORD), "")
+
+
+@cache
+def _known_splits() -> frozenset[str]:
+    return frozenset(split for kind in kinds() for split in kind.splits)
+
+
+def split_of_file(name: str) -> str | None:
+    """Return the split that the name of a single file states; None where it states none."""
+    shard = _SHARD.fullmatch(name)
+    return (shard[1] if shard is not None else _split_in(name.removesuffix(PARQUET))) or None
+
+
+def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where: str) -> Splits | None:
+    """Sort Parquet files by split as the YAML of a data card says; None where it says nothing about files.
+
+    Parameters
+    ----------
+    card : bytes
+        Content of ``README.md``.
+    paths : iterable of str
+        Paths in the folder or repository, with slashes.
+    config : str or None
+        Configuration to open; may be None where there is one, or one is the default.
+    where : str
+        Its name, for messages.
+
+    Returns
+    -------
+    dict of str to tuple of str, or None
+        A split without any file stays, empty. Files that the configuration does not name are left out.
+
+    Raises
+    ------
+    InputError
+        There are several configurations and none was chosen, none of that name, or a description of files
+        that cannot be read.
+    """
+    configs = _configurations(card, where)
+    if not configs:
+        if config is not None:
+            raise InputError(
+                f"{where!r} has no configurations, {config!r} was asked for", next="leave it out"
+            )
+        return None
+    chosen = configs[_chosen(list(configs), configs, config, where)]
+    folder = str(chosen.get("data_dir") or "").strip("/")
+    files = parquet_paths(path for path in paths if not folder or path.startswith(f"{folder}/"))
+    if chosen.get("data_files") is None:
+        return splits_by_name(files, where)
+    patterns = _patterns(chosen["data_files"], where)
+    return {
+        split: tuple(dict.fromkeys(path for each in named for path in _matching(folder, each, files)))
+        for split, named in patterns.items()
+    }
+
+
+def _configurations(card: bytes, where: str) -> dict[str, Mapping[str, Any]]:
+    """Return the configurations of a card by name; none where its YAML cannot be read or lists none."""
+    text = card[:_LARGEST_CARD_BYTES].decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
+    head = re.match(r"---[ \t]*\n(.*?)\n---[ \t]*(?:\n|$)", text, re.DOTALL)
+    if head is None or "configs" not in head[1]:
+        return {}
+    # Here: it takes 15 ms, and the data sets of the toolkit need no card to be opened.
+    import yaml
+
+    try:
+        values = yaml.safe_load(head[1])
+    except (yaml.YAMLError, ValueError, RecursionError):
+        return {}  # the file names remain, as for a folder without a card
+    listed = values.get("configs") if isinstance(values, Mapping) else None
+    if listed is None:
+        return {}
+    is_list = isinstance(listed, list) and all(isinstance(each, Mapping) for each in listed)
+    if not is_list:
+        raise _unreadable(where, "configs", "a list of configurations")
+    return {str(each.get("config_name", "default")): each for each in listed}
+
+
+def _unreadable(where: str, field: str, expected: str) -> InputError:
+    return InputError(
+        f"{CARD_FILE} of {where!r}: {field!r} of its YAML is not {expected}", next=f"correct {CARD_FILE}"
+    )
+
+
+def _chosen(
+    names: Sequence[str], configs: Mapping[str, Mapping[str, Any]], config: str | None, where: str
+) -> str:
+    """Return the configuration to open, as `load_dataset` chooses it."""
+    if config is not None:
+        if config in configs:
+            return config
+        known = f"it has {', '.join(names)}{did_you_mean(config, names)}"
+        raise InputError(f"no configuration {config!r} in {where!r}: {known}", next="choose one of them")
+    marked = [name for name in names if name == "default" or configs[name].get("default") is True]
+    candidates = marked or names
+    if len(candidates) == 1:
+        return candidates[0]
+    raise InputError(
+        f"{where!r} has the configurations {', '.join(names)}; expected one of them",
+        next=f"name it, config={candidates[0]!r} (in a shell --config-name {candidates[0]})",
+    )
+
+
+def _patterns(data_files: Any, where: str) -> dict[str, list[str]]:
+    """Return the patterns of the files of each split, in the order of the card."""
+    expected = "a pattern, a list of patterns, or patterns by split"
+    if isinstance(data_files, Mapping):
+        pairs = list(data_files.items())
+    elif (
+        isinstance(data_files, list) and data_files and all(isinstance(each, Mapping) for each in data_files)
+    ):
+        pairs = [(each.get("split"), each.get("path")) for each in data_files]
+    else:
+        pairs = [(USUAL_SPLIT, data_files)]
+    found: dict[str, list[str]] = {}
+    for split, named in pairs:
+        patterns = named if isinstance(named, list) else [named]
+        if not (isinstance(split, str) and _SPLIT_NAME.fullmatch(split)):
+            raise _unreadable(where, "data_files", expected)
+        if not all(isinstance(each, str) for each in patterns):
+            raise _unreadable(where, "data_files", expected)
+        for pattern in patterns:
+            if "://" in pattern or store.problem_of_name(pattern.replace("*", "x").removeprefix("./")):
+                raise InputError(
+                    f"{CARD_FILE} of {where!r} names the files {pattern[:80]!r}; expected files in it",
+                    next="do not use this data set, or ask who made it",
+                )
+        found.setdefault(split, []).extend(patterns)
+    return found
+
+
+def _matching(folder: str, pattern: str, paths: Sequence[str]) -> list[str]:
+    whole = PurePosixPath(folder, pattern).parts
+    return [path for path in paths if _matches(whole, tuple(path.split("/")))]
+
+
+def _matches(pattern: tuple[str, ...], parts: tuple[str, ...]) -> bool:
+    """Return whether a path fits a pattern, part by part; ``**`` stands for any number of folders."""
+    reached = {0}
+    for number, wanted in enumerate(pattern):
+        if wanted == "**":
+            # At the end it takes all that is left.
+            reached = set(range(min(reached, default=len(parts) + 1), len(parts) + 1))
+            if number == len(pattern) - 1:
+                return bool(reached - {len(parts)})
+            continue
+        reached = {at + 1 for at in reached if at < len(parts) and fnmatchcase(parts[at], wanted)}
+    return len(parts) in reached
+
+
+def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str) -> tuple[str, ...]:
+    """Return the files of one split.
+
+    Raises
+    ------
+    InputError
+        No split has that name.
+    IntegrityError
+        Some of its shards, or all of its files, are missing: a part of the rows must not pass for all.
+    """
+    if split not in splits:
+        raise unknown_split(split, tuple(splits), where)
+    chosen = splits[split]
+    names = [store.ShardName.parse(PurePosixPath(path).name) for path in chosen]
+    counts = {name.count for name in names if name is not None}
+    expected = max(counts) if len(counts) == 1 and None not in names else len(chosen)
+    if chosen and len(chosen) >= expected:
+        return chosen
+    found = f"{len(chosen)} of {with_count(max(expected, 1), 'files')}"
+    raise IntegrityError(
+        f"{where!r} has {found} of split {split!r}; expected all",
+        next="download or generate the data set again (with a network, if it is on the Hub)",
+    )
+
+
+def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
+    """Return the error for a split that does not exist; ``known`` are those that do."""
+    if not known:
+        return InputError(
+            f"no Parquet files in {where!r}", next="give the folder or repository of a data set"
+        )
+    found = f"it has {', '.join(known)}{did_you_mean(split, known)}"
+    return InputError(f"no split {split!r} in {where!r}: {found}", next="choose one of them, or make it")

@@ -1,0 +1,95 @@
+"""Cutting a solid into convex parts, which simulators take for contacts.
+
+A digit is flat ink that was given a rim: where a part of the ink, seen from above, is convex, the solid over
+it nearly is. So a solid is cut by upright planes only, which are chosen on its flat outline.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+from manifold3d import CrossSection
+
+from tactile_toolkit.array_types import Float64
+from tactile_toolkit.mesh import Mesh, require_solid
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
+
+_DIRECTIONS = [
+    np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
+]
+_OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
+# Larger than any plate, and small enough for a half plane of doubles.
+_FAR_MM = 1e5
+_LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
+
+
+def convex_parts(
+    mesh: Mesh, *, excess: float = 1.08, most: int = 64, tolerance_mm: float = 0.1
+) -> list[Mesh]:
+    """Cut a solid into parts and return their convex hulls.
+
+    The part whose hull adds most is cut first, until all hulls together are ``excess`` times the solid, or
+    there are ``most`` of them or a few more. Hulls hold all of the solid but what ``tolerance_mm`` smooths
+    off their corners. The same mesh gives the same parts.
+
+    Raises ItemError where the mesh bounds no solid.
+    """
+    solid = require_solid(mesh).manifold
+    parts, whole_mm3 = _parts(solid), solid.volume()
+    for _ in range(most):  # of so many cuts: one may split off a chip that is not a part, time and again
+        if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
+            break
+        _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))
+        normal, offset_mm = _best_cut(part.project().simplify(_OUTLINE_MM))
+        for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
+            parts += _parts(half)
+    smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
+    # Of a chip thinner than the tolerance, smoothing leaves nothing.
+    return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
+
+
+def _parts(found: Manifold) -> list[tuple[float, Manifold, Manifold]]:
+    """Return the bodies of a solid: what the hull of each adds, the body, and its hull."""
+    bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
+    return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
+
+
+def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
+    """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
+
+    It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
+    above the outline, as over a stroke that swells: it is halved across its length.
+    """
+    corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
+    depths_mm = _depths_mm(outline, corners)
+    deepest = corners[int(depths_mm.argmax())]
+    cuts = []
+    for number, normal in enumerate(_DIRECTIONS if depths_mm.max() > _OUTLINE_MM else ()):
+        far, along = normal * _FAR_MM, np.array([-normal[1], normal[0]]) * _FAR_MM
+        start = normal * float(normal @ deepest)
+        corner = start - along, start - along + far, start + along + far, start + along
+        half = CrossSection([np.array(corner)])
+        halves = (outline ^ half, outline - half)
+        if not any(each.is_empty() for each in halves):
+            area = sum(piece.hull().area() for each in halves for piece in each.decompose())
+            cuts.append((area, number))
+    if cuts:
+        normal = _DIRECTIONS[min(cuts)[1]]
+        return normal, float(normal @ deepest)
+    normal = max(_DIRECTIONS, key=lambda each: float(np.ptp(corners @ each)))
+    along = corners @ normal
+    return normal, float(along.min() + along.max()) / 2
+
+
+def _depths_mm(outline: CrossSection, corners: Float64) -> Float64:
+    """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
+    hull = np.asarray(outline.hull().to_polygons()[0])
+    along = np.roll(hull, -1, axis=0) - hull
+    inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    inwards /= np.maximum(np.linalg.norm(inwards, axis=1, keepdims=True), 1e-12)
+    depths: Float64 = ((corners[:, None] - hull[None]) * inwards[None]).sum(axis=2).min(axis=1)
+    return depths

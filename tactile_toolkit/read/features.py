@@ -1,0 +1,71 @@
+"""What `datasets` stores in a schema about the features of a data set."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
+
+import msgspec
+
+from tactile_toolkit.errors import IntegrityError
+
+N = TypeVar("N", tuple[str, ...], None)
+
+# Arrow's words for what numpy and `datasets` call otherwise.
+_DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
+
+
+class _Label(msgspec.Struct):
+    names: list[str] | None = None
+
+
+class _Info(msgspec.Struct):
+    features: dict[str, Any] | None = None
+
+
+class _Metadata(msgspec.Struct):
+    info: _Info | None = None
+
+
+def dtype_name(data_type: Any) -> str:
+    """Return what `datasets` calls an Arrow type of single values."""
+    return _DTYPES.get(str(data_type), str(data_type))
+
+
+def label_feature(names: Sequence[str]) -> dict[str, Any]:
+    """Describe the label column to `datasets`."""
+    return {"names": list(names), "_type": "ClassLabel"}
+
+
+def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
+    """Return schema metadata from which `datasets` reads the features of a Parquet file."""
+    return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
+
+
+def stored_features(schema: Any, where: str) -> dict[str, Any]:
+    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
+
+    Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
+    """
+    text = (schema.metadata or {}).get(b"huggingface", b"{}")
+    try:
+        found = (msgspec.json.decode(text, type=_Metadata).info or _Info()).features or {}
+        msgspec.convert(found.get("label"), _Label | None)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        beginning = text[:80].decode(errors="replace")
+        raise IntegrityError(
+            f"{where!r}, field 'label': the metadata 'huggingface' begins with {beginning!r}; expected the "
+            "features of the data set, class names among them, in JSON",
+            next="download or convert the data set again",
+        ) from error
+    return found
+
+
+def class_names(schema: Any, default: N, where: str = "") -> tuple[str, ...] | N:
+    """Return the names of the classes that `datasets` stored in a schema; ``default`` where it stored none.
+
+    Raises IntegrityError, naming the data set, ``where``, for what does not describe features.
+    """
+    names = (stored_features(schema, where).get("label") or {}).get("names")
+    return default if names is None else tuple(names)

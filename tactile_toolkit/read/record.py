@@ -1,0 +1,139 @@
+"""Stored rows, and typed records of them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numpy as np
+import pyarrow as pa
+
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.read.arrow_views import table_bytes
+from tactile_toolkit.read.row_group import RowGroup, Rows
+from tactile_toolkit.read.whole_numbers import whole_number
+
+T = TypeVar("T")
+
+
+class Row:
+    """One stored row, its fields read on demand: ``group`` is the rows it belongs to, ``index`` its own."""
+
+    __slots__ = ("group", "index")
+
+    def __init__(self, group: Rows, index: int) -> None:
+        self.group = group
+        self.index = index
+
+    def array(self, name: str) -> AnyArray:
+        """Return a field of shape (n, width) as a read-only view of the stored values."""
+        try:
+            return self.group.ragged(name)[self.index]
+        except IntegrityError:  # of another row, maybe: this one alone
+            alone = self.group.table.slice(self.index, 1)
+            return RowGroup(alone, self.path, self.number).ragged(name)[0]
+
+    def value(self, name: str) -> Any:
+        """Return a plain field as numpy's scalar or Python's object."""
+        return self.group.flat(name)[self.index]
+
+    def required(self, name: str) -> Any:
+        """Return a plain field as :meth:`value` does; IntegrityError where it is null."""
+        value = self.value(name)
+        # Of a column with nulls, numpy makes NaN of those of numbers.
+        missing = value is None or (isinstance(value, (float, np.floating)) and value != value)
+        if missing and not self.group.arrow(name)[self.index].is_valid:
+            raise self.group.damaged(name, self.index, "no value is stored")
+        return value
+
+    def integer(self, name: str) -> int:
+        """Return a plain field as an int; IntegrityError where its value is none, as 1.5, or null."""
+        value = self.value(name)
+        if isinstance(value, np.signedinteger):
+            return int(value)
+        # A null next to it made numpy's column inexact.
+        stored = self.group.arrow(name)[self.index].as_py()
+        number = whole_number(stored)
+        if number is None:
+            found = "no value is stored" if stored is None else f"the value is {stored!r}"
+            raise self.group.damaged(name, self.index, found, "an integer")
+        return number
+
+    def has(self, name: str) -> bool:
+        """Return whether the data set has a column."""
+        return name in self.group.names
+
+    @property
+    def path(self) -> str:
+        """File that it is stored in."""
+        return self.group.path
+
+    @property
+    def number(self) -> int:
+        """Its row number in that file."""
+        return self.group.first_row + self.index
+
+    def equals(self, other: Row) -> bool:
+        """Return whether two rows have the same columns and values, wherever they are stored."""
+        one, another = (
+            pa.table({name: row.group.arrow(name).slice(row.index, 1) for name in sorted(row.group.names)})
+            for row in (self, other)
+        )
+        if one.schema != another.schema:
+            return False
+        # To Arrow a NaN equals nothing; written it equals itself.
+        return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle as a table of this one row, not as its entire row group."""
+        content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
+        return _row_from_ipc, (content, self.path, self.number)
+
+
+def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
+    return Row(RowGroup(pa.ipc.open_stream(content).read_all(), path, number), 0)
+
+
+class Record:
+    """Base of typed records of one row: frozen, each field loaded on first use, picklable."""
+
+    __slots__ = ("_loaded", "_row")
+    _row: Row
+    _loaded: dict[str, Any]
+
+    def __init__(self, row: Row) -> None:
+        object.__setattr__(self, "_row", row)
+        object.__setattr__(self, "_loaded", {})
+
+    def __setattr__(self, name: str, value: object) -> None:
+        raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (type(self), (self._row,))
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether the other is a record of the same kind with the same stored values."""
+        if not isinstance(other, Record) or type(other) is not type(self):
+            return NotImplemented
+        return self._row.equals(other._row)
+
+    def __hash__(self) -> int:
+        # Of this row alone: a neighbour's damage must not make a record differ from its pickled copy.
+        try:
+            number = self._row.group.arrow("id")[self._row.index].as_py()
+        except (KeyError, ValueError):
+            number = None
+        return hash((type(self), number))
+
+    def _tile_html(self) -> str:
+        """Return what a notebook shows of the record among others: a small picture, where there is any."""
+        return ""
+
+    def _once(self, name: str, load: Callable[[], T]) -> T:
+        """Load a field on its first use and keep it."""
+        loaded = self._loaded
+        if name not in loaded:
+            loaded[name] = load()
+        value: T = loaded[name]
+        return value

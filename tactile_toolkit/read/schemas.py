@@ -1,0 +1,51 @@
+"""Columns of Arrow schemas by dotted name, their nesting, and whether values can be read from their types."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import pyarrow as pa
+
+Expected = tuple[int, tuple[Callable[[Any], bool], ...], str]
+"""What a column must be: depth of nesting, tests of the innermost type of which one must hold, and words."""
+
+
+def list_depth(data_type: Any) -> tuple[int, Any]:
+    """Return how many lists are nested in an Arrow type, and the type inside them."""
+    depth = 0
+    while isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
+        depth, data_type = depth + 1, data_type.value_type
+    return depth, data_type
+
+
+def column_types(fields: Iterable[Any], prefix: str = "") -> dict[str, Any]:
+    """Return the Arrow type of each column of a schema by dotted name, that of a struct before its fields'.
+
+    Struct ``a<b, c>`` and flat ``a.b``, ``a.c`` read alike.
+    """
+    types = {}
+    for each in fields:
+        name = prefix + each.name
+        types[name] = each.type
+        if pa.types.is_struct(each.type):
+            types |= column_types(each.type, f"{name}.")
+    return types
+
+
+def column_names(schema: Any) -> tuple[str, ...]:
+    """List columns by dotted name, at any depth; a struct goes by its fields."""
+    types = column_types(schema).items()
+    return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
+
+
+def wrong_type(types: Mapping[str, Any], expected: Mapping[str, Expected]) -> str:
+    """Say which column that is there has a type from which values cannot be read; empty where none has."""
+    for name in filter(types.__contains__, expected):
+        depth, tests, words = expected[name]
+        found_depth, leaf = list_depth(types[name])
+        if pa.types.is_struct(leaf) and leaf.get_field_index("bytes") >= 0:
+            leaf = leaf.field("bytes").type
+        if found_depth != depth or not any(test(leaf) for test in tests):
+            return f"field {name!r}: the column has the type {types[name]}; expected {words}"
+    return ""

@@ -1,0 +1,398 @@
+"""One Parquet file of a data set: random access to its rows, and whether it is still the same file.
+
+Parquet must decode an entire row group to give one row. Each row group is therefore decoded on its first use
+into Arrow files in the cache folder and mapped into memory; from then on a row costs microseconds, in this
+process and in every other one on the machine. Nothing is unpacked that is not asked for. Large row groups are
+unpacked in blocks of some rows, so that memory stays bounded and no Arrow array outgrows its 32-bit offsets.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import io
+import os
+import re
+import warnings
+from array import array
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property, partial
+from itertools import accumulate
+from typing import IO, Any
+
+import pyarrow as pa
+
+from tactile_toolkit import store
+from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
+from tactile_toolkit.cache import LOCKS, MemoryCache, cache_folder
+from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
+from tactile_toolkit.read.blocks import (
+    BLOCKS,
+    HELD_UP,
+    IN_MEMORY,
+    LAYOUT,
+    UNPACKED,
+    Key,
+    are_kept,
+    block_file,
+    map_block,
+    stat_key,
+    write_block,
+)
+from tactile_toolkit.read.features import class_names
+from tactile_toolkit.read.row_group import RowGroup
+from tactile_toolkit.read.schemas import column_types
+from tactile_toolkit.read.supported_types import supported_schema, supported_table
+
+_BLOCK_BYTES = 64 << 20
+# Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
+_VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
+# Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
+# takes about 20 times.
+_MOST_EXPANSION = 500
+
+# Metadata and Arrow schema by content and stated rows; of a large shard they take some hundred kB. The schema
+# of the metadata would hold these, and they it: megabytes that wait for the garbage collector.
+_FOOTERS: MemoryCache[tuple[str, int | None], tuple[Any, Any]] = MemoryCache(128)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """One Parquet file of a data set, local or at any fsspec address.
+
+    ``rows`` and ``size_bytes`` are what its manifest states, where there is one: rows are counted without
+    opening the file then, and another file is refused. ``failures``, pickled with it, makes the context in
+    which the bytes of a remote file are read: there, whoever knows the store names what goes wrong with it.
+    """
+
+    path: str
+    rows: int | None = None
+    failures: Callable[[], contextlib.AbstractContextManager[None]] = field(
+        default=contextlib.nullcontext, repr=False, compare=False
+    )
+    size_bytes: int | None = field(default=None, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        # Which file is there now is noted where that costs next to nothing; what is missing is named when it
+        # is asked for.
+        if not self.is_remote:
+            with contextlib.suppress(ToolkitError):
+                _ = self.identity
+
+    @property
+    def _footer(self) -> tuple[Any, Any]:
+        return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
+
+    @property
+    def metadata(self) -> Any:
+        """The Parquet footer: row groups, columns, schema; read again when it was not asked for in a while.
+
+        Raises IntegrityError where the file has none, or is not of the size that the manifest states.
+        """
+        return self._footer[0]
+
+    @property
+    def schema(self) -> Any:
+        """The Arrow schema, with types of ours: rows are converted when they are decoded."""
+        return self._footer[1]
+
+    @property
+    def types(self) -> dict[str, Any]:
+        """Arrow type of each column, and of each struct, by dotted name."""
+        return column_types(self.schema)
+
+    @cached_property
+    def class_names(self) -> tuple[str, ...] | None:
+        """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
+        return class_names(self.schema, None, self.path)
+
+    @cached_property
+    def group_starts(self) -> array[int]:
+        """First row of each row group, and the number of rows at the end."""
+        metadata = self.metadata
+        counts = (metadata.row_group(index).num_rows for index in range(metadata.num_row_groups))
+        return array("q", [0, *accumulate(counts)])
+
+    @cached_property
+    def block_rows(self) -> array[int]:
+        """How many rows of each row group are unpacked together; follows from the file alone."""
+        metadata = self.metadata
+        groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
+        fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
+        rows = (max(1, min(group.num_rows, rows)) for group, rows in zip(groups, fitting, strict=True))
+        return array("q", rows)
+
+    def __len__(self) -> int:
+        return int(self.metadata.num_rows) if self.rows is None else self.rows
+
+    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
+        """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
+        parquet, (metadata, _) = self._open()
+        wanted = range(metadata.num_row_groups) if groups is None else groups
+        for index in wanted if columns is None else ():  # a plain column is no larger than its rows
+            self._require_bounded(index)
+        with self._named_damage():
+            # Arrow's threads would be as many again: shards are read side by side already.
+            return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
+
+    def column(self, name: str) -> Any:
+        """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
+        return RowGroup(self.read(columns=[name]), self.path).arrow(name)
+
+    def locate(self, row: int) -> tuple[RowGroup, int]:
+        """Return the row group (or block of one) that holds a row, and the row's index in it."""
+        group = bisect_right(self.group_starts, row) - 1
+        number, index = divmod(row - self.group_starts[group], self.block_rows[group])
+        return BLOCKS.get((self.digest, group, number)) or self.block(group, number), index
+
+    def block(self, index: int, number: int) -> RowGroup:
+        """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
+
+        A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
+        then kept in the memory of this process.
+        """
+        key = self.digest, index, number
+
+        def make() -> RowGroup:
+            mapped = self._mapped(key) or (self._mapped(key) if self._unpacked(index) else None)
+            return mapped or self._decoded(index, number)
+
+        return BLOCKS.get_or_make(key, make)
+
+    def _mapped(self, key: Key) -> RowGroup | None:
+        """Map a block of the cache; None when it is not there, or damaged: then it goes."""
+        file = block_file(key)
+        try:
+            table, size_bytes = map_block(file)
+        except FileNotFoundError:
+            return None
+        except (ValueError, OSError) as error:
+            if store.resource_shortage(error) is None:
+                UNPACKED.drop(file)
+            return None
+        UNPACKED.mark_used(file)
+        _, index, number = key
+        first_row = self.group_starts[index] + number * self.block_rows[index]
+        return RowGroup(table, self.path, first_row, size_bytes)
+
+    def unpack(self, index: int) -> int:
+        """Unpack a row group into the cache unless it is there; return its size in bytes, 0 where it is not.
+
+        One process of the machine unpacks it, others wait for that one.
+        """
+        is_there = self._unpacked(index)
+        return max(1, int(self.metadata.row_group(index).total_byte_size)) if is_there else 0
+
+    def _unpacked(self, index: int) -> bool:
+        rows = self.group_starts[index + 1] - self.group_starts[index]
+        blocks = range(-(-rows // self.block_rows[index]))
+        files = [block_file((self.digest, index, number)) for number in blocks]
+        if UNPACKED.is_given_up or are_kept(files):
+            return not UNPACKED.is_given_up
+        with contextlib.ExitStack() as stack:
+            # 256 files for all: one each would stay in the cache for good.
+            lock = cache_folder() / LOCKS / self.digest[:2]
+            try:
+                lock.parent.mkdir(parents=True, exist_ok=True)
+                patience_s = 0.0 if lock in HELD_UP else None
+                stack.enter_context(store.locked(lock, patience_s=patience_s, is_patient=True))
+            except OSError:
+                pass  # without locks no process waits
+            except BusyError as error:
+                if lock not in HELD_UP:
+                    warnings.warn(
+                        f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2
+                    )
+                HELD_UP.add(lock)
+            # Each time: a notebook may set the variable at any time.
+            UNPACKED.limit_bytes = cache_limit_bytes()
+            # Whoever held the lock may have unpacked it meanwhile, or a part of it.
+            return are_kept(files) or all(
+                file.exists()
+                or UNPACKED.write(
+                    file.name, int(group.table.nbytes), partial(write_block, file.name, group.table)
+                )
+                for file, group in zip(files, self.blocks(index), strict=True)
+            )
+
+    def _decoded(self, index: int, number: int) -> RowGroup:
+        """Return a block, decoding its row group up to the last block that is held with it."""
+        found: RowGroup
+        for reached, group in enumerate(self.blocks(index)):
+            BLOCKS.put((self.digest, index, reached), group)
+            if reached == number:
+                found = group
+            if reached + 1 == number + IN_MEMORY:
+                break
+        return found
+
+    @cached_property
+    def digest(self) -> str:
+        """Name of the content that the file had when it was met first."""
+        return hashlib.sha256(repr((LAYOUT, self.identity)).encode()).hexdigest()[:32]
+
+    def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
+        """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
+        self._require_bounded(index)
+        first_row = self.group_starts[index]
+        for table in self._block_tables(index, columns):
+            yield RowGroup(table, self.path, first_row)
+            first_row += len(table)
+        if first_row != self.group_starts[index + 1]:  # a damaged page may end early without a word
+            found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
+            problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
+            raise IntegrityError.in_file(self.path, problem)
+
+    def _require_bounded(self, index: int) -> None:
+        """Refuse rows that unpack to more than the limit, by what the footer states of them."""
+        # A large row group is harmless, for blocks of it are unpacked; one of which next to nothing is stored
+        # may be a single row.
+        group = self.metadata.row_group(index)
+        columns = [group.column(number) for number in range(group.num_columns)]
+        size_bytes = sum(
+            max(column.total_uncompressed_size, column.num_values * _VALUE_BYTES.get(column.physical_type, 4))
+            for column in columns
+        )
+        stored = sum(column.total_compressed_size for column in columns)
+        if size_bytes <= _MOST_EXPANSION * stored:
+            size_bytes //= max(group.num_rows, 1)
+        require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
+
+    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
+        rows = self.block_rows[index]
+        waiting = None
+        with self._named_damage():
+            for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
+                # The reader may give less than asked for; blocks have to be complete to be found again.
+                table = supported_table(pa.Table.from_batches([batch]))
+                waiting = table if waiting is None else pa.concat_tables([waiting, table])
+                while len(waiting) >= rows:
+                    yield waiting.slice(0, rows).combine_chunks()
+                    waiting = waiting.slice(rows)
+        if waiting is not None and len(waiting):
+            yield waiting.combine_chunks()
+
+    @cached_property
+    def identity(self) -> tuple[object, ...]:
+        """What distinguished the file from any other when it was met first; compared whenever it is opened.
+
+        Content changes without it on purpose only; hashing gigabytes would cost more.
+        """
+        if not self.is_remote:
+            with contextlib.suppress(OSError):
+                return self._found_now()
+        with self._named_damage():
+            return self._opened(None)[1]
+
+    def _found_now(self) -> tuple[Any, ...]:
+        """Return what identifies the local file that is there now."""
+        device, *others = stat_key(os.stat(self.path))  # noqa: PTH116
+        # The name too: machines that share a cache may have other files of the same numbers.
+        return device, self.path.rpartition("/")[2], *others
+
+    @property
+    def part_sizes(self) -> Sequence[int]:
+        """Rows of the parts that training mixes: all together."""
+        return (len(self),)
+
+    @cached_property
+    def split(self) -> str:
+        """Split by the name of the file; empty where that states none."""
+        name = store.ShardName.parse(self.path.rpartition("/")[2])
+        return "" if name is None else name.split
+
+    @property
+    def set_name(self) -> tuple[str, str]:
+        """Folder and split, or file name where that states no split: shards of one set have one schema."""
+        folder, _, name = self.path.rpartition("/")
+        return folder, self.split or name
+
+    @property
+    def origin(self) -> tuple[str, str]:
+        """Name in quotes and split of the data set: a repository of the Hub, or a folder."""
+        # hf://datasets/USER/NAME@COMMIT, or datasets--USER--NAME in the cache of the Hub's client.
+        on_hub = re.search(r"(?:^hf://datasets/|/datasets--)([^/]+?)(?:/|--)([^/@]+)(?:@[^/]*)?/", self.path)
+        if on_hub is not None:
+            return repr(f"{on_hub[1]}/{on_hub[2]}"), self.split
+        folders = (self.path if self.is_remote else os.path.abspath(self.path)).split("/")[:-1]  # noqa: PTH100
+        named = [part for part in folders if part not in ("", ".", store.DATA_FOLDER)] or folders
+        return repr(named[-1]), self.split
+
+    @property
+    def is_remote(self) -> bool:
+        """Whether it is at an address."""
+        return "://" in self.path
+
+    def _opened(self, metadata: Any) -> tuple[Any, tuple[object, ...], int]:
+        """Open the file, whose footer may be known; return with it its identity and its size in bytes."""
+        if not self.is_remote:
+            # After opening: what takes its place from now on is not what was opened.
+            return store.open_checked(self.path, metadata), (found := self._found_now()), found[-2]
+        stream, identity, size_bytes = self._stream()
+        return store.open_checked(stream, metadata), identity, size_bytes
+
+    def _stream(self) -> tuple[IO[bytes], tuple[object, ...], int]:
+        """Open the file as it is stored; return with it its identity and its size in bytes."""
+        files, name = store.split_uri(self.path)
+        stream = files.open(name)
+        if not self.is_remote:
+            return stream, (found := self._found_now()), found[-2]
+        facts = getattr(stream, "details", None) or files.info(name) or {}
+        versions = [(key, str(facts[key])) for key in store.VERSION_KEYS if key in facts]
+        return stream, (self.path, *versions), facts["size"]
+
+    @contextlib.contextmanager
+    def stored(self) -> Iterator[IO[bytes]]:
+        """Open the bytes of the file; IntegrityError unless it is the one that was met first."""
+        known = self.identity
+        with self._named_damage():
+            stream, identity, _ = self._stream()
+            with stream:
+                self._require_same(identity, known)
+                yield stream
+
+    def fingerprint(self) -> dict[str, Any]:
+        """Return JSON values that identify the rows; the footer holds the size of every column.
+
+        The file is noted: another one that takes its place is refused from here on.
+        """
+        with self.stored() as stream:
+            # A Parquet file ends in the length of its footer and four letters.
+            size_bytes = stream.seek(-8, io.SEEK_END) + 8
+            footer_bytes = int.from_bytes(stream.read(4), "little")
+            stream.seek(-8 - footer_bytes, io.SEEK_END)
+            footer = stream.read(footer_bytes)
+        digest = hashlib.sha256(footer).hexdigest()
+        name = self.path.rpartition("/")[2]
+        return {"file": name, "rows": len(self), "bytes": size_bytes, "footer_sha256": digest}
+
+    def _open(self) -> tuple[Any, tuple[Any, Any]]:
+        """Open the file and return its footer with it, once it is known to be the one that was met first."""
+        key = (self.digest, self.rows)
+        footer = _FOOTERS.get(key)
+        with self._named_damage():
+            parquet, identity, size_bytes = self._opened(footer and footer[0])
+        self._require_same(identity, self.identity)
+        metadata = parquet.metadata
+        found = {"rows": metadata.num_rows, "bytes": size_bytes}
+        for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
+            if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
+                problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
+                raise IntegrityError.in_file(self.path, problem)
+        return parquet, footer or _FOOTERS.put(key, (metadata, supported_schema(parquet.schema_arrow)))
+
+    def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
+        # Not the first value: that of a device differs between machines that share a file system.
+        if found[1:] != known[1:]:
+            raise IntegrityError(
+                f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
+                "read, for old and new ones would mix",
+                next="load the data set again",
+            )
+
+    @contextlib.contextmanager
+    def _named_damage(self) -> Iterator[None]:
+        with store.named_damage(self.path), self.failures():
+            yield

@@ -1,0 +1,333 @@
+"""Training on any data set of the toolkit: one order for all ranks and workers, left and resumed anywhere.
+
+The order itself is :mod:`tactile_toolkit.read.order`; here it meets torch (extra ``torch``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+from tactile_toolkit.builtin_values import is_integer, to_builtin_number
+from tactile_toolkit.checked_fields import checked_integer
+from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.read.dataset import RecordDataset
+from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
+
+if TYPE_CHECKING:
+    import torch
+else:
+    with needs_extra("training on a data set", "torch", "torch"):
+        import torch
+
+
+_FORMAT = "tactile_toolkit_training"
+_VERSION = 1
+# How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
+_SINCE = "_steps_since_snapshot"
+# Where a pass is, in one process: its epoch, the item it began at, and how many batches were given since.
+_POSITION = ("epoch", "start", "batches")
+# The table that workers share is made before anyone knows how many there will be.
+_MOST_WORKERS = 255
+
+
+def shared_zeros(*shape: int) -> torch.Tensor:
+    """Return zeros, int64, which the workers of a loader share."""
+    zeros = torch.zeros(shape, dtype=torch.int64)
+    # Without shared memory loaders with workers fail; others need none.
+    with contextlib.suppress(RuntimeError):
+        zeros.share_memory_()
+    return zeros
+
+
+class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
+    """Batches of a data set for a training job, in one order for all ranks and workers, resumed anywhere.
+
+    Each pass is one epoch: all items once, shards in random order, and items in random order within a few
+    shards at a time. The order follows from the seed, the number of the epoch and the data set alone. Rank r
+    of n takes every n-th item of it, and all ranks get equally many. The batches of a rank are the same, in
+    the same order, whatever the number of its workers. So the state of any rank can be resumed on any number
+    of ranks and workers, in the middle of an epoch, and no item of it is left out or given twice.
+
+    Give it to torch's ``DataLoader`` or to torchdata's ``StatefulDataLoader`` with ``batch_size=None``: the
+    batches are made here.
+
+    Parameters
+    ----------
+    data : TouchTensors, DigitTensors, SceneTensors, or a data set
+        What to give. Items of a data set itself (rounds, touches, digits, scenes) need a ``collate_fn``.
+    batch_size : int
+        Items of a batch, of each rank.
+    seed : int or None
+        Seed of the order; None gives the items as they are stored.
+    window : int
+        How many shards are mixed. Twice as many, those of the window and of the next one, lie unpacked on the
+        disk at a time, see Notes.
+    drop_last : bool
+        Leave out the end of an epoch that makes no whole batch for every rank. Otherwise the last batch is
+        smaller, and where items do not come out even, some ranks get one of the epoch's first items again, so
+        that all take as many steps.
+    collate_fn : callable, optional
+        Makes a batch of a list of items: ``torch.utils.data.default_collate`` by default,
+        ``collate_meshes`` for meshes.
+    rank, world_size : int, optional
+        Which process of how many this is: as ``torch.distributed`` says, else as the environment variables
+        ``RANK`` and ``WORLD_SIZE`` do, else the only one.
+
+    Raises
+    ------
+    InputError
+        A number is impossible, or ``data`` is not a data set of the toolkit.
+
+    Notes
+    -----
+    A process holds one batch, the positions of two windows (16 bytes an item), and maps of what lies
+    unpacked, which the system drops from memory where it needs room. The row groups of a window are unpacked
+    into the cache folder before its first item is given, those of the next window meanwhile, each by one
+    process of the machine. Every machine reads every shard once in an epoch; where the cache holds the whole
+    set (``$TACTILE_TOOLKIT_CACHE_MIB``), in the first epoch only.
+
+    Random transforms draw from torch's generator in each worker: that is not resumed.
+
+    Examples
+    --------
+    ::
+
+        batches = TrainingBatches(TouchTensors(touches), batch_size=64, seed=0)
+        loader = StatefulDataLoader(batches, batch_size=None, num_workers=8)
+        if checkpoint.exists():
+            batches.load_state_dict(torch.load(checkpoint)["data"])  # of any rank, any number of workers
+        for epoch in range(batches.epoch, epochs):
+            for images, labels in loader:
+                ...
+                torch.save({"data": loader.state_dict(), ...}, checkpoint)
+    """
+
+    def __init__(
+        self,
+        data: Any,
+        batch_size: int,
+        *,
+        seed: int | None = 0,
+        window: int = 16,
+        drop_last: bool = False,
+        collate_fn: Callable[[list[Any]], Any] | None = None,
+        rank: int | None = None,
+        world_size: int | None = None,
+    ) -> None:
+        sequence = getattr(data, "sequence", data)
+        if not isinstance(sequence, RecordDataset):
+            raise InputError(
+                f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
+                "such as realtouch.torch.TouchTensors"
+            )
+        self.data = data
+        self.batch_size = checked_integer(batch_size, "batch_size", 1)
+        self.drop_last = drop_last
+        self.collate_fn = collate_fn
+        distributed = torch.distributed
+        if rank is not None or world_size is not None:
+            numbers = to_builtin_number(rank), to_builtin_number(world_size)
+        elif distributed.is_available() and distributed.is_initialized():
+            numbers = distributed.get_rank(), distributed.get_world_size()
+        else:
+            numbers = int(os.environ.get("RANK", 0)), int(os.environ.get("WORLD_SIZE", 1))
+        if not (is_integer(*numbers) and 0 <= numbers[0] < numbers[1]):
+            raise InputError(
+                f"rank is {rank!r} of {world_size!r}; expected integers, the rank below the world size"
+            )
+        self.rank, self.world_size = numbers
+        seed = None if seed is None else checked_integer(seed, "seed")
+        self._sequence = sequence
+        self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
+        self._resumed = (0, 0)
+        self._current: dict[str, int] = {}  # empty before a pass
+        # What the next pass is, for this process and for each worker: epoch, start, batches given already,
+        # and of how many workers it was one when it last began a pass (plus 1; 0 when it has not). Shared, so
+        # that workers that live on see what is set here, and new ones what those before them began.
+        self._next = shared_zeros(1 + _MOST_WORKERS, 4)
+
+    @property
+    def epoch(self) -> int:
+        """The epoch of the next pass; each pass is followed by that of the next epoch."""
+        return int(self._next[:, 0].max())
+
+    def set_epoch(self, epoch: int) -> None:
+        """Choose the epoch of the next pass; a resumed one continues where it was left.
+
+        Needed only to repeat or skip epochs, or when another number of workers takes over.
+        """
+        number = checked_integer(epoch, "epoch")
+        self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
+
+    def __len__(self) -> int:
+        """Batches of a whole epoch on each rank."""
+        return len(self._share(0))
+
+    def __iter__(self) -> Iterator[Any]:
+        """Begin a pass.
+
+        Raises
+        ------
+        InputError
+            Another number of workers than in the pass before, and :meth:`set_epoch` was not called.
+        """
+        worker = torch.utils.data.get_worker_info()
+        if worker is None:
+            epoch, start = (self.epoch, 0) if self._workers_began() else self._next[0, :2].tolist()
+            # Of all rows: workers that take over next time begin there, too.
+            self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
+            self._current = {"epoch": epoch, "start": start, "batches": 0}
+            return self._batches(self._current, 0, 1)
+        if worker.num_workers > _MOST_WORKERS:
+            raise InputError(f"{worker.num_workers} workers; expected at most {_MOST_WORKERS}")
+        began = self._next[1:, 3]
+        if ((began != 0) & (began != worker.num_workers + 1)).any():
+            raise InputError(
+                f"{worker.num_workers} workers continue after {int(began.max()) - 1}",
+                next="call set_epoch() in between, so that all begin the same epoch",
+            )
+        self._current = self._planned(1 + worker.id)
+        following = [self._current["epoch"] + 1, 0, 0, worker.num_workers + 1]
+        self._next[1 + worker.id] = torch.tensor(following)
+        return self._batches(self._current, worker.id, worker.num_workers)
+
+    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[Any]:
+        share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
+        turn = (self.rank * workers + worker) / (self.world_size * workers)
+        ahead = Prefetcher(self._sequence, order, turn)
+        collate = self.collate_fn or torch.utils.data.default_collate
+        fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
+        make = None if self.collate_fn else getattr(self.data, "collated", None)
+        # Points on surfaces are other ones in each epoch.
+        if hasattr(self.data, "set_epoch"):
+            self.data.set_epoch(current["epoch"])
+        try:
+            for index in range(worker + workers * current["batches"], len(share), workers):
+                numbers = share.batch(index)
+                ahead.enter(order.window_of(int(numbers[0])))
+                chosen = order.positions(numbers).tolist()
+                batch = make(chosen) if make else collate(fetch(chosen))
+                current["batches"] += 1
+                yield batch
+        finally:
+            ahead.close()
+
+    def state_dict(self) -> dict[str, Any]:
+        """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.
+
+        A job saves ``state_dict()`` of the ``StatefulDataLoader``, for workers are ahead of what it was
+        given; without workers it may save this.
+
+        Returns
+        -------
+        dict of str to int or str
+
+        Raises
+        ------
+        InputError
+            Called in the job itself while workers make its batches.
+        """
+        worker = torch.utils.data.get_worker_info()
+        if worker is None and self._workers_began():
+            raise InputError(
+                "workers make the batches, ahead of what the job was given",
+                next="save the state_dict() of a torchdata.stateful_dataloader.StatefulDataLoader",
+            )
+        return {**self._identity, **(self._current or self._planned(0)), **self._division(worker)}
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Continue where a pass was left, on any number of ranks and workers.
+
+        Parameters
+        ----------
+        state_dict : dict
+            Of a ``StatefulDataLoader`` of such batches, or of the batches without workers; of any one rank.
+            Their size may have been another.
+
+        Raises
+        ------
+        InputError
+            It is not such a state, or of another data set, seed or window.
+        """
+        states = list(_holding(_FORMAT, state_dict))
+        if not states:
+            raise InputError(
+                "no state of TrainingBatches was given; expected state_dict() of the loader that gave them"
+            )
+        worker = torch.utils.data.get_worker_info()
+        expected = {**self._identity, **({} if worker is None else self._division(worker))}
+        for state in states:
+            for name, value in expected.items():
+                if state[name] != value:
+                    raise InputError(
+                        f"a state of {name} {state[name]!r}; expected {value!r}",
+                        next="take data, seed and window as when it was saved, and give the state to "
+                        "load_state_dict() of the TrainingBatches",
+                    )
+        if worker is not None:
+            self._current = {}
+            self._next[1 + worker.id] = torch.tensor([*map(states[0].get, _POSITION), 0])
+            return
+        # Where a loader asks its workers for their states now and then only, it counts the batches since.
+        since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
+        epoch, reached = self._reached(states, sum(since))
+        if state_dict is not states[0] and not len(self._share(reached)):
+            epoch, reached = epoch + 1, 0  # a loader continues with the next epoch, too
+        self._resumed = epoch, reached
+        self._set(epoch, reached)
+
+    @property
+    def _identity(self) -> dict[str, Any]:
+        return {_FORMAT: _VERSION, "order": self._order.fingerprint}
+
+    def _planned(self, row: int) -> dict[str, int]:
+        """Return where the next pass of this process, or of the worker one below the row, begins."""
+        return dict(zip(_POSITION, self._next[row, :3].tolist(), strict=True))
+
+    def _division(self, worker: Any) -> dict[str, int]:
+        """Return among how many the items are divided."""
+        workers = 0 if worker is None else worker.num_workers
+        return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
+
+    def _reached(self, states: Sequence[Mapping[str, Any]], further_batches: int) -> tuple[int, int]:
+        """Return epoch and number of items that all ranks have been given, by the states of all workers."""
+        first = states[0]
+        workers = max(first["workers"], 1)
+        counts = [state["batches"] for state in states]
+        batches = sum(counts)
+        # Workers take turns, the first ones first: other counts are of states that were taken at different
+        # times.
+        in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
+        if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
+            raise InputError(
+                f"states of {len(states)} workers that gave {', '.join(map(str, counts))} batches; expected "
+                f"{workers} that took turns",
+                next="save the state of one loader, with in_order=True",
+            )
+        items = (batches + further_batches) * first["batch_size"] * first["world_size"]
+        return first["epoch"], min(first["start"] + items, len(self._order))
+
+    def _set(self, epoch: int, start: int) -> None:
+        self._current = {}
+        self._next[:] = torch.tensor([epoch, start, 0, 0])
+
+    def _workers_began(self) -> bool:
+        return bool(self._next[1:, 3].any())
+
+    def _share(self, start: int) -> RankSampler:
+        return RankSampler(
+            len(self._order), start, self.rank, self.world_size, self.batch_size, self.drop_last
+        )
+
+
+def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
+    """Yield the mappings that hold a key, at any depth and in their order: loaders put ours into theirs."""
+    if isinstance(found, Mapping):
+        if key in found:
+            yield found
+            return
+        for value in found.values():
+            yield from _holding(key, value)

@@ -1,0 +1,78 @@
+"""Files below a folder that someone else made: every importer opens them here.
+
+A table, a tar or a group names files of its folder. A link may lead to any file of this machine, whose bytes
+would then be stored as a picture and published; a pipe is waited for, and a device has no end.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import IO
+
+from tactile_toolkit.errors import IntegrityError, ItemError
+from tactile_toolkit.store.data_folder import DataFolder
+from tactile_toolkit.store.names import problem_of_name
+
+
+def open_inside(folder: DataFolder, path: str) -> IO[bytes]:
+    """Open a regular file below a folder for reading.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        The source, as the user named it; it may be reached through a link itself.
+    path : str
+        Relative path, with slashes.
+
+    Raises
+    ------
+    ItemError
+        The file does not exist or is not a regular one, or a link leads out of the folder.
+    InputError
+        This user may not read it.
+    """
+    _require_inside(folder, path)
+    try:
+        return folder.open(path)
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise ItemError("missing", "the file does not exist") from error
+    except (OSError, IntegrityError) as error:
+        raise ItemError("file", "it is not a regular file, or cannot be read") from error
+
+
+def size_inside(
+    folder: DataFolder, path: str, sizes: Callable[[str], Mapping[str, int]] | None = None
+) -> int:
+    """Return the size of a regular file below a folder; raises as :func:`open_inside`.
+
+    ``sizes`` lists a folder of a store, such as ``functools.cache(folder.sizes)``.
+    """
+    words = problem_of_name(path)
+    if words:
+        raise ItemError("name", f"the name {words}; expected a path below the folder")
+    _require_inside(folder, path)
+    if folder.is_local:
+        place = Path(folder.address(path))
+        size = place.stat().st_size if place.is_file() else None
+    else:
+        parent, _, base = path.rpartition("/")
+        size = (sizes or folder.sizes)(parent).get(base)
+    if size is None:
+        exists = folder.is_local and Path(folder.address(path)).exists()
+        raise ItemError("missing", "it is not a regular file" if exists else "the file does not exist")
+    return size
+
+
+def _require_inside(folder: DataFolder, path: str) -> None:
+    """Refuse a path on which a symbolic link leads out of a local folder (ItemError)."""
+    place, step = folder.address(path), folder.root
+    for part in path.split("/") if folder.is_local else ():
+        step = f"{step}/{part}"
+        # Not pathlib, and resolved only where there is a link: this is asked for each image.
+        if os.path.islink(step):  # noqa: PTH114
+            if not Path(place).resolve().is_relative_to(Path(folder.root).resolve()):
+                problem = "a link leads out of the folder; expected a file below it, such as a copy"
+                raise ItemError("name", problem)
+            return

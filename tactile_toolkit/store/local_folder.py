@@ -1,0 +1,239 @@
+"""Data set folders on local and network file systems.
+
+An unfinished file lies in ``.pending/tmp-...``. A run that finishes a data set removes all such files, of any
+process; a writer whose file was removed writes it again.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import os
+import re
+import shutil
+import stat
+import tempfile
+import uuid
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any, ClassVar, TypeVar
+
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, TEMPORARY, DataFolder
+from tactile_toolkit.store.files import (
+    make_folder,
+    named_failures,
+    open_regular,
+    readable,
+    sync_folder,
+    write_file,
+)
+from tactile_toolkit.store.locks import locked
+
+T = TypeVar("T")
+
+_COPY_BYTES = 1 << 20
+# Of a path that is not known to exist: all other errors mean that there is no such file.
+_REFUSALS = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG)
+
+
+@dataclass(frozen=True)
+class LocalFolder(DataFolder):
+    """A data set folder on a local or network file system, by its absolute path."""
+
+    root: str
+    is_local: ClassVar[bool] = True
+
+    def local_path(self, path: str) -> Path:
+        """Return where a file is written, moved or removed.
+
+        Raises InputError where the file, or a folder on the way to it, is a symbolic link: what that leads to
+        does not belong to this folder, which may be reached through a link itself.
+        """
+        found, root = Path(self.address(path)), Path(self.root)
+        for step in (found, *found.parents):
+            if step == root:
+                break
+            if step.is_symlink():
+                raise InputError(
+                    f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link",
+                    next="put what it leads to in its place, or choose another folder (--out or OUT)",
+                )
+        return found
+
+    def problem(self) -> str:
+        """Return why nothing can be in the folder; empty where something can."""
+        found = self.info("")
+        if found is None:
+            return f"{self.root!r} does not exist"
+        return "" if found["type"] == "directory" else f"{self.root!r} is a file, a folder was expected"
+
+    def info(self, path: str) -> Mapping[str, Any] | None:
+        """Return type and size of a file or folder, and what changes with it; None where there is none."""
+        with readable(self.address(path)):
+            try:
+                found = Path(self.address(path)).stat()
+            except (OSError, ValueError) as error:  # a circle of links, or a null byte: no file
+                if getattr(error, "errno", None) in _REFUSALS:
+                    raise
+                return None
+        kind = "directory" if stat.S_ISDIR(found.st_mode) else "file"
+        return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}
+
+    def entries(self, folder: str = "") -> dict[str, int | None]:
+        """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file."""
+        path = self.address(folder)
+        sizes: dict[str, int | None] = {}
+        with (
+            readable(path),
+            contextlib.suppress(FileNotFoundError, NotADirectoryError),
+            os.scandir(path) as found,
+        ):
+            for entry in found:
+                try:
+                    sizes[entry.name] = entry.stat().st_size if entry.is_file() else None
+                except FileNotFoundError:  # removed since it was listed, or a broken link
+                    if entry.is_symlink():
+                        sizes[entry.name] = None
+        return dict(sorted(sizes.items()))
+
+    def walk(self, folder: str = "") -> Iterator[str]:
+        """Yield the paths of all files and links in a sub-folder and below it, in order of their names."""
+        for name, size in self.entries(folder).items():
+            path = f"{folder}/{name}" if folder else name
+            if size is None and not Path(self.address(path)).is_symlink():
+                yield from self.walk(path)
+            else:
+                yield path
+
+    def open(self, path: str) -> IO[bytes]:
+        """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
+        with readable(self.address(path)):
+            return open_regular(Path(self.address(path)))
+
+    def read_bytes(self, path: str) -> bytes:
+        """Read a whole (small) file; IntegrityError when it is missing or cannot be read."""
+        try:
+            with self.open(path) as stream:
+                return stream.read()
+        except OSError as error:
+            raise IntegrityError(f"cannot read {self.address(path)!r}: {error.strerror or error}") from error
+
+    def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
+        """Write a file in pieces, which appears when all is written, or never; return what ``fill`` returns.
+
+        ``fill`` is called again where a run that finished a data set here has removed the temporary file.
+        """
+        return self._write(path, fill, Path.replace)
+
+    def _write(self, path: str, fill: Callable[[IO[bytes]], T], publish: Callable[[Path, Path], object]) -> T:
+        target = self.local_path(path)
+        draft = self.local_path(f"{PENDING_FOLDER}/tmp-{uuid.uuid4().hex}")
+        try:
+            with named_failures(self.address(path)):
+                return write_file(target, fill, draft, publish=publish)
+        finally:
+            with contextlib.suppress(OSError):  # something else is in it
+                draft.parent.rmdir()
+
+    def write_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one step, so that readers see all of it or nothing."""
+        self.write(path, lambda stream: stream.write(content))
+
+    def create_bytes(self, path: str, content: bytes) -> None:
+        """Write a file in one step unless there is one of that name; of several writers, one wins."""
+
+        def link(temporary: Path, target: Path) -> None:
+            try:
+                # The one step that is all or nothing on network file systems too.
+                os.link(temporary, target)
+            except OSError:
+                if not target.exists():
+                    temporary.replace(target)  # a file system without links
+
+        self._write(path, lambda stream: stream.write(content), link)
+
+    def upload(self, path: str, source: Path) -> None:
+        """Write a copy of a file of this machine in pieces."""
+
+        def copy(stream: IO[bytes]) -> None:
+            with source.open("rb") as content:
+                shutil.copyfileobj(content, stream, _COPY_BYTES)
+
+        self.write(path, copy)
+
+    def download(self, path: str, target: Path) -> None:
+        """Copy a file to a local one; FileNotFoundError where there is none."""
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(self.address(path), target)
+
+    def move(self, path: str, target: str) -> None:
+        """Move a file inside the folder, in place of any other."""
+        with named_failures(self.address(target)):
+            to = self.local_path(target)
+            make_folder(to.parent)
+            self.local_path(path).replace(to)
+            sync_folder(to.parent)
+
+    def remove(self, path: str) -> None:
+        """Remove a file, if it exists."""
+        with named_failures(self.address(path)):
+            self.local_path(path).unlink(missing_ok=True)
+
+    def remove_empty(self, folder: str) -> None:
+        """Remove a sub-folder when nothing is left in it."""
+        with contextlib.suppress(OSError):
+            Path(self.address(folder)).rmdir()
+
+    def remove_tree(self, folder: str, is_ours: Callable[[str], object]) -> None:
+        """Remove the files in a sub-folder whose paths are ours, and folders that are empty then.
+
+        Raises InputError for a link to a folder, whose content is not ours.
+        """
+        for name, size in self.entries(folder).items():
+            path = f"{folder}/{name}"
+            if size is None:
+                self.local_path(path)
+                self.remove_tree(path, is_ours)
+            elif is_ours(path):
+                self.remove(path)
+        self.remove_empty(folder)
+
+    def remove_temporaries(self) -> None:
+        """Remove unfinished files of writers; a writer that is still at work writes again."""
+        self.remove_tree(PENDING_FOLDER, re.compile(f"{PENDING_FOLDER}/{TEMPORARY}").fullmatch)
+
+    def require_folder(self) -> None:
+        """Create the folder, and prove that it can be written to; InputError for a file in its place."""
+        with named_failures(self.root):
+            problem = self.problem()
+            if problem and self.exists():
+                raise InputError(problem, next="choose another path (--out or OUT)")
+            make_folder(Path(self.root))
+            with tempfile.TemporaryFile(dir=self.root):
+                pass
+
+    def refresh(self, folder: str) -> None:
+        """Make a network file system drop what it cached of a sub-folder: its time changes."""
+        with contextlib.suppress(OSError):
+            os.utime(self.local_path(folder))
+
+    @contextlib.contextmanager
+    def locked(
+        self, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
+    ) -> Iterator[None]:
+        """Hold the folder, and the data set that is to take its place, against other runs."""
+        home = Path(self.root)
+        home = home.parent if home.name == NEXT_FOLDER else home
+        with contextlib.ExitStack() as stack:
+            while True:
+                try:
+                    stack.enter_context(
+                        locked(home, shared=shared, patience_s=patience_s, is_patient=is_patient)
+                    )
+                    break
+                except FileNotFoundError:  # a run that failed has removed it, empty as it was
+                    with named_failures(str(home)):
+                        make_folder(home)
+            yield

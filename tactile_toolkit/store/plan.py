@@ -1,0 +1,99 @@
+"""What a data set folder is to hold: one task for each shard, and the specification that they follow from."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import version
+from typing import Any
+
+from tactile_toolkit import __version__
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.store.data_folder import DataFolder
+from tactile_toolkit.store.manifest import Manifest
+from tactile_toolkit.store.parquet import ParquetStyle
+from tactile_toolkit.store.shards import ShardRecord
+from tactile_toolkit.store.task import AnyTask
+
+
+@dataclass(frozen=True)
+class BuildPlan:
+    """What a folder is to hold: one task for each shard, and the specification that they follow from.
+
+    Parameters
+    ----------
+    kind : str
+        Kind of data set, such as ``"mnist3d"``.
+    spec : mapping
+        Full specification as JSON values. Two plans with equal ``spec`` agree on every row.
+    split_order : tuple of str
+        Canonical order of the splits of this kind.
+    tasks : tuple of ShardTask
+        One per shard of the splits asked for.
+    style : ParquetStyle
+        Layout of the shards.
+    report_file : str or None
+        Path of the merged report, where shards have one.
+    extra_dirs : tuple of str
+        Sub-folders (or files) next to the rows that belong to the data set: what tasks give as ``files`` lies
+        there.
+    files_of : callable
+        Takes the folder and the record of a finished shard, and returns the checksum of each of its ``files``
+        by path.
+    libraries : tuple of str
+        Distributions whose versions decide bytes.
+    write_files : callable
+        Writes files that follow from all rows, such as an index, once those are there; takes the folder and
+        the manifest, returns the checksum of each by path.
+    """
+
+    kind: str
+    spec: Mapping[str, Any]
+    split_order: tuple[str, ...]
+    tasks: tuple[AnyTask, ...]
+    style: ParquetStyle
+    report_file: str | None = None
+    extra_dirs: tuple[str, ...] = ()
+    files_of: Callable[[DataFolder, ShardRecord], Mapping[str, str]] = field(
+        default=lambda _folder, _record: {}, repr=False
+    )
+    libraries: tuple[str, ...] = ()
+    write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
+        default=lambda _folder, _manifest: {}, repr=False
+    )
+
+    def __post_init__(self) -> None:
+        # As in a manifest: JSON has made lists of tuples.
+        text = json.dumps(self.spec, ensure_ascii=False)
+        object.__setattr__(self, "spec", json.loads(text))
+        try:
+            text.encode()
+        except UnicodeEncodeError as error:
+            found = text[max(0, error.start - 20) : error.end + 20]
+            raise InputError(
+                f"the specification holds {found!r}, which is not Unicode text", next="give another name"
+            ) from error
+        splits: dict[str, str] = {}
+        for shard in (task.shard for task in self.tasks):
+            first = splits.setdefault(shard.split.casefold(), shard.split)
+            if first != shard.split or not shard.can_be_read_back:
+                raise InputError(
+                    f"shard {shard} cannot be named so that it is found again; expected a split of letters, "
+                    "digits and underscores that differs from others not in case alone, and an index below "
+                    "the count; nothing was changed",
+                    next="rename it",
+                )
+
+    def new_manifest(self) -> Manifest:
+        """Return the manifest of a folder in which nothing is finished."""
+        return Manifest(
+            self.kind,
+            __version__,
+            self.spec,
+            self.split_order,
+            planned=Counter(task.shard.split for task in self.tasks),
+            trees=self.extra_dirs,
+            libraries={name: version(name) for name in self.libraries},
+        )

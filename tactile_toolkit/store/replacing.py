@@ -1,0 +1,150 @@
+"""Replacing a data set: the next one is made in ``.next``, then takes the place of that around it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import msgspec
+
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
+from tactile_toolkit.store.download_record import RECORD_FILE
+from tactile_toolkit.store.job import refuse_unknown_files
+from tactile_toolkit.store.local_folder import LocalFolder
+from tactile_toolkit.store.locks import locked
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
+from tactile_toolkit.store.names import is_hidden
+from tactile_toolkit.store.owned_files import extra_files, is_ours
+from tactile_toolkit.store.plan import BuildPlan
+from tactile_toolkit.store.sealed_json import decode
+from tactile_toolkit.store.shards import DATA_FOLDER
+
+PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
+"""Lists the files of the former data set that the next one does not have."""
+
+
+def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
+    """Return the files of the data set that a run may replace, none where there is none; changes nothing.
+
+    All files of a data set are known by their names; other hidden files stay. What a run of the plan has left
+    is not replaced but continued. Raises InputError for any other file, a symbolic link above all, and for a
+    set in an object store, which moves no file.
+    """
+    if not folder.exists(MANIFEST_FILE):
+        refuse_unknown_files(folder, plan)
+        return []
+    if not isinstance(folder, LocalFolder):
+        raise InputError(
+            f"{folder.address()!r} holds a data set, and --overwrite replaces none in an object store, where "
+            "it could not be put back if the new run fails; nothing was changed",
+            next="choose another folder (--out or OUT), or remove that one with the store's own tools",
+        )
+    manifest = _manifest(folder)
+    # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
+    named = () if manifest is None else manifest.trees
+    further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
+    names = set(folder.names())
+    shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
+    found = [path for path in folder.walk() if path.partition("/")[0] in shown]
+    strange = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
+    # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
+    if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
+        strange = [MANIFEST_FILE]
+    if strange:
+        raise InputError(
+            f"{folder.address()!r} holds more than a data set of this toolkit (found {strange[0]!r}); "
+            "nothing was changed",
+            next="move that file away, or choose an empty or new folder (--out or OUT)",
+        )
+    return found
+
+
+def _manifest(folder: DataFolder) -> Manifest | None:
+    try:
+        return read_manifest(folder)
+    except IntegrityError:
+        return None
+
+
+def _next(folder: LocalFolder) -> LocalFolder:
+    return LocalFolder(folder.address(NEXT_FOLDER))
+
+
+def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
+    """Return the folder in which the next data set is made, without files of any other one.
+
+    Who makes a data set there holds that folder, shared with other runs of the same. Raises BusyError where
+    another one is being made.
+    """
+    after = _next(folder)
+    after.require_folder()
+    begun = _manifest(after)
+    if begun is None or begun.identity != plan.new_manifest().identity:
+        with locked(folder.local_path(NEXT_FOLDER), patience_s=0.0):
+            folder.remove(f"{NEXT_FOLDER}/{MANIFEST_FILE}")  # first: without it no other file counts
+            remove_next(folder)
+        after.require_folder()
+    return after
+
+
+def resume_promotion(folder: DataFolder) -> None:
+    """Complete a replacement that was begun; raises BusyError while another run does so."""
+    if isinstance(folder, LocalFolder) and folder.exists(PROMOTION_FILE):
+        with folder.locked():
+            if folder.exists(PROMOTION_FILE):
+                _move_files(folder)
+
+
+def promote(folder: LocalFolder) -> None:
+    """Put the finished data set in ``.next`` in place of that around it; the caller holds the lock.
+
+    Raises InputError where the folder holds more than a data set by now, and nothing was touched.
+    """
+    leave = require_replaceable(folder)
+    former = sorted({*leave}.difference(_arriving(folder)))
+    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))  # from here on it can only be completed
+    _move_files(folder)
+
+
+def _arriving(folder: LocalFolder) -> list[str]:
+    """Return the files of the next data set that were not moved yet."""
+    return [path for path in _next(folder).walk() if not is_hidden(path)]
+
+
+def _move_files(folder: LocalFolder) -> None:
+    leave = decode(folder.read_bytes(PROMOTION_FILE), list[str], folder.address(PROMOTION_FILE))
+    manifest = read_manifest(_next(folder))
+    if manifest is not None:  # it is the last file to move
+        write_manifest(folder, replace(manifest, complete=False))
+        # The list may be any user's, of a folder that was given to us.
+        every = extra_files()
+        for path in leave:
+            if is_ours(path, every):
+                folder.remove(path)
+        for path in _arriving(folder):
+            if path != MANIFEST_FILE:
+                folder.move(f"{NEXT_FOLDER}/{path}", path)
+        sizes = folder.sizes(DATA_FOLDER)
+        missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
+        if missing:
+            remove_next(folder)  # the same run makes them again where they are to be
+            raise IntegrityError(
+                f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
+                "the place of a former file",
+                next="run the same command again without --overwrite",
+            )
+        folder.move(f"{NEXT_FOLDER}/{MANIFEST_FILE}", MANIFEST_FILE)
+    for path in leave:
+        while path := path.rpartition("/")[0]:
+            folder.remove_empty(path)
+    remove_next(folder)
+
+
+def remove_next(folder: LocalFolder) -> None:
+    """Remove the data set that was to take the place of the one in a folder."""
+    if folder.exists(NEXT_FOLDER):
+        every = extra_files()
+        folder.remove_tree(
+            NEXT_FOLDER,
+            lambda path: path == PROMOTION_FILE or is_ours(path.removeprefix(f"{NEXT_FOLDER}/"), every),
+        )

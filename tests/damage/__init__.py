@@ -1,1 +1,0 @@
-"""Damage done at random, and what becomes of it."""
