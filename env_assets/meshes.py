@@ -188,7 +188,7 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
 
     Sub-folders called ``train`` and ``test`` are splits; a folder without them is the same for both. Other
     sub-folders are classes; files that lie in none are a class each, named as they are. Ids count files in
-    the order of their names. ``unit`` is as :func:`tactile_toolkit.mesh.files.read_mesh` takes it.
+    the order of their names. ``unit`` is as :func:`tactile_toolkit.mesh.read_mesh` takes it.
     InputError: the folder holds another split alone, or files lie next to classes.
     """
     require_unit(unit)

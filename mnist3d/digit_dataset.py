@@ -52,7 +52,7 @@ class DigitRecord(mesh.SolidRecord):
 
 
 class DigitDataset(mesh.SolidDataset[DigitRecord]):
-    """A lazy sequence of :class:`DigitRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
+    """A lazy sequence of :class:`DigitRecord`; see :class:`tactile_toolkit.read.RecordDataset`."""
 
     record_class = DigitRecord
     things = "digits"
@@ -68,7 +68,7 @@ class DigitDataset(mesh.SolidDataset[DigitRecord]):
 class DigitStream(mesh.RecordStream[DigitRecord]):
     """Digits one after another, read as they are asked for.
 
-    See :class:`~tactile_toolkit.mesh.records.RecordStream`.
+    See :class:`~tactile_toolkit.mesh.RecordStream`.
     """
 
 

@@ -20,7 +20,7 @@ _SHOWN = (*with_role(DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "
 def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
-    """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     # What the data set's own report says of each digit that is shown; nothing where it has none.
     place = places.open_place(name)
     folder = place.folder

@@ -122,7 +122,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
-    :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`).
+    :data:`tactile_toolkit.mesh.PROBLEMS`).
     """
     digit, where = spec.source.image(digit_id), f"digit {digit_id} of source {spec.source.name!r}"
     try:

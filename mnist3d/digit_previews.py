@@ -31,7 +31,7 @@ def plan_previews(name: Name | Place, spec: DigitPreviewSpec) -> pictures.Pictur
     """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
 
     Kinds are sheet and steps. Raises InputError as
-    :class:`~tactile_toolkit.pictures.previews.MeshPreviews` does and where a file cannot be read, and
+    :class:`~tactile_toolkit.pictures.MeshPreviews` does and where a file cannot be read, and
     IntegrityError where the data set is damaged or unfinished.
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):

@@ -1,4 +1,4 @@
-"""Digits as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.solid_tensors.SolidTensors`."""
+"""Digits as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.SolidTensors`."""
 
 from __future__ import annotations
 

@@ -52,12 +52,12 @@ class RowsWithoutMedia(read.Rows):
 
 
 class TouchDataset(read.RecordDataset[R]):
-    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.dataset.RecordDataset`.
+    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.RecordDataset`.
 
     Parameters
     ----------
     table, rows, label_names
-        As for :class:`tactile_toolkit.read.dataset.RecordDataset`.
+        As for :class:`tactile_toolkit.read.RecordDataset`.
     """
 
     things = "rounds"
@@ -189,7 +189,7 @@ _DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
 
 
 class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.stream.Stream`.
+    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
 
     Parameters
     ----------

@@ -91,7 +91,7 @@ class SceneRecord(mesh.SolidRecord):
 
 
 class SceneMeshDataset(read.RecordDataset[SceneRecord]):
-    """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.dataset.RecordDataset`."""
+    """A lazy sequence of :class:`SceneRecord`; see :class:`tactile_toolkit.read.RecordDataset`."""
 
     record_class = SceneRecord
     things = "scenes"

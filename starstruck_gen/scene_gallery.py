@@ -34,7 +34,7 @@ _SHOWN = (
 def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
-    """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.items.gallery_of_rows`."""
+    """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     return gallery.gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _SHOWN, _item, _ROWS_PER_TASK)
 
 

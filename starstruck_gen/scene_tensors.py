@@ -1,4 +1,4 @@
-"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.solid_tensors.SolidTensors`."""
+"""Scenes as torch tensors (extra ``torch``): see :class:`tactile_toolkit.mesh.SolidTensors`."""
 
 from __future__ import annotations
 

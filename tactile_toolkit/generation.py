@@ -33,7 +33,7 @@ class StorageLayout:
         Distributions whose versions decide bytes.
     smallest, largest, wanted : int
         Rows of a shard, and how many shards a split of middle size has; see
-        :func:`~tactile_toolkit.store.shards.shard_ranges`.
+        :func:`~tactile_toolkit.store.shard_ranges`.
     sampled : int
         Items of a shard from which the time and size of a run are estimated.
     report_file : str or None

@@ -94,7 +94,7 @@ def write_wrench(
         Folder to write; a folder that holds the same wrench is left as it is.
     mesh_file : path, optional
         Write the mesh alone too, for a printer: a file with one of the endings of
-        :data:`tactile_toolkit.mesh.files.FORMATS`.
+        :data:`tactile_toolkit.mesh.FORMATS`.
     overwrite : bool
         Replace another data set of this toolkit in the folder.
 

@@ -76,7 +76,7 @@ class FolderSource:
         """Read one picture and fit it into 500 x 500 px.
 
         Raises ItemError ``"unknown-id"``, or one of the reasons of
-        :func:`~mnist3d.sources.picture_levels.read_picture`.
+        ``read_picture``.
         """
         pictures = self._listing().pictures
         require_known(digit_id, len(pictures), self.root)

@@ -163,7 +163,7 @@ class Conversion:
 
     ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
     ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
-    see :class:`tactile_toolkit.store.job.BuildPlan`.
+    see :class:`tactile_toolkit.store.BuildPlan`.
     """
 
     source: Source

@@ -1,7 +1,7 @@
 """Conversions carried out: planned from footers, each shard made from its own rows, block by block.
 
 An interrupted one continues where it stopped; the same source and options give byte-identical Parquet,
-whatever the number of workers: see :mod:`tactile_toolkit.store.building`.
+whatever the number of workers; see ``tactile_toolkit.store``.
 """
 
 from __future__ import annotations

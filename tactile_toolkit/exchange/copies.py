@@ -123,7 +123,7 @@ def divide(
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
     At random by ``fractions`` of each split, which follows from the seed and the number of rows alone; or,
-    without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose.choose_rows` takes for
+    without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """
     place = open_place(name).require(kind, SPLIT).require_complete()
@@ -250,7 +250,7 @@ def plan_tables(
 ) -> store.BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
-    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose.choose_rows` chose them by. Raises as all makers
+    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose_rows` chose them by. Raises as all makers
     of folders do.
     """
     tasks, shards = [], {}

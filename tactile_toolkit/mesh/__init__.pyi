@@ -59,6 +59,7 @@ from .crossings import (
     self_crossing as self_crossing,
 )
 from .solid_check import (
+    PROBLEMS as PROBLEMS,
     ManifoldCheck as ManifoldCheck,
     array_problem as array_problem,
     check_manifold as check_manifold,

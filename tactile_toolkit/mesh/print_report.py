@@ -10,7 +10,7 @@ import pyarrow as pa
 from tactile_toolkit.rows import column, columns, row
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
-"""Print warnings; the limits behind them are those of :class:`~tactile_toolkit.mesh.PrintProfile`."""
+"""Print warnings; the limits behind them are those of :class:`~mnist3d.PrintProfile`."""
 
 UNREADABLE = "unreadable"
 """Problem of a file that no mesh could be read from, beside those of ``solid_check.PROBLEMS``."""
@@ -33,7 +33,7 @@ class PrintReport:
         Status of the mesh in manifold3d, ``"NoError"`` or a reason.
     problem : str or None
         Why the mesh is not a solid, a short stable word of
-        :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`, or :data:`UNREADABLE`.
+        :data:`tactile_toolkit.mesh.PROBLEMS`, or :data:`UNREADABLE`.
     detail : str or None
         The same in a sentence.
     vertices, faces : int

@@ -96,7 +96,7 @@ class SolidDataset(read.RecordDataset[S]):
 
 
 class RecordStream(read.Stream[read.RowSource], Generic[R]):
-    """Records one after another; see :class:`tactile_toolkit.read.stream.Stream`.
+    """Records one after another; see :class:`tactile_toolkit.read.Stream`.
 
     Parameters
     ----------

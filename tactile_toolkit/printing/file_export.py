@@ -21,7 +21,7 @@ from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.run import runner_for
 
 CHANGED = "changed"
-"""What is wrong with a file beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+"""What is wrong with a file beyond :data:`tactile_toolkit.mesh.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
 # Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm.

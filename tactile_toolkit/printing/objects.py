@@ -61,7 +61,7 @@ def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
 def choose(
     datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]], **chosen: Any
 ) -> list[PrintObject]:
-    """Choose objects as :func:`tactile_toolkit.catalog.choose.choose_rows` does; no mesh is read.
+    """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
 
     Raises InputError as there, and where an id stands twice in a split.
     """

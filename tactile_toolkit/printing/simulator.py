@@ -22,7 +22,7 @@ from tactile_toolkit.printing.convex import convex_parts
 from tactile_toolkit.printing.physics import Physics
 
 TOO_LIGHT = "too-light"
-"""What is wrong with a body beyond :data:`tactile_toolkit.mesh.solid_check.PROBLEMS`."""
+"""What is wrong with a body beyond :data:`tactile_toolkit.mesh.PROBLEMS`."""
 # MuJoCo refuses bodies with a moment below.
 _LEAST_MOMENT_KG_M2 = 1e-14
 

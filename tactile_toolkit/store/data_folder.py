@@ -185,5 +185,5 @@ class DataFolder(Protocol):
         """Hold the folder against other runs, where it can be locked; stores have no locks.
 
         A run changes files of the folder under the lock, its shards under a ``shared`` one. Raises BusyError
-        as :func:`tactile_toolkit.store.locks.locked` does, which explains the arguments.
+        as :func:`tactile_toolkit.store.locked` does, which explains the arguments.
         """

@@ -71,7 +71,7 @@ def verify(
     on_file : callable
         Called with each path before it is read.
     check_card : callable, optional
-        Compares the data card with the data, such as :func:`tactile_toolkit.cards.card_check.check_card`.
+        Compares the data card with the data, such as :func:`tactile_toolkit.cards.check_card`.
     workers : int
         Number of threads that read and hash; what is found does not depend on it.
 
