@@ -14,7 +14,7 @@ from cli.options import (
 from cli.output import Sink
 from cli.quantities import bytes_text
 from realtouch.kind import KIND
-from realtouch.spec import TouchPreviewSpec
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit import pictures, store
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError

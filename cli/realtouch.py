@@ -175,7 +175,7 @@ def _require_intact(
     for finding in result.findings:
         sink.warn(f"damaged: {finding}")
     if not result.ok:
-        again = "download or convert it again, or open it with on_error='skip' to leave them out"
+        again = "download or convert it again"
         if unfinished:
             again = "run the same command with --check, which makes damaged shards again"
         raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=again)

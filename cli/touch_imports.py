@@ -11,7 +11,7 @@ from cli.options import Work, argument, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
 from realtouch.kind import KIND
-from realtouch.spec import ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind

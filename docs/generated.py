@@ -54,7 +54,7 @@ SHARED = (
     "tactile_toolkit.read.RecordDataset",
     "tactile_toolkit.store.Progress",
     "tactile_toolkit.store.RunOptions",
-    "realtouch.media.MAX_BATCH_PIXELS",
+    "realtouch.sensor_images.MAX_BATCH_PIXELS",
 )
 """What users inherit from several packages, and what public names refer to."""
 
@@ -331,8 +331,8 @@ def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
     from env_assets.wrench.making import WrenchRow, wrench_schema
     from mnist3d.digit_rows import DigitRow, digit_schema
-    from realtouch.card import WORDS
     from realtouch.schema import KNOWN_COLUMNS
+    from realtouch.touch_card import WORDS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
     from tactile_sim.columns import TouchRow, touch_schema
     from tactile_toolkit.cards import FolderSummary

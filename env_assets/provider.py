@@ -30,7 +30,7 @@ from tactile_toolkit.places import kind_of_rows, open_place
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
-    from realtouch.dataset import TouchSeqDataset, TouchSingleDataset
+    from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset
     from starstruck_gen.placement import Placement
     from tactile_toolkit.generation import Recipe
 

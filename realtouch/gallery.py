@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.dataset import TouchDataset
 from realtouch.kind import KIND
-from realtouch.media import TouchClip, evenly_spaced
-from realtouch.rounds import Touch, TouchRound, TouchSeqRound
+from realtouch.picture_views import evenly_spaced
+from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.schema import origin_of
+from realtouch.touch import Touch
+from realtouch.touch_clips import TouchClip
+from realtouch.touch_dataset import TouchDataset
 from tactile_toolkit import catalog, gallery, mesh, places
 from tactile_toolkit.array_types import Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -28,7 +30,6 @@ _TILE_WIDTH_PX = 160
 _FILM_COLUMNS = 6
 # A round of clips shows 1,536 frames.
 _QUALITY = 80
-
 DEFAULT_TOUCHES = 64
 """Touches shown of a round: of 256 every fourth, about 4 MB of clips."""
 

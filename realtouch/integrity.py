@@ -1,24 +1,20 @@
-"""Damage of files and rounds: found, listed, left out."""
+"""Checks of files, which must hold the same, and of rounds: all that is wrong is found and listed."""
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
-from typing import Any
 
-import numpy as np
-import pyarrow as pa
-
-from realtouch.columns import Damage, DamagedRoundError, TouchRow, rows_of
-from realtouch.media import SensorImages, TouchClip
 from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
+from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
+from realtouch.touch_clips import TouchClip
 from tactile_toolkit import catalog, read, run
-from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.touch import MEDIA_COLUMN, Kind, decode_image, image_size
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
 
 _NAMES_SHOWN = 12
 
@@ -28,16 +24,17 @@ def agreeing_files(
 ) -> list[read.Shard]:
     """Return the files of a data set that can be read and hold what the first of them holds.
 
-    Of the others it is noted in ``left_out`` what is wrong; without such a list it is raised: InputError for
-    a file that is not one of touches, IntegrityError for one that is damaged or holds something else.
+    What is wrong with the others is added to ``left_out``. Without such a list it is raised: InputError for a
+    file without touches, IntegrityError for one that is damaged or holds something else.
     """
     files: list[read.Shard] = []
     for shard in shards:
         try:
-            kind = media_kind(shard.schema, shard.path if files else where)
+            if not files:
+                media_kind(shard.schema, where)
             require_types(shard)
             if files:
-                _require_agreement(shard, kind, files)
+                _require_agreement(shard, files)
             files.append(shard)
         except (InputError, IntegrityError) as error:
             if left_out is None or (isinstance(error, InputError) and not files):
@@ -46,10 +43,10 @@ def agreeing_files(
     return files
 
 
-def _require_agreement(shard: read.Shard, kind: Kind, files: Sequence[read.Shard]) -> None:
+def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
     first = media_kind(files[0].schema, files[0].path)
-    if kind != first:
+    if media_kind(shard.schema, shard.path) != first:
         raise IntegrityError(
             f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
             f"{files[0].path!r}",
@@ -70,11 +67,19 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
 
 
+def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
+    """Return the names of the classes as the first file states them, or else those of the digits."""
+    stated = stated_class_names(shards)
+    if stated is None:
+        return CLASS_NAMES
+    return stated
+
+
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     """Return the T that every round of a data set must have: that of more than half of its readable rounds.
 
-    None where rounds may differ: no T is that of more than half, or the set has a manifest. Then rounds are
-    as they were made, whose checksums are known: of imported or chosen touches, or of a set of such.
+    None where rounds may differ: no T is that of more than half, or the set has a manifest. Imported and
+    selected rounds differ in length, and the manifest has their checksums.
     """
     if shards and catalog.manifest_beside(shards[0]) is not None:
         return None
@@ -82,18 +87,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     for shard, index in read.row_groups(shards):
         with suppress(IntegrityError):
             counts.update(stored_touch_counts(read.ChosenGroups(shard, [index])).tolist())
-    modal, rounds = counts.most_common(1)[0] if counts else (0, 0)
-    return modal if 2 * rounds > counts.total() else None
-
-
-def stored_touch_counts(source: read.RowSource) -> Int64:
-    """Return T of every row, shape (rows,), int64; reads nothing where the schema fixes it."""
-    types = read.column_types(source.schema)
-    name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
-    if pa.types.is_fixed_size_list(types[name]):
-        return np.full(len(source), types[name].list_size, np.int64)
-    counts = [block.nested(name).lengths(0) for block in read.all_blocks([source], [name])]
-    return np.concatenate(counts or [np.zeros(0, np.int64)])
+    return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 
 def checked_rows(
@@ -103,13 +97,13 @@ def checked_rows(
     *,
     decode: bool = True,
     workers: int = 1,
-) -> Iterator[tuple[TouchRow | None, list[Damage]]]:
-    """Yield all rows of row groups with what is wrong with each; None in the place of unreadable ones.
+) -> Iterator[tuple[StoredRound | None, list[Damage]]]:
+    """Yield all rows of row groups with what is wrong with each; None for unreadable rows.
 
     Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
     """
 
-    def checked(found: TouchRow | Damage) -> tuple[TouchRow | None, list[Damage]]:
+    def checked(found: StoredRound | Damage) -> tuple[StoredRound | None, list[Damage]]:
         if isinstance(found, Damage):
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
@@ -117,8 +111,8 @@ def checked_rows(
     return run.in_threads(checked, _readable_rows(groups), workers)
 
 
-def _readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[TouchRow | Damage]:
-    """Yield all rows, and in the place of those that cannot be read, what is wrong with them."""
+def _readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[StoredRound | Damage]:
+    """Yield all rows, and for unreadable ones their damage."""
     for shard, index in groups:
         try:
             yield from rows_of(shard.blocks(index))
@@ -127,7 +121,7 @@ def _readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[TouchRo
 
 
 def check_round(
-    row: TouchRow,
+    row: StoredRound,
     expected_touches: int | None = None,
     *,
     decode: bool = True,
@@ -140,17 +134,17 @@ def check_round(
     """
     found: list[Damage] = []
     noted = partial(_noted, found, row)
-    with noted():
-        _ = row.read_info() if row.has_info() else None
-    if row.has("id"):
+    scalars: dict[str, Callable[[], object]] = {
+        "id": row.name,
+        "object_id": partial(row.integer, "object_id"),
+        "label": partial(row.label_value, class_names),
+    }
+    if row.has_info():
         with noted():
-            row.name()
-    if row.has("object_id"):
+            row.read_info()
+    for name in filter(row.has, scalars):
         with noted():
-            row.integer("object_id")
-    if row.has("label"):
-        with noted():
-            row.label_value(class_names)
+            scalars[name]()
     for name in filter(row.has, PER_TOUCH_COLUMNS):
         with noted():
             # A list of fixed length would hide a null.
@@ -163,61 +157,78 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    kind = row.kind
-    has_poses = row.has_poses and row.has(f"{POSE_COLUMN[kind]}.quaternion")
-    start, stop = row.column_of(MEDIA_COLUMN[kind]).inside(0, row.index, row.index + 1)
+    read_pose: Callable[[int], object] = row.poses
+    picture_size: _PictureSize = _image_size
+    size_of: _SizeOf = image_size
+    if row.kind == "seq":
+        read_pose, picture_size = row.pose_sequences, _clip_size
+    if decode:
+        size_of = _decoded_size
+    start, stop = row.column_of(MEDIA_COLUMN[row.kind]).inside(0, row.index, row.index + 1)
     sizes: dict[int, tuple[int, ...]] = {}
     for touch in range(count):
         if row.has("pos_in_cell"):
             with noted():
                 row.intended_positions(touch)
-        if has_poses:
+        if row.has_poses and row.has(f"{POSE_COLUMN[row.kind]}.quaternion"):
             with noted():
-                _ = row.pose_sequences(touch) if kind == "seq" else row.poses(touch)
+                read_pose(touch)
         if touch < stop - start:  # where there are too few images or clips, those that are there are checked
             with noted():
-                sizes[touch] = _picture_size(row, kind, touch, decode, noted)
+                sizes[touch] = picture_size(row, touch, size_of, noted)
     # Several fields may run into one fault, and say the same of it.
-    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[kind])]))
+    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
 
 
 @contextmanager
-def _noted(found: list[Damage], row: TouchRow) -> Iterator[None]:
-    """Note what is wrong instead of raising it."""
+def _noted(found: list[Damage], row: StoredRound) -> Iterator[None]:
+    """Add what is wrong to a list instead of raising it."""
     try:
         yield
     except DamagedRoundError as error:
         found.append(error.damage)
-    except (InputError, IntegrityError, ValueError) as error:
-        problem = error.what if isinstance(error, ToolkitError) else str(error)
-        found.append(Damage(row.path, row.number, None, "", problem))
+    except (InputError, IntegrityError) as error:
+        found.append(Damage(row.path, row.number, None, "", error.what))
+    except ValueError as error:
+        found.append(Damage(row.path, row.number, None, "", str(error)))
 
 
-def _picture_size(
-    row: TouchRow, kind: Kind, touch: int, decode: bool, noted: Callable[[], Any]
-) -> tuple[int, ...]:
-    """Return height and width of an image, or of all frames of a clip; nothing of a clip without frames."""
-    if kind == "single":
-        images = SensorImages(row)
-        return images[touch].shape[:2] if decode else images.size(touch)
+def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
+    height, width, _ = decode_image(data).shape
+    return height, width
+
+
+_SizeOf = Callable[[memoryview], tuple[int, int]]
+_Noted = Callable[[], AbstractContextManager[None]]
+_PictureSize = Callable[[StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
+
+
+def _image_size(row: StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted) -> tuple[int, ...]:
+    """Return height and width of an image."""
+    with row.naming("sensor_image", touch):
+        return size_of(SensorImages(row).encoded(touch))
+
+
+def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+    """Return height and width of all frames of a clip; nothing of a clip without frames."""
     clip = TouchClip(row, touch)
     with noted():
-        timed = row.has("touch_start_time_rel") and row.has("touch_end_time_rel")
-        _ = clip.contact_window if timed else clip.timestamps_s
-    sizes: list[tuple[int, ...]] = []
+        if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
+            _ = clip.contact_window
+        else:
+            _ = clip.timestamps_s
+    first: tuple[int, ...] = ()
     for frame in range(len(clip)):
         with row.naming("sensor_video", touch, f"frame {frame}: "):
-            data = clip.encoded(frame)
-            sizes.append(decode_image(data).shape[:2] if decode else image_size(data))
-            if sizes[-1] != sizes[0]:
-                raise ValueError(
-                    f"{_describe(sizes[-1])}; expected {_describe(sizes[0])} as of the first frame"
-                )
-    return sizes[0] if sizes else ()
+            size = size_of(clip.encoded(frame))
+            first = first or size
+            if size != first:
+                raise ValueError(f"{_describe(size)}; expected {_describe(first)} as of the first frame")
+    return first
 
 
-def _odd_sizes(row: TouchRow, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
-    """List the touches whose pictures are not of the size that most of the round are of, or the first of."""
+def _odd_sizes(row: StoredRound, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
+    """List the touches whose pictures differ in size from most of the round, on a tie the first."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
@@ -228,58 +239,3 @@ def _odd_sizes(row: TouchRow, sizes: dict[int, tuple[int, ...]], media: str) -> 
 
 def _describe(size: tuple[int, ...]) -> str:
     return f"{size[1]} x {size[0]} pixels"
-
-
-def find_damage(
-    shards: Sequence[read.Shard], expected_touches: int | None
-) -> tuple[list[read.RowSource], Int64, list[tuple[int | None, Damage]]]:
-    """Check every round of some files, of which each must have ``expected_touches``, where that is said.
-
-    Returns the row groups of each file that can be read; which of their rows are not lost; and all damage,
-    each with the number of its row among them, None for row groups that cannot be read. A row is lost when
-    something is wrong with the round as a whole (a column, its number of touches); a round with damaged
-    touches stays.
-    """
-    found: list[tuple[int, Damage]] = []
-    sources: list[read.RowSource] = []
-    gone = np.zeros(sum(map(len, shards)), bool)  # rows of row groups that cannot be read
-    lost = gone.copy()
-    names = stated_class_names(shards)
-    start = 0
-    for shard in shards:
-        starts = shard.group_starts
-        groups = list(range(len(starts) - 1))
-        for row, damage in checked_rows(read.row_groups([shard]), expected_touches, names):
-            if row is None:
-                group = starts.index(int(damage[0].row or 0))
-                groups.remove(group)
-                gone[start + starts[group] : start + starts[group + 1]] = True
-            for one in damage:
-                found.append((start + int(one.row or 0), one))
-                lost[found[-1][0]] |= one.touch is None
-        sources.append(shard if len(groups) == len(starts) - 1 else read.ChosenGroups(shard, groups))
-        start += len(shard)
-    numbers = np.cumsum(~gone) - 1
-    numbered = [(None if gone[row] else int(numbers[row]), one) for row, one in found]
-    return sources, numbers[~(lost | gone)], numbered
-
-
-def unreadable_file(path: str, error: ToolkitError) -> Damage:
-    """Return the damage of an entire file, from the error that opening it raised."""
-    words = _cause(path, error)
-    named = re.fullmatch(r"field '([^']+)': (.*)", words)
-    return Damage(path, None, None, *(named.groups() if named else ("", words)))
-
-
-def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
-    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
-    first, stop = shard.group_starts[index], shard.group_starts[index + 1]
-    rows = f"rows {first} to {stop - 1} cannot be read" if stop - first > 1 else "cannot be read"
-    found = _cause(shard.path, error) if error.__cause__ is None else " ".join(str(error.__cause__).split())
-    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
-
-
-def _cause(path: str, error: ToolkitError) -> str:
-    """Return what an error says, without the file and the next step, which a list names once for all."""
-    words = " ".join(error.what.split())
-    return words.removeprefix(repr(path)).lstrip(",: ")

@@ -5,13 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, overload
 
-from realtouch.columns import Damage
-from realtouch.dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
-from realtouch.integrity import agreeing_files, find_damage, modal_touch_count
+from realtouch.integrity import agreeing_files
 from realtouch.kind import KIND
 from realtouch.schema import media_kind
+from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
 from tactile_toolkit import places
-from tactile_toolkit.errors import InputError
 
 SHORT_NAMES = {
     name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
@@ -27,7 +25,6 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-    on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset: ...
 @overload
 def load(
@@ -37,7 +34,6 @@ def load(
     streaming: Literal[True],
     revision: str | None = None,
     config: str | None = None,
-    on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchStream: ...
 @overload
 def load(
@@ -47,7 +43,6 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-    on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset | TouchStream: ...
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -56,7 +51,6 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-    on_error: Literal["raise", "skip"] = "raise",
 ) -> TouchSeqDataset | TouchSingleDataset | TouchStream:
     """Open a data set of real touches.
 
@@ -74,10 +68,6 @@ def load(
         Branch, tag or commit of a Hub repository.
     config : str, optional
         Configuration, of a data set whose card has several.
-    on_error : "raise" or "skip"
-        ``"raise"``: what is damaged raises when it is asked for. ``"skip"``: everything is checked now, as by
-        ``realtouch verify``; damaged files and rounds are left out of the data set, damaged touches out of
-        its ``touches()``, and listed in ``skipped``. A stream checks each round when it comes to it.
 
     Returns
     -------
@@ -88,28 +78,13 @@ def load(
     InputError
         No such folder or split, several splits and none named, or no data set of touches.
     IntegrityError
-        A file is damaged, a column has a wrong type, or files hold clips and images, or other classes. With
-        ``"skip"`` only when no file is left.
+        A file is damaged, a column has a wrong type, or files hold clips and images, or other
+        classes.
     HubError
         The repository cannot be reached or does not exist.
     """
-    if on_error not in ("raise", "skip"):
-        raise InputError(f"on_error is {on_error!r}; expected 'raise' or 'skip'")
     place = places.open_place(name, revision=revision, config=config)
-    found = place.shards(split, kind=KIND, streaming=streaming)
-    left_out: list[Damage] = []
-    skips = on_error == "skip"
-    files = agreeing_files(found, place.name, left_out if skips else None)
-    if not files:  # for what is wrong with the first of them
-        agreeing_files(found, place.name)
-    # Over all files: one of them may have lost touches of every round.
-    expected = modal_touch_count(files) if skips else None
+    files = agreeing_files(place.shards(split, kind=KIND, streaming=streaming), place.name)
     if streaming:
-        kind = media_kind(files[0].schema, files[0].path)
-        return TouchStream(
-            tuple(files), kind, skip_damage=skips, expected_touches=expected, left_out=left_out
-        )
-    if not skips:
-        return dataset_of(files)
-    intact, rows, damage = find_damage(files, expected)
-    return dataset_of(intact, rows, [*((None, each) for each in left_out), *damage])
+        return TouchStream(tuple(files), media_kind(files[0].schema, files[0].path))
+    return dataset_of(files)

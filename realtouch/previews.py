@@ -1,4 +1,4 @@
-"""Pictures of real touches: a round as a grid, or on a map of the cell."""
+"""Pictures of a round: its touches as a grid, or pasted at their positions on a map of the cell."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import numpy as np
 
 from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.kind import KIND
-from realtouch.media import evenly_spaced, fitted, in_parallel
 from realtouch.opening import load
-from realtouch.rounds import Touch, TouchRound
-from realtouch.spec import TouchPreviewSpec
+from realtouch.picture_views import evenly_spaced, fitted
+from realtouch.rounds import TouchRound
+from realtouch.sensor_images import in_parallel
+from realtouch.touch import Touch
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit import pictures, places
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
@@ -21,6 +23,12 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import height_text
 from tactile_toolkit.wording import with_count
 
+CONTACT = pictures.ACCENTS[0]
+"""Colour of the frame around touches in which the gel stopped on an object."""
+
+_COLUMNS = 8
+_TILE_PX = 160
+_PX_PER_MM = 7.0
 SENSING_AREA_M = (0.01888, 0.01416)
 """Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
 
@@ -32,151 +40,6 @@ _FEATHER = 0.06
 # A touch of bare plate counts a little, or nothing would be seen where only such are.
 _PLAIN_WEIGHT = 0.02
 _MOST_THREADS = 4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Placed:
-    """A touch and where it was.
-
-    ``centre_m``, shape (2,), is where the middle of the picture lies: x and y, metres, cell frame. ``axes``,
-    shape (2, 2), are the directions along x and y in which its columns and rows grow, one a row; shorter than
-    one where the gel was tilted.
-    """
-
-    pixels: UInt8
-    centre_m: Float64
-    axes: Float64
-
-
-@dataclass(frozen=True, slots=True)
-class CellMap:
-    """A map of the cell, x right and y up, the origin of the cell in its middle."""
-
-    size_px: tuple[int, int]
-    px_per_m: float
-
-    def point_px(self, point_m: Sequence[float] | AnyArray) -> tuple[float, float]:
-        """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
-        x, y = float(point_m[0]), float(point_m[1])
-        return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
-
-
-def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[Placed]:
-    """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
-
-    Where the data set stores no pose of the gel, its intended position is taken and no rotation.
-    """
-    placed: list[Any] = [None] * len(touches)
-
-    def read(number: int) -> None:
-        touch = Touch(record, int(touches[number]))
-        if not record._row.has_poses:
-            centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
-            placed[number] = Placed(touch.image, centre_m, np.diag([1.0, -1.0]))
-            return
-        pose = touch.gel_pose
-        # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
-        turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
-        centre_m = np.asarray(pose.translation[:2], np.float64)
-        placed[number] = Placed(touch.image, centre_m, np.asarray(turned[:, :2]))
-
-    in_parallel(read, len(touches), _MOST_THREADS)
-    return placed
-
-
-def cell_map(touches: Sequence[Placed], px_per_mm: float, cell_m: tuple[float, float] = CELL_M) -> CellMap:
-    """Return a map that holds the cell and every touch whole."""
-    # Touches near the edge of the cell reach beyond it.
-    reach = np.array(cell_m) / 2
-    for touch in touches:
-        half = np.abs(touch.axes * np.array(SENSING_AREA_M)[:, None] / 2).sum(axis=0)
-        reach = np.maximum(reach, np.abs(touch.centre_m) + half)
-    width, height = (2 * np.ceil(reach * px_per_mm * 1e3 - 1e-6).astype(int)).tolist()
-    return CellMap((width, height), px_per_mm * 1e3)
-
-
-def overlay(touches: Sequence[Placed], cell: CellMap) -> UInt8:
-    """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
-
-    Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
-    (the median of all touches), so that what was felt stays visible beneath touches of bare plate.
-    InputError: the pictures differ in size.
-    """
-    sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
-    if len(sizes) > 1:
-        found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
-        raise InputError(
-            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
-            next="make them alike with `realtouch resize`",
-        )
-    width, height = cell.size_px
-    sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
-    rest = np.median([touch.pixels for touch in touches], axis=0)
-    for touch in touches:
-        window, back = _back_to_touch(touch, cell)
-        weight = _weight(touch.pixels, rest)
-        colours = _taken(touch.pixels.astype(np.float32), window, back)
-        share = _taken(weight, window, back)
-        inside = _taken(np.ones_like(weight), window, back, nearest=True) > 0.5
-        share = np.where(inside, share, 0.0)[:, :, None]
-        rows, columns = window
-        sums[rows, columns] += share * colours
-        weights[rows, columns] += share
-    mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
-    return np.round(mixed).astype(np.uint8)
-
-
-def _weight(pixels: UInt8, rest: Float64) -> Float32:
-    """Return how much each pixel counts: what differs from the gel at rest, fading towards the edges."""
-    height, width = pixels.shape[:2]
-    change = np.abs(pixels - rest).mean(axis=2) / 255.0
-    edge = [
-        np.minimum(1.0, (0.5 + np.minimum(np.arange(side), np.arange(side)[::-1])) / (_FEATHER * side))
-        for side in (height, width)
-    ]
-    faded = edge[0][:, None] * edge[1][None, :]
-    return np.asarray((_PLAIN_WEIGHT + change) ** 2 * faded, np.float32)
-
-
-def _back_to_touch(touch: Placed, cell: CellMap) -> tuple[tuple[slice, slice], tuple[float, ...]]:
-    """Return the window of the map that a touch reaches, and the way from there to pixels of the touch."""
-    height, width = touch.pixels.shape[:2]
-    # Metres along columns and rows of the touch -> pixels of the map, whose rows grow along -y.
-    to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])
-    per_px = np.array([SENSING_AREA_M[0] / width, SENSING_AREA_M[1] / height])
-    forward = to_map * per_px
-    centre = np.array(cell.point_px(touch.centre_m))
-    half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
-    low = np.maximum(np.floor(centre - half).astype(int), 0)
-    high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)
-    back = inverse_affine(forward, centre - low, np.array([width, height]) / 2)
-    window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
-    return window, back
-
-
-def _taken(
-    values: Float32, window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
-) -> Float64:
-    """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
-    from PIL import Image
-
-    size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
-    method = Image.Resampling.NEAREST if nearest else Image.Resampling.BILINEAR
-    planes = values[:, :, None] if values.ndim == 2 else values
-    sampled = [
-        np.asarray(Image.fromarray(plane).transform(size, Image.Transform.AFFINE, back, method))
-        for plane in np.moveaxis(np.ascontiguousarray(planes), 2, 0)
-    ]
-    return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]
-
-
-CONTACT = pictures.ACCENTS[0]
-"""Colour of the frame around touches in which the gel stopped on an object."""
-
-
-_COLUMNS = 8
-_TILE_PX = 160
-_PX_PER_MM = 7.0
 
 
 def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> pictures.PicturePlan:
@@ -246,3 +109,141 @@ def _touches_in_words(record: TouchRound) -> str:
 
 def _title(record: TouchRound) -> str:
     return f"Round {record.id}, label {record.label}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PlacedTouch:
+    """A touch and where it was.
+
+    ``centre_m``, shape (2,), is where the middle of the picture lies: x and y, metres, cell frame. ``axes``,
+    shape (2, 2), are the directions along x and y in which its columns and rows grow, one a row; shorter than
+    one where the gel was tilted.
+    """
+
+    pixels: UInt8
+    centre_m: Float64
+    axes: Float64
+
+
+@dataclass(frozen=True, slots=True)
+class CellMap:
+    """A map of the cell, x right and y up, the origin of the cell in its middle."""
+
+    size_px: tuple[int, int]
+    px_per_m: float
+
+    def point_px(self, point_m: Sequence[float] | AnyArray) -> tuple[float, float]:
+        """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
+        x, y = float(point_m[0]), float(point_m[1])
+        return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
+
+
+def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
+    """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
+
+    Where the data set stores no pose of the gel, its intended position is taken and no rotation.
+    """
+    placed: list[Any] = [None] * len(touches)
+
+    def read(number: int) -> None:
+        touch = Touch(record, int(touches[number]))
+        if not record._row.has_poses:
+            centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
+            placed[number] = PlacedTouch(touch.image, centre_m, np.diag([1.0, -1.0]))
+            return
+        pose = touch.gel_pose
+        # Columns of the picture grow along +x of the gel, rows along -y (package tactile-mnist 0.13.0).
+        turned = pose.rotation.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+        centre_m = np.asarray(pose.translation[:2], np.float64)
+        placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
+
+    in_parallel(read, len(touches), _MOST_THREADS)
+    return placed
+
+
+def cell_map(
+    touches: Sequence[PlacedTouch], px_per_mm: float, cell_m: tuple[float, float] = CELL_M
+) -> CellMap:
+    """Return a map that holds the cell and every touch whole."""
+    # Touches near the edge of the cell reach beyond it.
+    reach = np.array(cell_m) / 2
+    for touch in touches:
+        half = np.abs(touch.axes * np.array(SENSING_AREA_M)[:, None] / 2).sum(axis=0)
+        reach = np.maximum(reach, np.abs(touch.centre_m) + half)
+    width, height = (2 * np.ceil(reach * px_per_mm * 1e3 - 1e-6).astype(int)).tolist()
+    return CellMap((width, height), px_per_mm * 1e3)
+
+
+def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
+    """Paste touches, pictures of one size, into one picture of the cell, (H, W, 3); white where no touch was.
+
+    Where touches lie on top of one another, each counts the more the more it differs from the gel at rest
+    (the median of all touches), so that what was felt stays visible beneath touches of bare plate.
+    InputError: the pictures differ in size.
+    """
+    sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
+        raise InputError(
+            f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
+            next="make them alike with `realtouch resize`",
+        )
+    width, height = cell.size_px
+    sums, weights = np.zeros((height, width, 3)), np.zeros((height, width, 1))
+    rest = np.median([touch.pixels for touch in touches], axis=0)
+    for touch in touches:
+        window, back = _back_to_touch(touch, cell)
+        weight = _weight(touch.pixels, rest)
+        colours = _taken(touch.pixels.astype(np.float32), window, back)
+        share = _taken(weight, window, back)
+        inside = _taken(np.ones_like(weight), window, back, nearest=True) > 0.5
+        share = np.where(inside, share, 0.0)[:, :, None]
+        rows, columns = window
+        sums[rows, columns] += share * colours
+        weights[rows, columns] += share
+    mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
+    return np.round(mixed).astype(np.uint8)
+
+
+def _weight(pixels: UInt8, rest: Float64) -> Float32:
+    """Return how much each pixel counts: what differs from the gel at rest, fading towards the edges."""
+    height, width = pixels.shape[:2]
+    change = np.abs(pixels - rest).mean(axis=2) / 255.0
+    edge = [
+        np.minimum(1.0, (0.5 + np.minimum(np.arange(side), np.arange(side)[::-1])) / (_FEATHER * side))
+        for side in (height, width)
+    ]
+    faded = edge[0][:, None] * edge[1][None, :]
+    return np.asarray((_PLAIN_WEIGHT + change) ** 2 * faded, np.float32)
+
+
+def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slice], tuple[float, ...]]:
+    """Return the window of the map that a touch reaches, and the way from there to pixels of the touch."""
+    height, width = touch.pixels.shape[:2]
+    # Metres along columns and rows of the touch -> pixels of the map, whose rows grow along -y.
+    to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])
+    per_px = np.array([SENSING_AREA_M[0] / width, SENSING_AREA_M[1] / height])
+    forward = to_map * per_px
+    centre = np.array(cell.point_px(touch.centre_m))
+    half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
+    low = np.maximum(np.floor(centre - half).astype(int), 0)
+    high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)
+    back = inverse_affine(forward, centre - low, np.array([width, height]) / 2)
+    window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
+    return window, back
+
+
+def _taken(
+    values: Float32, window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
+) -> Float64:
+    """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
+    from PIL import Image
+
+    size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
+    method = Image.Resampling.NEAREST if nearest else Image.Resampling.BILINEAR
+    planes = values[:, :, None] if values.ndim == 2 else values
+    sampled = [
+        np.asarray(Image.fromarray(plane).transform(size, Image.Transform.AFFINE, back, method))
+        for plane in np.moveaxis(np.ascontiguousarray(planes), 2, 0)
+    ]
+    return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]

@@ -1,71 +1,27 @@
-"""Rounds and touches: typed, frozen records of all touches of one object, and of one of them."""
+"""Rounds: typed, frozen records of all touches of one object."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from contextlib import suppress
-from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Self
+from functools import partial
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch.columns import TouchRow
 from realtouch.contact import require_method
-from realtouch.media import (
-    MOST_TILES,
-    SensorClips,
-    SensorImages,
-    TouchClip,
-    contact_frames_of,
-    contact_windows,
-    decode_frames,
-    evenly_spaced,
-    in_parallel,
-    round_html,
-    touch_html,
-)
+from realtouch.picture_views import MOST_TILES, evenly_spaced, round_html, touch_html
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import flat_row, take_touches
+from realtouch.sensor_images import SensorImages, in_parallel
+from realtouch.stored_round import StoredRound
+from realtouch.touch_clips import SensorClips, contact_frames_of, contact_windows, decode_frames
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read import Record, RowGroup, Rows, RowSource, column_names, positions
+from tactile_toolkit.read import Record, RowGroup, positions
 from tactile_toolkit.system import usable_cores
 
-if TYPE_CHECKING:
-    from realtouch.pose import Pose
-
 _MOST_THREADS = 4
-
-
-class RowsWithoutMedia(Rows):
-    """A block of rows of which images or clips were not read; these are opened where they are asked for.
-
-    ``number`` is that of the first of them in the source.
-    """
-
-    def __init__(self, read: RowGroup, source: RowSource, number: int) -> None:
-        super().__init__(read.path, read.first_row)
-        self._read = read
-        self._source = source
-        self._number = number
-
-    @cached_property
-    def table(self) -> Any:
-        """The rows with all columns: the whole block is read."""
-        return self._source.locate(self._number)[0].table
-
-    @cached_property
-    def names(self) -> tuple[str, ...]:
-        """Columns by dotted name, those not read yet included."""
-        return column_names(self._source.schema)
-
-    def arrow(self, name: str) -> Any:
-        """Return a column, opening the complete rows where it was left out."""
-        try:
-            return self._read.arrow(name)
-        except KeyError:
-            return super().arrow(name)
 
 
 class TouchRound(Record):
@@ -76,7 +32,7 @@ class TouchRound(Record):
     """
 
     __slots__ = ()
-    _row: TouchRow
+    _row: StoredRound
 
     @property
     def id(self) -> str:
@@ -118,7 +74,7 @@ class TouchRound(Record):
         row = self._row
         table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
-        return type(self)(TouchRow(RowGroup(chosen, row.path, row.number), 0))
+        return type(self)(StoredRound(RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a field as text for people; None without such a column."""
@@ -137,17 +93,21 @@ class TouchRound(Record):
 
     def _repr_html_(self) -> str:
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
-        named = {"label": self.describe_field("label", str), "object": self.describe_field("object_id", str)}
-        words = [f"{word} {value}" for word, value in named.items() if value is not None]
+        words = self.label_words()
+        words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = evenly_spaced(self.touch_count, MOST_TILES)
         pictures = [(f"{touch}", partial(self._contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
-        label = self.describe_field("label", str)
-        words = [*([] if label is None else [f"label {label}"]), f"{self.touch_count} touches"]
+        words = [*self.label_words(), f"{self.touch_count} touches"]
         return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
+
+    def label_words(self) -> list[str]:
+        """Return the label for people; nothing of a data set without labels."""
+        label = self.describe_field("label", "label {}".format)
+        return list(filter(None, [label]))
 
     def _contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
@@ -280,141 +240,7 @@ class TouchSeqRound(TouchRound):
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
         decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
-        return tuple(np.split(pixels, np.cumsum(counts)[:-1])) if len(wanted) else ()
-
-
-def touch_id(round_id: str, touch_index: int) -> str:
-    """Return the id of a touch."""
-    return f"{round_id}_{touch_index:03d}"
-
-
-class Touch:
-    """One touch of a round; frozen, fields are read when asked for.
-
-    Attributes
-    ----------
-    round : TouchRound
-        The round it belongs to.
-    touch_index : int
-        Its number in the round, from 0.
-
-    Notes
-    -----
-    Pickles with its own image or clip only: the ``round`` of a touch that came back from another process
-    holds this one touch.
-    """
-
-    __slots__ = ("_index_in_row", "round", "touch_index")
-    round: TouchRound
-    touch_index: int
-    _index_in_row: int
-
-    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
-        object.__setattr__(self, "round", round)
-        object.__setattr__(self, "touch_index", touch_index)
-        object.__setattr__(self, "_index_in_row", touch_index if index_in_row is None else index_in_row)
-
-    def __setattr__(self, name: str, value: object) -> None:
-        raise AttributeError(f"Touch is frozen; {name!r} cannot be set")
-
-    @property
-    def id(self) -> str:
-        """Id of the round and number of the touch, as exports name it: ``2023-09-28_15-50-43_7-0_012``."""
-        return touch_id(self.round_id, self.touch_index)
-
-    @property
-    def round_id(self) -> str:
-        """Id of the round."""
-        return self.round.id
-
-    @property
-    def label(self) -> int:
-        """Class of the object."""
-        return self.round.label
-
-    @property
-    def object_id(self) -> int:
-        """Id of the touched mesh."""
-        return self.round.object_id
-
-    @property
-    def pos_in_cell_m(self) -> Floating:
-        """Intended position, shape (2,), metres, cell frame."""
-        position: Floating = self.round._row.intended_positions(self._index_in_row)[0]
-        return position
-
-    @property
-    def gel_pose(self) -> Pose:
-        """Pose of the gel at contact, metres, cell frame; of a clip, that of the last frame of contact.
-
-        Reads this touch only, and opens no clip where the times of its frames are stored.
-        """
-        row, touch = self.round._row, self._index_in_row
-        if isinstance(self.round, TouchSingleRound):
-            return row.poses(touch)[0]
-        (frame,) = contact_frames_of(row, "contact_end", touch)
-        return row.pose_sequences(touch)[0][frame]
-
-    @property
-    def image(self) -> UInt8:
-        """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
-        return self.round._contact_image(self._index_in_row)
-
-    @property
-    def clip(self) -> TouchClip:
-        """The clip of a touch of a ``seq`` set.
-
-        Raises
-        ------
-        InputError
-            The data set holds images.
-        """
-        if not isinstance(self.round, TouchSeqRound):
-            raise self.round._row.missing_column("sensor_video")
-        return self.round.sensor_video[self._index_in_row]
-
-    def _alone(self) -> Touch:
-        """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
-        return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
-
-    def __eq__(self, other: object) -> bool:
-        """Return whether the other is the same touch of an equal round, by what is stored of it."""
-        if not isinstance(other, Touch):
-            return NotImplemented
-        if hash(self) != hash(other):  # the number in the round, and the round's id
-            return False
-        mine, theirs = self.round._row, other.round._row
-        if mine.group is theirs.group and mine.index == theirs.index:
-            return self._index_in_row == other._index_in_row
-        return self._alone().round == other._alone().round
-
-    def __hash__(self) -> int:
-        return hash((self.touch_index, self.round))
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        # A round of clips has some 50 MB; between processes a touch takes its own bytes alone.
-        alone = self._alone()
-        return (Touch, (alone.round, alone.touch_index, 0))
-
-    def __repr__(self) -> str:
-        shown = {
-            "round_id": self.round.describe_field("id"),
-            "touch_index": f"{self.touch_index}",
-            "label": self.round.describe_field("label"),
-        }
-        words = [f"{name}={value}" for name, value in shown.items() if value is not None]
-        return f"Touch({', '.join(words)})"
-
-    def _repr_html_(self) -> str:
-        """Show the picture of the contact in a notebook."""
-        label = self.round.describe_field("label", str)
-        words = [*([] if label is None else [f"label {label}"]), f"touch {self.touch_index}"]
-        with suppress(InputError):  # without positions
-            x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
-            words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
-        return touch_html(self.image, ", ".join(words))
-
-    _tile_html = _repr_html_
+        return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 
 def _cores(threads: int | None) -> int:

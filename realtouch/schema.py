@@ -25,8 +25,6 @@ _WHOLE = (pa.types.is_integer, *_FLOAT)  # of floats, each value must be one
 _TEXT = (pa.types.is_string, *_WHOLE)
 _TIME = (pa.types.is_duration, *_FLOAT)
 _BYTES = (pa.types.is_binary,)
-
-
 KNOWN_COLUMNS: dict[str, read.Expected] = {
     "id": (0, _TEXT, "a string"),
     "label": (0, _WHOLE, "an integer"),
@@ -46,7 +44,6 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
 }
 """What each column of a set of touches must be, where it is there."""
 
-
 PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
 """Columns that hold one entry per touch."""
 
@@ -58,7 +55,9 @@ def is_per_touch(name: str, data_type: pa.DataType) -> bool:
 
 def media_kind(schema: pa.Schema | None, where: str) -> Kind:
     """Return whether a set holds clips (``seq``) or images (``single``); InputError if neither or both."""
-    names = read.column_names(schema) if schema is not None else ()
+    names: tuple[str, ...] = ()
+    if schema is not None:
+        names = read.column_names(schema)
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
         raise InputError(
@@ -78,11 +77,16 @@ def _is_rendered(schema: pa.Schema) -> bool:
 
 def origin_of(schema: Any, manifest: store.Manifest | None) -> Origin:
     """Return where touches are from: rendered ones by their columns, others by the manifest."""
-    options = None if manifest is None else manifest.spec.get("options")
-    stated = options.get("touches") if isinstance(options, dict) else None
-    if stated == "imported" or (manifest is not None and manifest.spec.get("operation") == "import"):
-        return "imported"
-    return "synthetic" if stated == "synthetic" or _is_rendered(schema) else "real"
+    if manifest is not None:
+        options = manifest.spec.get("options")
+        stated = isinstance(options, dict) and options.get("touches")
+        if stated == "imported" or manifest.spec.get("operation") == "import":
+            return "imported"
+        if stated == "synthetic":
+            return "synthetic"
+    if _is_rendered(schema):
+        return "synthetic"
+    return "real"
 
 
 def require_types(shard: read.Shard) -> None:
@@ -112,7 +116,9 @@ def _plain_type(data_type: pa.DataType) -> pa.DataType:
     """Return a type whose lists carry no names of their own; pickling would change those, and the bytes."""
     if pa.types.is_fixed_size_list(data_type):
         return pa.list_(_plain_type(data_type.value_type), data_type.list_size)
-    return pa.list_(_plain_type(data_type.value_type)) if read.list_depth(data_type)[0] else data_type
+    if read.list_depth(data_type)[0]:
+        return pa.list_(_plain_type(data_type.value_type))
+    return data_type
 
 
 def flat_row(row: read.Row) -> pa.Table:

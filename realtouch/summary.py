@@ -4,26 +4,28 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field, replace
 from itertools import accumulate, pairwise
 from operator import itemgetter
 from typing import Any
 
 import numpy as np
 
-from realtouch.dataset import TouchDataset, Touches
 from realtouch.rounds import TouchRound
 from realtouch.schema import POSE_COLUMN
+from realtouch.touch_dataset import TouchDataset
+from realtouch.touches import Touches
 from tactile_toolkit.errors import InputError
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _HALF_CELL_M = 0.06
 _ROUNDS = {"train": 500, "test": 100}
 _TOUCHES_OF_A_GEL = 76_800
+_AMOUNTS = {False: "none", True: "some"}
 _SIZES = ((320, 240), (64, 64))
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """Figures of one split.
 
@@ -54,15 +56,15 @@ class Summary:
     kind: str
     rounds: int
     touches: int
-    objects: int
+    objects: int = 0
     touches_per_round: tuple[int, int]
-    contact_share: float | None
-    contact_rule: str | None
-    labels: dict[str, int]
+    contact_share: float | None = None
+    contact_rule: str | None = None
+    labels: dict[str, int] = field(default_factory=dict)
     image_size: tuple[int, int]
-    clip_frames: tuple[int, int, int] | None
-    fps: float | None
-    gel_ids: dict[str, int]
+    clip_frames: tuple[int, int, int] | None = None
+    fps: float | None = None
+    gel_ids: dict[str, int] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
@@ -93,32 +95,33 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
         raise InputError("an empty data set has no summary", next="choose other filters")
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
     first = touches[0]
-    has_poses = dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position")
-    gels: Counter[str] = Counter()
-    if dataset.has_column("info.gel_id"):
-        # Through all rounds, without their pictures: the gel is not a plain column.
-        gels.update(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
-    by_label = dataset.by_label() if dataset.has_column("label") else {}
-    return Summary(
+    found = Summary(
         kind=dataset.kind,
         rounds=len(dataset),
         touches=int(counts.sum()),
-        objects=len(np.unique(dataset.int_column("object_id"))) if dataset.has_column("object_id") else 0,
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_share=float(touches.in_contact().mean()) if has_poses else None,
-        contact_rule="; or ".join(map(str, dict.fromkeys(dataset.contact_rules()))) if has_poses else None,
-        labels={name: len(rows) for name, rows in by_label.items()},
         image_size=first.round._picture_size(first.touch_index),
-        clip_frames=_clip_frames(touches),
-        fps=first.clip.fps if dataset.kind == "seq" else None,
-        gel_ids=dict(sorted(gels.items())),
     )
+    if dataset.kind == "seq":
+        found = replace(found, clip_frames=_clip_frames(touches), fps=first.clip.fps)
+    if dataset.has_column("label"):
+        found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
+    if dataset.has_column("object_id"):
+        found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
+    if dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position"):
+        share = float(touches.in_contact().mean())
+        rules = dict.fromkeys(map(str, dataset.contact_rules()))
+        found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
+    if dataset.has_column("info.gel_id"):
+        # Through all rounds, without their pictures: the gel is not a plain column.
+        gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
+        found = replace(found, gel_ids=dict(sorted(gels.items())))
+    return found
 
 
-def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int] | None:
+def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int]:
+    """Return the least, the median and the largest number of frames of a clip."""
     dataset = touches.dataset
-    if dataset.kind == "single":
-        return None
     rows = dataset._row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
@@ -188,7 +191,8 @@ def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
     _, counts, gels, reaches_m = zip(*rounds, strict=True)
     objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
     different = len(set().union(*objects))
-    labels = {split: splits[split].labels.tolist() if split in splits else [] for split in _ROUNDS}
+    labels: dict[str, list[int]] = {split: [] for split in _ROUNDS}
+    labels |= {split: data.labels.tolist() for split, data in splits.items()}
     size = next(data[0] for data in splits.values() if len(data))._picture_size(0)
     replaced, ends = _gel_replacements(gels, counts)
     reach = f"at most {1e3 * max(reaches_m):.1f} mm from the middle"
@@ -202,7 +206,7 @@ def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
             for split, count in _ROUNDS.items()
         ),
         ("objects", "600", f"{different:,}"),
-        ("objects in two splits", "none", "none" if sum(map(len, objects)) == different else "some"),
+        ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
     ]
     gel = f"{_TOUCHES_OF_A_GEL:,} touches, once"
     picture = f"{size[0]} x {size[1]} pixels"

@@ -12,9 +12,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from realtouch.contact import require_method
-from realtouch.dataset import TouchDataset, Touches, TouchStream
-from realtouch.media import room_for
-from realtouch.rounds import Touch, TouchSingleRound
+from realtouch.rounds import TouchSingleRound
+from realtouch.sensor_images import room_for
+from realtouch.touch import Touch
+from realtouch.touch_dataset import TouchDataset, TouchStream
+from realtouch.touches import Touches
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra

@@ -49,7 +49,7 @@ _ROWS_PER_SHARD = 1000
 _TRIES = 16
 _OF_OBJECT = ("label", "object_id")
 _POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
-_contacts_by_image = lazy("realtouch.preprocess:contacts_by_image")
+_contacts_by_image = lazy("realtouch.contacts:contacts_by_image")
 
 
 @row

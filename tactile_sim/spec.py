@@ -342,7 +342,7 @@ class PairsSpec:
         Fraction of touches without contact, 0 to 1. The paper reduces it and does not say to how much.
     min_height_m : float or None
         A gel that stops so far above the plate touched an object, metres; None: the rule of the real touches,
-        see :meth:`realtouch.dataset.Touches.in_contact`, for both.
+        see :meth:`realtouch.touches.Touches.in_contact`, for both.
     window : str
         ``"full"``: depth of the full view of the sensor, squashed into the size as the real touches are;
         ``"center"``: the window that the environments show.

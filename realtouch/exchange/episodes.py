@@ -13,12 +13,13 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns import TouchRow, stored_rows
-from realtouch.convert.plan import Choices, Made, RowChoice, Source, schema_of, table_of
-from realtouch.exchange.items import image_column, require_intact
-from realtouch.media import SensorImages, TouchClip
+from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of
+from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound, stored_rows
+from realtouch.touch_clips import TouchClip
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
@@ -50,7 +51,7 @@ class Episodes:
     def of(cls, source: Source, split: str) -> Episodes:
         """Look at the first image of a split: all are to be of its size."""
         names = read.class_names(source.schema, CLASS_NAMES)
-        row = next(filter(TouchRow.touch_total, stored_rows(source.shards[split])), None)
+        row = next(filter(StoredRound.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
@@ -77,19 +78,20 @@ class Episodes:
         }
         return schema_of(source, wanted)
 
-    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
         name, label = row.name(), row.label_value(self.names)
-        object_id = row.integer("object_id") if row.has("object_id") else 0
-        places = row.intended_positions() if row.has("pos_in_cell") else None
+        object_id = 0
+        if row.has("object_id"):
+            object_id = row.integer("object_id")
         schema = self.schema(row.group.table.schema)
         tables = [schema.empty_table()]
-        for touch, images, columns in self._episodes(row):
-            for number, image in enumerate(images):
-                self._require_size(row, number if touch is None else touch, image)
+        for touch, touches, images, columns in self._episodes(row):
+            for number, image in zip(touches, images, strict=True):
+                self._require_size(row, number, image)
             count, start = len(images), f"{name}_{touch or 0:03d}"
-            if places is not None:
-                columns[ACTION] = _vectors(places if touch is None else np.tile(places[touch], (count, 1)))
+            if row.has("pos_in_cell"):
+                columns[ACTION] = _vectors(row.intended_positions()[touches])
             image_names = [f"{start}_{frame:04d}" for frame in range(count)]
             columns |= {
                 "id": image_names,
@@ -104,25 +106,30 @@ class Episodes:
             tables.append(table_of(schema, columns))
         return pa.concat_tables(tables), {}
 
-    def _episodes(self, row: TouchRow) -> Iterator[tuple[int | None, list[Any], dict[str, Any]]]:
-        """Yield each episode: its touch (None: all of the round), its images, and poses and times."""
+    def _episodes(
+        self, row: StoredRound
+    ) -> Iterator[tuple[int | None, list[int], list[memoryview], dict[str, Any]]]:
+        """Yield each episode: its touch (None: all of the round), those of its images, images, columns."""
+        columns: dict[str, Any] = {}
         if row.has("sensor_image"):
             row.entries_of("sensor_image")
-            stored = SensorImages(row)
-            if len(stored):
-                images = [stored.encoded(touch) for touch in range(len(stored))]
-                yield None, images, {STATE: _states(row.poses())} if row.has(_POSES["single"]) else {}
+            images = SensorImages(row)
+            if len(images) and row.has(_POSES["single"]):
+                columns[STATE] = _states(row.poses())
+            if len(images):
+                touches = list(range(len(images)))
+                yield None, touches, list(map(images.encoded, touches)), columns
             return
         for touch in range(row.touch_total()):
-            clip, columns = TouchClip(row, touch), dict[str, Any]()
+            clip, columns = TouchClip(row, touch), {}
             if row.has(_POSES["seq"]):
                 columns[STATE] = _states(row.pose_sequences(touch)[0])
             times_s = row.stamps_s(touch)
             if times_s is not None:
                 columns[TIME] = times_s[0].astype(np.float32)
-            yield touch, [clip.encoded(frame) for frame in range(len(clip))], columns
+            yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 
-    def _require_size(self, row: TouchRow, touch: int, image: bytes | memoryview) -> None:
+    def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(MEDIA_COLUMN[row.kind], touch):
             height, width = require_intact(image)
         if (height, width) != self.size:

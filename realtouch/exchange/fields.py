@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realtouch.poses import bad_pose
-from realtouch.spec import ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import ItemError
 
 NUMBERED = "label"
@@ -19,7 +19,7 @@ NUMBERED = "label"
 UNKNOWN = ("-1", "-1.0")
 """The number of a class that is not known, as `datasets` has it."""
 
-_NUMBER = re.compile(r"(0|[1-9][0-9]*)(?:\.0+)?")
+_NUMBER = re.compile(r"^(0|[1-9][0-9]*)(?:\.0+)?\Z")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?\s*")
 _LONGEST_SHOWN = 80  # letters of a value that a message repeats
 _LONGEST_INTEGER = 18  # digits
@@ -30,8 +30,9 @@ _FARTHEST_M = (0.18, 0.18, 0.36)
 def text_of(values: Mapping[str, Any], name: str | None) -> str:
     """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
     value = values.get(name) if name else None
-    is_none = value is None or value != value or isinstance(value, (list, dict))
-    return "" if is_none else str(value).strip()
+    if value is None or value != value or isinstance(value, (list, dict)):
+        return ""
+    return str(value).strip()
 
 
 def shown(text: object) -> str:
@@ -41,8 +42,7 @@ def shown(text: object) -> str:
 
 def integer_text(text: str) -> str:
     """Return ``"3"`` for ``"3.0"``: so tables have integers whose column has a gap."""
-    match = _NUMBER.fullmatch(text)
-    return text if match is None else match[1]
+    return _NUMBER.sub(r"\1", text)
 
 
 def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]) -> int:
@@ -54,15 +54,17 @@ def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]
     label = text_of(values, column) or text_of(values, NUMBERED)
     if not names or label in UNKNOWN:
         return -1
-    label = label if label in names else integer_text(label)
-    if label not in names:
-        raise ItemError("label", f"the label {shown(label)!r}; expected a class")
-    return names.index(label)
+    for text in (label, integer_text(label)):
+        if text in names:
+            return names.index(text)
+    raise ItemError("label", f"the label {shown(label)!r}; expected a class")
 
 
 def object_of(values: Mapping[str, Any], column: str | None) -> int:
     """Return the number of the object, 0 without a column of them; ItemError for anything else."""
-    text = integer_text(text_of(values, column)) if column else "0"
+    if not column:
+        return 0
+    text = integer_text(text_of(values, column))
     if not (text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER):
         raise ItemError("object", f"the object {shown(text)!r}; expected an integer")
     return int(text)

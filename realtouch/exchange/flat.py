@@ -5,69 +5,110 @@ Formats whose unit is a touch pack these rows; of clips, a touch shows one frame
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import pyarrow as pa
 
-from realtouch.columns import TouchRow
 from realtouch.contact import ContactMethod
-from realtouch.convert.api import columns_of_touches, shown_touches
-from realtouch.convert.file_names import file_stem
-from realtouch.convert.plan import (
+from realtouch.convert.conversion import (
     Choices,
     Conversion,
     Made,
-    Pack,
     RowChoice,
     Source,
+    WriteFiles,
     checksums,
+    file_stem,
     marked_repetitions,
     schema_of,
     table_of,
+    with_files,
 )
-from realtouch.exchange.items import image_column, require_intact
-from realtouch.rounds import touch_id
+from realtouch.convert.picture_files import columns_of_touches, shown_touches
+from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.schema import POSE_COLUMN
-from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS
+from realtouch.stored_round import StoredRound
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import read, store
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 IMAGE = "image"
-
+_WHERE = {"seq": "frame {}: ", "single": ""}
 _GROUP_BYTES = 32 << 20
-_FRAMES_PER_CLIP = 64  # about; how much smaller the image of a clip is than the clip
+FRAMES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}
+"""About how much smaller an image is than a clip, or an image."""
 _MOST_ROWS_PER_GROUP = 1 << 14
 
 
-def plan(
-    source: Source,
-    choices: Choices,
-    method: ContactMethod,
-    options: Mapping[str, Any],
-    *,
-    folder: str | None = None,
-    pack: Pack | None = None,
-    write_files: Callable[[store.DataFolder, store.Manifest], Mapping[str, str]] = checksums,
-) -> Conversion:
-    """Plan an export with a row for each touch; of clips, a touch shows the frame by some method.
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[dict[str, Any]]], Made]
+"""Makes files of the touches of a shard, of plain columns and images: ``bytes`` and ``path``."""
 
-    Without ``pack``, which makes files of them below ``folder``, the rows are kept as they are: flat Parquet.
-    """
-    is_seq = source.kind == "seq"
-    image_bytes = source.media_bytes() // (_FRAMES_PER_CLIP if is_seq else 1) or 1
+
+@dataclass(frozen=True)
+class _PackImages:
+    """Packs the touches of a shard; ``no_gaps``: shards are numbered, and none may be empty."""
+
+    pack: PackTouches
+    no_gaps: bool
+
+    def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
+        """Return the files of a shard, none of an empty one."""
+        index = rows.drop_columns([IMAGE])
+        if len(rows):
+            return self.pack(shard, index, (each.as_py() for each in rows[IMAGE]))
+        if self.no_gaps:
+            raise IntegrityError(
+                f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
+                "without gaps; nothing of this file was written",
+                next="leave it out (`realtouch select`)",
+            )
+        return with_files(index, {})
+
+
+def plan_flat(
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+) -> Conversion:
+    """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
+    image_bytes = source.media_bytes() // FRAMES_PER_MEDIA[source.kind] or 1
+    if source.kind == "seq":
+        options = {**options, "frame": method}
     return Conversion(
         source,
         "export",
-        {**options, **({"frame": method} if is_seq else {})},
+        options,
         _Touches(method, read.class_names(source.schema, CLASS_NAMES)),
         marked_repetitions(source, choices),
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
-        extra_dirs=() if folder is None else (folder,),
-        write_files=write_files,
-        pack=pack,
+        write_files=checksums,
     )
+
+
+@dataclass(frozen=True)
+class PackedFormat:
+    """A format of files of touches, below ``folder``.
+
+    ``pack`` makes those of a shard, ``write_files`` those that follow from all rows.
+    """
+
+    folder: str
+    pack: PackTouches
+    write_files: WriteFiles = checksums
+    no_gaps: bool = False
+
+    def plan(
+        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+    ) -> Conversion:
+        """Plan an export with files of all touches, and their plain columns as an index."""
+        return replace(
+            plan_flat(source, choices, method, options),
+            extra_dirs=(self.folder,),
+            write_files=self.write_files,
+            pack=_PackImages(self.pack, self.no_gaps),
+        )
 
 
 @dataclass(frozen=True)
@@ -97,17 +138,17 @@ class _Touches:
         }
         return schema_of(source, wanted)
 
-    def apply(self, row: TouchRow, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
         row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = row.name()
-        images: list[Any] = []
+        images: list[memoryview] = []
+        where = _WHERE[row.kind]
         for each in shown:
             images.append(each.stored)
-            where = f"frame {each.frame}: " if row.kind == "seq" else ""
-            with row.naming(MEDIA_COLUMN[row.kind], each.touch, where):
+            with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         stem = file_stem(name)

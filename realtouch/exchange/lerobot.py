@@ -16,9 +16,10 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import (
+from realtouch.convert.conversion import (
     Choices,
     Conversion,
     Made,
@@ -28,9 +29,10 @@ from realtouch.convert.plan import (
     with_files,
     write_changed,
 )
-from realtouch.dataset import dataset_of
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
-from realtouch.exchange.items import decoded
+from realtouch.exchange.flat import FRAMES_PER_MEDIA
+from realtouch.exchange.stored_images import decoded
+from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -40,13 +42,20 @@ FOLDER = "lerobot"
 FILES_PER_CHUNK = 1000
 FILE_BYTES = 100 << 20
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
-
 _VERSION = "v3.0"
 _GROUP_BYTES = 16 << 20
+_DTYPES = {pa.float32(): "float32"}
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
+# Images of an episode that are decoded for its statistics.
+_IMAGES_SEEN = 8
+_LEVELS = 256
+_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
+_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
-def plan(source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]) -> Conversion:
+def plan_lerobot(
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+) -> Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
     split = only_split(source, choices, "LeRobotDataset")
@@ -58,7 +67,7 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     if (dataset_of(source.shards[split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
-    image_bytes = source.media_bytes() if source.kind == "single" else source.media_bytes() // 64 or 1
+    image_bytes = source.media_bytes() // FRAMES_PER_MEDIA[source.kind] or 1
     return Conversion(
         source,
         "export",
@@ -68,7 +77,7 @@ def plan(source: Source, choices: Choices, method: ContactMethod, options: Mappi
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
         extra_dirs=(FOLDER,),
-        write_files=WriteMeta(split, step.fps, step.size, tasks),
+        write_files=_WriteMeta(split, step.fps, step.size, tasks),
         pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // image_bytes)),
     )
 
@@ -101,54 +110,31 @@ class _PackEpisodes:
         Raises IntegrityError where a round was left out, or lengths were not as stated.
         """
         rows = rows.combine_chunks()
-        if skipped:
-            raise IntegrityError(
-                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
-                "nothing of this file was written",
-                next="leave the round out first (`realtouch select`)",
-            )
-        episode, frame = self.starts[shard.index]
         firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
-        if self.starts[shard.index + 1] != [episode + len(firsts), frame + len(rows)]:
-            raise IntegrityError(
-                f"{shard}: {len(firsts):,} episodes of {len(rows):,} frames in all, other than "
-                "'video_length_frames' stated when the export was planned; nothing of this file was written",
-                next="run `realtouch verify` on the source",
-            )
+        self._require_all(shard, [len(firsts), len(rows)], skipped)
+        episode, frame = self.starts[shard.index]
         episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
-        firsts += frame
-        starts = firsts - firsts[:1]
-        index = {"id": episodes, "first_frame": firsts, "frames": lengths}
-        frames = rows.drop_columns(
-            [name for name in ("id", "round_id", "touch") if name in rows.schema.names]
-        )
-        for name, values in (
-            ("episode_index", np.repeat(episodes, lengths)),
-            ("index", firsts[:1] + np.arange(len(rows))),
-            ("task_index", rows["label"].to_numpy() % len(self.tasks)),
-        ):
-            frames = frames.append_column(name, pa.array(values, pa.int64()))
-        # What `datasets` makes of the columns; a class is a number here.
-        frames = frames.cast(with_features(frames.schema, None))
-        labels = rows["label"].to_numpy()[starts]
+        frames = self._frames(rows, np.repeat(episodes, lengths), frame)
         chunk, number = divmod(shard.index, FILES_PER_CHUNK)
         place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"
-        chunks, files = np.full(len(starts), chunk), np.full(len(starts), number)
+        chunks, files = np.full(len(firsts), chunk), np.full(len(firsts), number)
+        labels = rows["label"].to_numpy()[firsts]
         meta = {
             "episode_index": episodes,
             "tasks": pa.array([[self.tasks[label]] for label in labels], pa.list_(pa.string())),
             "length": lengths,
             "data/chunk_index": chunks,
             "data/file_index": files,
-            "dataset_from_index": firsts,
-            "dataset_to_index": firsts + lengths,
+            "dataset_from_index": frame + firsts,
+            "dataset_to_index": frame + firsts + lengths,
             "meta/episodes/chunk_index": chunks,
             "meta/episodes/file_index": files,
-            **columns_of_episodes(frames, starts.tolist(), lengths.tolist()),
+            **columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
         encodings = ((f"{IMAGE}.bytes", "PLAIN"),)
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
-        index |= {name: rows[name].take(starts) for name in _OF_EPISODE if name in rows.schema.names}
+        index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
+        index |= {name: rows[name].take(firsts) for name in _OF_EPISODE if name in rows.schema.names}
         return with_files(
             pa.table(index),
             {
@@ -157,9 +143,41 @@ class _PackEpisodes:
             },
         )
 
+    def _require_all(
+        self, shard: store.ShardName, counts: Sequence[int], skipped: Sequence[store.Skipped]
+    ) -> None:
+        """Refuse a shard that lacks rounds, or has other counts than were planned (IntegrityError)."""
+        if skipped:
+            raise IntegrityError(
+                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
+                "nothing of this file was written",
+                next="leave the round out first (`realtouch select`)",
+            )
+        planned = np.subtract(self.starts[shard.index + 1], self.starts[shard.index]).tolist()
+        if planned != counts:
+            episodes, frames = counts
+            raise IntegrityError(
+                f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
+                "'video_length_frames' stated when the export was planned; nothing of this file was written",
+                next="run `realtouch verify` on the source",
+            )
+
+    def _frames(self, rows: pa.Table, episodes: Int64, first: int) -> pa.Table:
+        """Return the frames of a shard with their numbers, the first of which is ``first``."""
+        known = {"id", "round_id", "touch"}.intersection(rows.schema.names)
+        frames = rows.drop_columns(sorted(known))
+        for name, values in (
+            ("episode_index", episodes),
+            ("index", first + np.arange(len(rows))),
+            ("task_index", rows["label"].to_numpy() % len(self.tasks)),
+        ):
+            frames = frames.append_column(name, pa.array(values, pa.int64()))
+        # What `datasets` makes of the columns; a class is a number here.
+        return frames.cast(with_features(frames.schema, None))
+
 
 @dataclass(frozen=True)
-class WriteMeta:
+class _WriteMeta:
     """Writes what a LeRobotDataset says of all its episodes, once they are there."""
 
     split: str
@@ -180,10 +198,7 @@ class WriteMeta:
             "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
             "tasks.parquet": store.encode_parquet(_task_table(self.tasks), META_STYLE),
         }
-        for name, content in meta.items():
-            path = f"{FOLDER}/meta/{name}"
-            files[path] = write_changed(folder, path, content)
-        return files
+        return files | write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, Any]:
         return {
@@ -208,8 +223,7 @@ class WriteMeta:
         if pa.types.is_fixed_size_list(each.type):
             names = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"][: each.type.list_size]
             return {"dtype": "float32", "shape": [len(names)], "names": names}
-        dtype = "float32" if pa.types.is_float32(each.type) else "int64"
-        return {"dtype": dtype, "shape": [1], "names": None}
+        return {"dtype": _DTYPES.get(each.type, "int64"), "shape": [1], "names": None}
 
 
 def _json_bytes(values: Mapping[str, Any]) -> bytes:
@@ -227,25 +241,18 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
     return table.replace_schema_metadata({"pandas": json.dumps({**of_pandas, "pandas_version": "2.0.0"})})
 
 
-# Images of an episode that are decoded for its statistics.
-_IMAGES_SEEN = 8
-
-_LEVELS = 256
-_QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
-_NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
-
-
 def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int]) -> dict[str, pa.Array]:
     """Return the statistics of each feature in each episode, as columns ``stats/FEATURE/STATISTIC``."""
     columns = {}
     for name in frames.column_names:
         whole = frames.column(name).combine_chunks()
         found = [_episode(whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
-        flat = pa.list_(pa.float64())
-        data_type = pa.list_(pa.list_(flat)) if whole.type == MEDIA_TYPE else flat
-        for statistic in _NAMES:
+        data_type = pa.list_(pa.float64())
+        if whole.type == MEDIA_TYPE:
+            data_type = pa.list_(pa.list_(data_type))
+        types = {**dict.fromkeys(_NAMES, data_type), "count": pa.list_(pa.int64())}
+        for statistic, stored in types.items():
             values = [each[statistic] for each in found]
-            stored = pa.list_(pa.int64()) if statistic == "count" else data_type
             columns[f"stats/{name}/{statistic}"] = pa.array(values, stored)
     return columns
 
@@ -256,8 +263,6 @@ def _episode(values: pa.Array) -> dict[str, Any]:
         numbers = _flat_rows(values)
         found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
         return {**{name: [each[name] for each in found] for name in found[0]}, "count": [len(values)]}
-    from PIL import Image
-
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
     counts = np.zeros((3, _LEVELS), np.int64)
     for number in seen:

@@ -49,16 +49,20 @@ class PictureArray:
             raise array.group.refused(
                 array.path, f"{len(pictures):,} pictures in {stored:,} bytes; expected at most {most:,}"
             )
-        return pictures if array.dtype == np.uint8 else cls(array, pictures._lossless())
+        if array.dtype == np.uint8:
+            return pictures
+        return cls(array, pictures._lossless())
 
     def __len__(self) -> int:
         return self.array.shape[0]
 
     @property
-    def _is_first(self) -> bool:
-        """Whether the channels come before height and width."""
+    def _channel_axis(self) -> int:
+        """Axis of the channels, where they come before height and width; else the last."""
         shape = self.array.shape
-        return len(shape) == 4 and shape[3] not in _CHANNELS and shape[1] in _CHANNELS
+        if len(shape) == 4 and shape[3] not in _CHANNELS and shape[1] in _CHANNELS:
+            return 1
+        return -1
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -66,21 +70,23 @@ class PictureArray:
         shape = self.array.shape
         if len(shape) == 3:
             return (*shape, 1)
-        return (shape[0], *shape[2:], shape[1]) if self._is_first else shape
+        if self._channel_axis == 1:
+            return (shape[0], *shape[2:], shape[1])
+        return shape
 
     def pixels(self, start: int, stop: int) -> UInt8:
         """Return some pictures, shape (n, H, W, 3), or (n, H, W) of one channel; uint8, contiguous."""
         found = self.array.rows(start, stop)
         if found.dtype != np.uint8:
             found = np.rint(found / self.divisor).astype(np.uint8)
-        found = np.moveaxis(found, 1, -1) if self._is_first else found
-        grey = self.shape[3] == 1
-        return np.ascontiguousarray(found.reshape(found.shape[:3]) if grey else found)
+        found = np.moveaxis(found, self._channel_axis, -1)
+        if self.shape[3] == 1:
+            found = found.reshape(found.shape[:3])
+        return np.ascontiguousarray(found)
 
     def described(self) -> str:
         """Return what is done to the pictures; empty where they are taken as they are."""
-        words = [f"channels {'first' if self._is_first else 'last'}"] * self._is_first
-        words += ["one channel"] * (self.shape[3] == 1)
+        words = ["channels first"] * (self._channel_axis == 1) + ["one channel"] * (self.shape[3] == 1)
         if self.array.dtype != np.uint8:
             top = self.divisor * _MOST_LEVEL
             words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MOST_LEVEL}")
@@ -89,13 +95,15 @@ class PictureArray:
     def _lossless(self) -> float:
         """Return what all values are multiples of; InputError where 8 bits would lose some."""
         dtype, step = self.array.dtype, self.array.chunks[0]
-        rounding = float(np.finfo(dtype).eps) * _MOST_LEVEL if dtype.kind == "f" else 0.0
+        tolerance = _LEAST_TOLERANCE
+        if dtype.kind == "f":
+            tolerance = max(tolerance, float(np.finfo(dtype).eps) * _MOST_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
         for start in range(0, len(self), step):
             values = self.array.rows(start, min(start + step, len(self)))
             low, high = np.minimum(low, values.min()), np.maximum(high, values.max())
-            fitting = [each for each in fitting if _fits(values / each, max(rounding, _LEAST_TOLERANCE))]
+            fitting = [each for each in fitting if _fits(values / each, tolerance)]
             if not fitting:
                 raise self.array.group.refused(
                     self.array.path,

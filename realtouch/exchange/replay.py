@@ -2,8 +2,7 @@
 
 Facts of the format (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
 length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
-the buffer is made of stays in ``data``: a row a frame, its image as it was stored. ``.zgroup`` and
-``.zarray`` are JSON; a chunk is a file named by its number along each axis. Ids of rounds and names of
+the buffer is made of stays in ``data``: a row a frame, its image as it was stored. Ids of rounds and names of
 classes, for which the format has no place, are attributes of ``meta``; they mark the buffer as ours, so that
 its ``state`` is known to be a pose.
 """
@@ -11,30 +10,28 @@ its ``state`` is known to be a pose.
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 import shutil
 import tempfile
-import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.columns import stored_rows
 from realtouch.contact import ContactMethod
-from realtouch.convert.plan import Choices, Conversion, Source
+from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.items import Item, decoded, source_of
+from realtouch.exchange.found_touches import FoundTouch, source_of
 from realtouch.exchange.picture_arrays import PictureArray
-from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
-from realtouch.rounds import touch_id
-from realtouch.spec import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from realtouch.exchange.stored_images import decoded
+from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup, ZarrWriter
+from realtouch.stored_round import stored_rows
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, ItemError
@@ -53,7 +50,9 @@ _CHUNK_BYTES = 2 << 20
 _IN_MEMORY_BYTES = 64 << 20
 
 
-def plan(source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]) -> Conversion:
+def plan_replay(
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+) -> Conversion:
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
@@ -74,7 +73,7 @@ class _WriteBuffer:
     names: tuple[str, ...]
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
-        """Return the checksum of the file by its path; one that is as it should be is left alone."""
+        """Return the checksum of the file by its path; an unchanged file is not written again."""
         shards = [
             read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
         ]
@@ -91,7 +90,7 @@ class _WriteBuffer:
         more = [name for name in ("round_id", "touch", "frame_index") if name in shards[0].types]
         table = pa.concat_tables([shard.read(columns=[*names, *more]) for shard in shards])
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
-        arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name]) for name in names}
+        arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name].combine_chunks()) for name in names}
         arrays[_ENDS] = np.append(starts[1:], len(table)).astype("<i8")
         shape = (len(table), *self.size, 3)
         length = max(1, _CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
@@ -117,12 +116,12 @@ def _episode_ids(firsts: pa.Table) -> list[str]:
     return [touch_id(*each) for each in zip(names, firsts["touch"].to_pylist(), strict=True)]
 
 
-def conversion(items: Sequence[Item]) -> str:
+def describe_conversion(items: Sequence[FoundTouch]) -> str:
     """Return what is done to the pictures of a buffer; empty where they are taken as they are."""
     return _pictures(items[0]).described()
 
 
-def _pictures(item: Item) -> PictureArray:
+def _pictures(item: FoundTouch) -> PictureArray:
     """Open the pictures that an item is one of."""
     divisor, _, name = item.part.partition(" ")
     return PictureArray(ZarrGroup(store.open_folder(item.home), item.path).array(name), float(divisor))
@@ -133,16 +132,15 @@ def _images(shards: Sequence[read.Shard]) -> Any:
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
-def _numbers(column: pa.ChunkedArray) -> AnyArray:
-    """Return a column of numbers, or of lists of equal length, as an array, little end first."""
-    values = column.combine_chunks()
-    is_list = pa.types.is_fixed_size_list(values.type)
-    found: AnyArray = (values.flatten() if is_list else values).to_numpy()
-    found = found.astype(found.dtype.newbyteorder("<"))
-    return found.reshape(len(values), -1) if is_list else found
+def _numbers(values: pa.Array) -> AnyArray:
+    """Return numbers, or lists of equal length, as an array, little end first."""
+    if pa.types.is_fixed_size_list(values.type):
+        return _numbers(values.flatten()).reshape(len(values), -1)
+    found: AnyArray = values.to_numpy()
+    return found.astype(found.dtype.newbyteorder("<"))
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each frame of the buffer; an episode is a round, other arrays are its fields.
 
     Only arrays that a column names are read. What an array of others means does not follow from its shape.
@@ -150,7 +148,7 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
     home, path = _group_in(home)
     group = ZarrGroup(home, path)
     names = group.arrays("data")
-    name = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
+    name = columns.image_name or _PIXELS.rpartition("/")[2]
     if name not in names:
         raise InputError(
             f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names) or 'none'}",
@@ -160,21 +158,23 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
     ends, stated = _episode_ends(group.array(_ENDS), len(pictures)), group.json(_ATTRIBUTES)
     ids, class_names = ([str(each) for each in stated.get(key) or ()] for key in (_IDS, _CLASSES))
     is_ours = len(ids) == len(ends)
-    wanted = {*columns.found_in(names).names(), NUMBERED, *(_OUR_ARRAYS if is_ours else ())}
+    stems = [f"episode-{episode:06d}" for episode in range(len(ends))]
+    wanted = {*columns.found_in(names).names(), NUMBERED}
+    if is_ours:
+        wanted.update(_OUR_ARRAYS)
+    else:
+        ids = stems
     others = dict.fromkeys((each for each in names if each != name), "not read")
     fields = {each: _rows(group.array(f"data/{each}"), len(pictures)) for each in others if each in wanted}
     part, size = f"{pictures.divisor!r} data/{name}", math.prod(pictures.shape[1:])
-    start = 0
-    for episode, end in enumerate(ends):
-        stem = f"episode-{episode:06d}"
+    for stem, round_id, (start, end) in zip(stems, ids, pairwise([0, *ends]), strict=True):
         for number in range(start, end):
             values = {**others, **{field: array[number].tolist() for field, array in fields.items()}}
             if is_ours:
                 _name_ours(values, class_names)
-            values.setdefault("round_id", ids[episode] if is_ours else stem)
+            values.setdefault("round_id", round_id)
             frame = f"{stem}_{number - start:06d}.png"
-            yield Item(frame, home.address(), path, number, size, values, part=part)
-        start = end
+            yield FoundTouch(frame, home.address(), path, number, size, values, part=part)
 
 
 def _name_ours(values: dict[str, Any], class_names: Sequence[str]) -> None:
@@ -188,9 +188,10 @@ def _name_ours(values: dict[str, Any], class_names: Sequence[str]) -> None:
 
 def _episode_ends(array: ZarrArray, frames: int) -> list[int]:
     """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
-    is_list = len(array.shape) == 1 and array.dtype.kind in "iu" and 0 < array.shape[0] <= frames
-    ends = list(map(int, array.rows(0, array.shape[0]))) if is_list else []
-    if not is_list or ends[-1] != frames or any(end <= start for start, end in pairwise([0, *ends])):
+    ends: list[int] = []
+    if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
+        ends = array.rows(0, array.shape[0]).tolist()
+    if not ends or ends[-1] != frames or any(end <= start for start, end in pairwise([0, *ends])):
         found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN]))}"
         expected = f"integers that rise to {frames:,}, the number of frames"
         raise array.group.refused(array.path, f"episodes end at {found}; expected {expected}")
@@ -203,10 +204,12 @@ def _rows(array: ZarrArray, frames: int) -> AnyArray:
         expected = f"{frames:,} rows of numbers, as frames"
         raise array.group.refused(array.path, f"an array {array.shape}; expected {expected}")
     rows = array.rows(0, frames)
-    return rows[:, 0] if rows.shape[1:] == (1,) else rows
+    if rows.shape[1:] == (1,):
+        return rows[:, 0]
+    return rows
 
 
-def contents(items: Iterable[Item]) -> Iterator[bytes | ItemError]:
+def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the pixels of each frame as PNG, in order; a chunk of the array is unpacked once."""
     shown, last, chunk = ("", "", ""), -1, np.zeros(0, np.uint8)
     pictures: Any = None
@@ -230,42 +233,3 @@ def _group_in(home: store.DataFolder) -> tuple[store.DataFolder, str]:
     if len(names) != 1:
         raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
     return home, names[0]
-
-
-_LEVEL = 1
-
-
-class ZarrWriter(zipfile.ZipFile):
-    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
-
-    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
-        super().__init__(stream, "w")
-        for path in ("", *(f"{name}/" for name in groups)):
-            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
-
-    def __enter__(self) -> Self:
-        return self
-
-    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
-        """Write what Zarr states of an array."""
-        stated = {
-            "zarr_format": 2,
-            "shape": list(shape),
-            "chunks": list(chunks),
-            "dtype": dtype,
-            "order": "C",
-        }
-        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
-        self.add_json(f"{path}/.zarray", stated, indent=4)
-
-    def chunk(self, path: str, number: int, values: AnyArray) -> None:
-        """Write a chunk, which holds the other axes completely."""
-        name = ".".join([str(number), *"0" * (values.ndim - 1)])
-        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
-
-    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
-        """Write a file of JSON."""
-        self._add(path, json.dumps(stated, indent=indent).encode())
-
-    def _add(self, path: str, content: bytes) -> None:
-        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing

@@ -10,17 +10,17 @@ from __future__ import annotations
 import io
 import pickle
 import pickletools
-from collections.abc import Iterator, Sequence
-from functools import partial
+from collections.abc import Iterator
 from typing import Any
 
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch.convert.plan import Made, checksums, with_files, write_changed
-from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import Item, background_of, open_source, read_table, source_of
-from realtouch.spec import ImportColumns
+from realtouch.convert.conversion import Made, checksums, with_files, write_changed
+from realtouch.exchange.flat import PackedFormat
+from realtouch.exchange.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
+from realtouch.exchange.stored_images import background_of
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 
@@ -37,32 +37,31 @@ _OF_LISTS = frozenset(
 )
 
 
-def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
     """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
-    index, stream = rows.drop_columns([IMAGE]), io.BytesIO()
-    images = [image["bytes"] for image in rows[IMAGE].to_pylist()]
+    stream = io.BytesIO()
     arrow_csv.write_csv(index, stream)
     path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
-    files = {f"{path}.pkl": pickle.dumps(images, _PROTOCOL), f"{path}.csv": stream.getvalue()}
-    return with_files(index, files if images else {})
+    stored = pickle.dumps([image["bytes"] for image in images], _PROTOCOL)
+    return with_files(index, {f"{path}.pkl": stored, f"{path}.csv": stream.getvalue()})
 
 
 def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
     """Write the median of the first images of each split; return the checksum of each file by its path."""
     files = checksums(folder, manifest)
+    found: dict[str, bytes] = {}
     for split in dict.fromkeys(record.shard.split for record in manifest.shards if record.rows):
         of_split = f"{_FOLDER}/{split}/"
         first = next(path for path in files if path.startswith(of_split) and path.endswith(".pkl"))
         with folder.open(first) as stream:
             places = list(_places(stream, first))[:_MOST_IN_MEDIAN]
             names = [f"{first}, image {number}" for number in range(len(places))]
-            content = background_of([_part(stream, *place) for place in places], names)
-        path = f"{of_split}{_BACKGROUND}"
-        files[path] = write_changed(folder, path, content)
-    return files
+            images = [_part(stream, *place) for place in places]
+        found[f"{of_split}{_BACKGROUND}"] = background_of(images, names)
+    return files | write_changed(folder, found)
 
 
-plan = partial(plan_rows, folder=_FOLDER, pack=_pack, write_files=_write_backgrounds)
+plan_sparsh = PackedFormat(_FOLDER, _pack, _write_backgrounds).plan
 
 
 def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
@@ -94,20 +93,23 @@ def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
         raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
-    names = [name for name in files if name.lower().endswith(".pkl") and not store.is_hidden(name)]
+    names = visible_files(home, ".pkl")
     if not names:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.rpartition(".")[0]
-        folder, beside = source_of(table) if table else (home, f"{stem}.csv")
-        found: Any = read_table(folder, beside)[1] if table or beside in files else None
+        folder, beside = home, f"{stem}.csv"
+        if table is not None:
+            folder, beside = source_of(table)
         with open_source(home, name) as stream:
             places = list(_places(stream, name))
-        lines = [{}] * len(places) if found is None else found
+        lines: list[dict[str, Any]] = [{}] * len(places)
+        if table is not None or beside in files:
+            _, lines = read_table(folder, beside)
         if len(lines) != len(places):  # else they would be of other images
             raise InputError(
                 f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, one for each image of "
@@ -115,4 +117,4 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
             )
         for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
             values = {"split": split, **line}
-            yield Item(f"{stem}_{count:06d}", home.address(), name, start, size, values)
+            yield FoundTouch(f"{stem}_{count:06d}", home.address(), name, start, size, values)

@@ -7,18 +7,26 @@ import json
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from functools import partial
 from itertools import groupby
+from operator import attrgetter
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import pyarrow as pa
 
-from realtouch.convert.plan import Made, with_files
-from realtouch.exchange.flat import IMAGE, plan as plan_rows
-from realtouch.exchange.items import IMAGE_ENDINGS, Item, open_source, path_of, require_columns, source_of
-from realtouch.spec import ImportColumns
+from realtouch.convert.conversion import Made, with_files
+from realtouch.exchange.flat import PackedFormat
+from realtouch.exchange.found_touches import (
+    IMAGE_ENDINGS,
+    FoundTouch,
+    open_source,
+    path_of,
+    require_columns,
+    source_of,
+    visible_files,
+)
 from realtouch.tars import files_of_tar
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
@@ -41,14 +49,16 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
     return stream.getvalue()
 
 
-def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Item]:
+def find_webdataset(
+    home: store.DataFolder, columns: ImportColumns, table: str | None
+) -> Iterator[FoundTouch]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
         raise InputError("--table is about folders of images; a WebDataset has JSON files")
     known = dict[str, None]()
     for folder, name in _tars(home):
         seen = set[str]()  # of one tar: many number their samples from 0 in each
-        for key, members in groupby(_members(folder, name), key=lambda each: each[0]):
+        for key, members in groupby(_members(folder, name), key=attrgetter("key")):
             item = _sample(folder, name, key, list(members), columns)
             if key in seen:
                 problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample of this tar")
@@ -62,17 +72,29 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
 
 def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = [name for name in home.sizes() if name.lower().endswith(".tar") and not store.is_hidden(name)]
-    if names:
-        return [(home, name) for name in names]
+    names = visible_files(home, ".tar")
     place = home.address()
-    if Path(place).is_file() if home.is_local else place.lower().endswith(".tar"):
+    is_file = place.lower().endswith(".tar")
+    if home.is_local:
+        is_file = Path(place).is_file()
+    if is_file and not names:
         return [source_of(place)]
-    raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
+    if not names:
+        raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
+    return [(home, name) for name in names]
 
 
-# Key, ending, place and size of a file in a tar, and the content where it is small text.
-_Member = tuple[str, str, int, int, bytes]
+class _Member(NamedTuple):
+    """A file in a tar: its sample, ending, place and size, and the content where it is small text."""
+
+    key: str
+    ending: str
+    start: int
+    size: int
+    content: bytes
+
+
+_NO_FILE = _Member("", "", 0, 0, b"")
 
 
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
@@ -91,7 +113,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                 if not _is_image(ending) and member.size <= _MOST_TEXT_BYTES:
                     stream.seek(start)
                     content = stream.read(member.size)
-                yield f"{directory}{slash}{stem}", ending.lower(), start, member.size, content
+                yield _Member(f"{directory}{slash}{stem}", ending.lower(), start, member.size, content)
     except (tarfile.TarError, OSError) as error:
         raise IntegrityError(
             f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written",
@@ -106,32 +128,32 @@ def _is_image(ending: str) -> bool:
 
 def _sample(
     folder: store.DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
-) -> Item:
+) -> FoundTouch:
     """Put the files of one key together."""
-    wanted = None if columns.image in (None, "file") else str(columns.image).lower()
+    problems: list[ItemError] = []
     named = store.problem_of_name(key)
-    problem = ItemError("name", f"the key {named}") if named else None
-    images = [member for member in members if _is_image(member[1]) and wanted in (None, member[1])]
-    expected = wanted or ", ".join(IMAGE_ENDINGS)
+    if named:
+        problems.append(ItemError("name", f"the key {named}"))
+    wanted = columns.image_name.lower()
+    images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
     if not images:
-        problem = problem or ItemError("missing", f"no image; expected one of {expected}")
+        expected = wanted or ", ".join(IMAGE_ENDINGS)
+        problems.append(ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
-        found = ", ".join(ending for _, ending, *_ in images)
-        problem = problem or ItemError(
-            "images", f"the images {found}; expected one (--image-column names it)"
-        )
+        found = ", ".join(each.ending for each in images)
+        problems.append(ItemError("images", f"the images {found}; expected one (--image-column names it)"))
     values: dict[str, Any] = {}
-    for _, ending, _, _, content in members:
-        if ending == "json":
+    for member in members:
+        if member.ending == "json":
             try:
-                values |= _fields(content)
+                values |= _fields(member.content)
             except ItemError as error:
-                problem = problem or error
-        elif not _is_image(ending):
+                problems.append(error)
+        elif not _is_image(member.ending):
             # What is not Unicode is named where it is used.
-            values.setdefault(ending, content.decode(errors="surrogateescape").strip())
-    _, _, start, size, _ = images[0] if images else ("", "", 0, 0, b"")
-    return Item(key, folder.address(), name, start, size, values, problem)
+            values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
+    image, problem = next(iter(images), _NO_FILE), next(iter(problems), None)
+    return FoundTouch(key, folder.address(), name, image.start, image.size, values, problem)
 
 
 def _fields(content: bytes) -> dict[str, Any]:
@@ -143,16 +165,11 @@ def _fields(content: bytes) -> dict[str, Any]:
         ) from error
 
 
-def _pack(shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
-    index = rows.drop_columns([IMAGE])
-    images = (each.as_py() for each in rows[IMAGE])
-    samples = (
-        (image["path"], image["bytes"], fields)
-        for image, fields in zip(images, index.to_pylist(), strict=True)
-    )
-    path = f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar"
-    return with_files(index, {path: tar_of(samples)} if len(rows) else {})
+    pairs = zip(images, index.to_pylist(), strict=True)
+    samples = ((image["path"], image["bytes"], fields) for image, fields in pairs)
+    return with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
 
 
-plan = partial(plan_rows, folder=_FOLDER, pack=_pack)
+plan_webdataset = PackedFormat(_FOLDER, _pack).plan

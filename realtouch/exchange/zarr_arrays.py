@@ -17,7 +17,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
 from itertools import product
-from typing import IO, Any
+from typing import IO, Any, Self
 
 import numpy as np
 
@@ -26,6 +26,9 @@ from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError, ItemError, needs_extra
 
+_DIRECTIONS = {"C": 1, "F": -1}
+# Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
+_CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MOST_METADATA_BYTES = 1 << 20
 _MOST_CHUNKS = 1 << 18
@@ -33,6 +36,7 @@ _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond i
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
 # What the standard library, Arrow and numcodecs raise; MemoryError is what a damaged header asks for.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
+_LEVEL = 1
 
 
 def _deflated(data: bytes, size: int) -> bytes:
@@ -51,7 +55,9 @@ def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) ->
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
-    return bytes(codec.decompress(data)) if is_stated else b""
+    if not is_stated:
+        return b""
+    return bytes(codec.decompress(data))
 
 
 _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
@@ -136,7 +142,7 @@ class ZarrGroup:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
         try:
-            return ZarrArray(self, path, **(_layout_of_3(stated) if version == 3 else _layout_of_2(stated)))
+            return ZarrArray(self, path, **_LAYOUTS[version](stated))
         except _UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
 
@@ -148,11 +154,13 @@ class ZarrGroup:
 
 def _fill(stated: Any, dtype: np.dtype[Any]) -> Any:
     """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
-    return np.full(1, float(stated) if isinstance(stated, str) else stated or 0, dtype)[0]
+    if isinstance(stated, str):
+        stated = float(stated)
+    return np.full(1, stated or 0, dtype)[0]
 
 
 def _layout_of_2(stated: Mapping[str, Any]) -> dict[str, Any]:
-    codecs = [*(stated["filters"] or ()), *([stated["compressor"]] if stated["compressor"] else ())]
+    codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
     axes, dtype = range(len(stated["shape"])), np.dtype(str(stated["dtype"]))
     return {
         "shape": tuple(stated["shape"]),
@@ -160,7 +168,7 @@ def _layout_of_2(stated: Mapping[str, Any]) -> dict[str, Any]:
         "dtype": dtype,
         "fill": _fill(stated["fill_value"], dtype),
         "codecs": tuple(str(each["id"]) for each in codecs),
-        "axes": tuple(axes if stated["order"] == "C" else reversed(axes)),
+        "axes": tuple(axes[:: _DIRECTIONS[stated["order"]]]),
         "prefix": "",
         "separator": str(stated.get("dimension_separator", ".")),
     }
@@ -169,8 +177,8 @@ def _layout_of_2(stated: Mapping[str, Any]) -> dict[str, Any]:
 def _layout_of_3(stated: Mapping[str, Any]) -> dict[str, Any]:
     configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
     keys, grid, axes = stated["chunk_key_encoding"], stated["chunk_grid"], range(len(stated["shape"]))
-    is_default = {"default": True, "v2": False}[keys["name"]]
-    separator = str(keys.get("configuration", {}).get("separator", "/" if is_default else "."))
+    prefix, separator = _CHUNK_KEYS[keys["name"]]
+    separator = str(keys.get("configuration", {}).get("separator", separator))
     dtype = np.dtype(str(stated["data_type"]))
     order = configurations.get("bytes", {}).get("endian", "little")
     return {
@@ -180,9 +188,12 @@ def _layout_of_3(stated: Mapping[str, Any]) -> dict[str, Any]:
         "fill": _fill(stated["fill_value"], dtype),
         "codecs": tuple(name for name in configurations if name not in _WITHOUT_CHANGE),
         "axes": tuple(configurations.get("transpose", {}).get("order", axes)),
-        "prefix": f"c{separator}" if is_default else "",
+        "prefix": prefix.format(separator),
         "separator": separator,
     }
+
+
+_LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
 
 
 @dataclass(frozen=True, eq=False)
@@ -233,8 +244,9 @@ class ZarrArray:
     def stored_bytes(self) -> int:
         """Return how many bytes are stored of the array: of a group in a zip, those of the zip."""
         home, group = self.group.home, self.group
-        files = [group.path] if group.is_zip else home.walk(group.below(self.path))
-        return sum(home.size_bytes(path) for path in files)
+        if group.is_zip:
+            return home.size_bytes(group.path)
+        return sum(map(home.size_bytes, home.walk(group.below(self.path))))
 
     def rows(self, start: int, stop: int) -> AnyArray:
         """Return what lies at some places along the first axis, shape (stop - start, ...)."""
@@ -270,3 +282,39 @@ class ZarrArray:
             expected = f"expected {self._chunk_bytes:,} bytes unpacked"
             raise self.group.refused(name, f"a damaged chunk; {expected}") from error
         return stored.transpose(np.argsort(self.axes))
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
+
+    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
+        super().__init__(stream, "w")
+        for path in ("", *(f"{name}/" for name in groups)):
+            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
+
+    def __enter__(self) -> Self:
+        return self
+
+    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
+        """Write what Zarr states of an array."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": list(chunks),
+            "dtype": dtype,
+            "order": "C",
+        }
+        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
+        self.add_json(f"{path}/.zarray", stated, indent=4)
+
+    def chunk(self, path: str, number: int, values: AnyArray) -> None:
+        """Write a chunk, which holds the other axes completely."""
+        name = ".".join([str(number), *"0" * (values.ndim - 1)])
+        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
+
+    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
+        """Write a file of JSON."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing

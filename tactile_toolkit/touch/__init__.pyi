@@ -16,6 +16,7 @@ from .jpeg import (
     decode_image as decode_image,
     encode_image as encode_image,
     image_size as image_size,
+    is_jpeg as is_jpeg,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,
 )

@@ -41,16 +41,21 @@ _JPEG_START = b"\xff\xd8\xff"
 _DEEP = ("I", "I;16", "I;16B", "I;16L", "I;16N", "F")
 
 
+def is_jpeg(data: memoryview | bytes) -> bool:
+    """Return whether data begins as a JPEG does."""
+    return data[:3] == _JPEG_START
+
+
 def image_size(data: memoryview | bytes) -> tuple[int, int]:
     """Read height and width of a JPEG, PNG or WebP from its header, decoding nothing.
 
     Raises ValueError when the data is not such an image, or exceeds the limits above.
     """
-    mode, pictures, is_jpeg = "", 1, data[:3] == _JPEG_START
-    if is_jpeg:
+    mode, pictures = "", 1
+    if is_jpeg(data):
         require_bounded_jpeg(data)
     try:
-        if is_jpeg:
+        if is_jpeg(data):
             height, width, *_ = simplejpeg.decode_jpeg_header(data)
         else:
             image = _opened(data)
@@ -86,7 +91,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     Raises ValueError as :func:`image_size`, and when the data is cut short or corrupt, or has another size
     than ``out``. Nothing half-decoded is ever returned.
     """
-    if out is not None and data[:3] == _JPEG_START:
+    if out is not None and is_jpeg(data):
         require_bounded_jpeg(data)
         # What is wrong is named below: to look into the header of each image first takes a while.
         with suppress(ValueError):
@@ -99,7 +104,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
         )
     pixels: UInt8
     try:
-        if data[:3] == _JPEG_START:
+        if is_jpeg(data):
             pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
         else:
             pixels = np.asarray(_opened(data).convert("RGB"))

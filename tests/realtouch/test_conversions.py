@@ -14,8 +14,9 @@ from datasets import Features, Image, List, Video
 from PIL import Image as Pictures
 
 import realtouch
-from realtouch.convert.api import KeepTouches
-from realtouch.convert.plan import Conversion, RowChoice, Source, plan_conversion
+from realtouch.convert.conversion import Conversion, RowChoice, Source
+from realtouch.convert.selection import KeepTouches
+from realtouch.convert.shard_tasks import plan_conversion
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import ProcessRunner
 from tactile_toolkit.store import sha256_hex
@@ -189,7 +190,7 @@ def conversions(source: str, out: str, runner: Any) -> None:
 def test_workers_and_interruptions_change_no_byte(
     seq_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("realtouch.convert.api._CONTACT_FRAME_ROWS", 1)
+    monkeypatch.setattr("realtouch.convert.media_conversions._CONTACT_FRAME_ROWS", 1)
     conversions(str(seq_folder), str(tmp_path / "a"), 1)
     conversions(str(seq_folder), str(tmp_path / "b"), ProcessRunner(2))
     assert folder_bytes(tmp_path / "a") == folder_bytes(tmp_path / "b")

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert.file_names import file_stem, id_of_stem
+from realtouch.convert.conversion import file_stem, id_of_stem
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories

@@ -17,7 +17,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.exchange import replay
+from realtouch.exchange.zarr_arrays import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
@@ -33,7 +33,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a file for each round, so that there are several."""
-    monkeypatch.setattr("realtouch.convert.plan._MOST_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr("realtouch.convert.shard_tasks._MOST_ROWS_PER_SHARD", 1)
 
 
 def touches_of(source: Path) -> list[dict[str, Any]]:
@@ -302,7 +302,7 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
     pixels = np.zeros((2, 4, 4, 3), np.uint8)
     with (
         (source / "b.zarr.zip").open("wb") as stream,
-        replay.ZarrWriter(stream, ("data", "meta")) as group,
+        ZarrWriter(stream, ("data", "meta")) as group,
     ):
         for name, values in (("data/tactile", pixels), ("meta/episode_ends", np.array([2]))):
             group.describe(name, values.shape, values.shape, values.dtype.str)

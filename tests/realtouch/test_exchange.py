@@ -16,7 +16,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert import plan
+from realtouch.convert import shard_tasks
 from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import InlineRunner, Part
@@ -37,7 +37,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 @pytest.fixture
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a file for each round, so that there are several."""
-    monkeypatch.setattr(plan, "_MOST_ROWS_PER_SHARD", 1)
+    monkeypatch.setattr(shard_tasks, "_MOST_ROWS_PER_SHARD", 1)
     monkeypatch.setattr(lerobot, "FILE_BYTES", 1 << 10)
 
 

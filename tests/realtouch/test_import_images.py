@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +14,7 @@ import pytest
 from PIL import Image, ImageOps
 
 import realtouch
-from realtouch.exchange import api
-from realtouch.exchange.items import Item
+from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
@@ -24,34 +24,34 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A second import compares names, sizes and the table; to check is to compare what the images hold."""
-    monkeypatch.setattr("realtouch.exchange.api._TOUCHES_PER_SHARD", 2)
+    monkeypatch.setattr("realtouch.exchange.importing._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
-    out, read, contents = tmp_path / "out", list[str](), api.contents_of
+    out, read, contents = tmp_path / "out", list[str](), IMPORTS["folder"].contents
     manifest = realtouch.import_images(home, out, "folder")
     before = {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in out.rglob("*") if file.is_file()}
     digests = [record.source_digest for record in manifest.shards]
     assert len(set(digests)) == 2
     assert None not in digests
 
-    def noted(items: Iterator[Item]) -> Iterator[bytes | Exception]:
+    def noted(items: Iterator[FoundTouch]) -> Iterator[bytes | Exception]:
         every = list(items)
         for item, content in zip(every, contents(iter(every)), strict=True):
             read.append(item.name)
             yield content
 
-    monkeypatch.setattr(api, "contents_of", noted)
+    monkeypatch.setitem(IMPORTS, "folder", replace(IMPORTS["folder"], contents=noted))
     first, size = home / "pictures" / "0.jpg", (home / "pictures" / "0.jpg").stat().st_size
     assert (home / "pictures" / "1.jpg").stat().st_size == size
     for check in (False, True):
         assert realtouch.import_images(home, out, "folder", check=check) == manifest
-    size_probed, whole = ["pictures/0.jpg"], [f"pictures/{number}.jpg" for number in range(4)]
-    assert read == [*size_probed, *size_probed, *whole]
+    whole = [f"pictures/{number}.jpg" for number in range(4)]
+    assert read == 3 * whole  # for the size of all, twice, and for the check
     assert before == {file: (file.read_bytes(), file.stat().st_mtime_ns) for file in before}
     first.write_bytes(picture(40))
     assert realtouch.import_images(home, out, "folder") == manifest
     read.clear()
     realtouch.import_images(home, out, "folder", check=True)
-    assert read == [*size_probed, *whole, *whole[:2]]  # one shard of the two is made again
+    assert read == [*whole, *whole, *whole[:2]]  # one shard of the two is made again
     (image,) = realtouch.load(out, "train")[0].sensor_image
     assert np.array_equal(image, np.full((24, 32, 3), 40))
     realtouch.import_images(home, tmp_path / "whole", "folder")

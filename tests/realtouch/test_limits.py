@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.video import Avi, write_avi
+from realtouch.avi import Avi, write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import decode_image
 from tests.jpegs import jpeg_of_scans
@@ -134,8 +134,7 @@ def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None
             IntegrityError, match=r"touch 1, field 'sensor_video': an AVI without an MJPEG stream"
         ):
             ask()
-    kept = realtouch.load(tmp_path, on_error="skip")
-    assert [(damage.row, damage.touch) for damage in kept.skipped] == [(1, 1)]
+    assert [(damage.row, damage.touch) for damage in realtouch.verify(tmp_path).findings] == [(1, 1)]
 
 
 WRONG = {

@@ -97,9 +97,6 @@ def test_one_file_several_files_and_a_folder_read_alike(single_folder: Path) -> 
     assert repr(stream) == f"TouchStream(single, 2 shards of '{single_folder.name}', split train)"
     touches = realtouch.load(single_folder, "train").touches()
     np.testing.assert_array_equal(stream.touches()[7].image, touches[7].image)
-    damaged = realtouch.load(single_folder, "train", streaming=True, on_error="skip")
-    with pytest.raises(InputError, match="no numbered touches; next: load it without streaming"):
-        damaged.touches()
     assert len(realtouch.load(single_folder, "test")) == 1
 
 
@@ -185,8 +182,6 @@ def test_what_is_not_there_is_named(tmp_path: Path, single_folder: Path) -> None
         realtouch.load(single_folder, "holdout")
     with pytest.raises(InputError, match="does not exist; expected"):
         realtouch.load([tmp_path / "a.parquet"])
-    with pytest.raises(InputError, match="on_error"):
-        realtouch.load(single_folder, "train", on_error="ignore")
 
 
 def test_short_names_reach_the_published_repositories(

@@ -42,9 +42,6 @@ def test_a_position_that_is_missing(single_rows: list[dict], tmp_path: Path) -> 
             ask()
     for index in (5, 6, 7, 9):  # a touch looks at no other
         np.testing.assert_array_equal(touches[index].pos_in_cell_m, single_rows[1]["pos_in_cell"][index - 5])
-    kept = realtouch.load(tmp_path, on_error="skip").touches()
-    assert len(kept) == 14
-    assert all(np.isfinite(touch.pos_in_cell_m).all() for touch in kept)
 
 
 @pytest.mark.parametrize("seconds", [False, True])
@@ -104,6 +101,3 @@ def test_labels_and_objects_that_are_missing(single_rows: list[dict], tmp_path: 
     ):
         with pytest.raises(IntegrityError, match=f"row 1, field '{field}': no value is stored"):
             ask()
-    kept = realtouch.load(tmp_path, on_error="skip")
-    assert kept.labels.tolist() == [0, 2]
-    assert kept.touches().objects(4002).object_ids.tolist() == [4002] * 5

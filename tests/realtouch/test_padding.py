@@ -9,7 +9,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.columns import TouchRow
+from realtouch.stored_round import StoredRound
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import RowGroup
 from tests.realtouch import factories
@@ -39,9 +39,9 @@ def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
 
 def test_lengths_that_are_not_stated_are_named(seq_folder: Path) -> None:
     group = realtouch.load(seq_folder, "train")[0]._row.group
-    row = TouchRow(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
+    row = StoredRound(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
     for ask in (
-        TouchRow.pose_sequences,
+        StoredRound.pose_sequences,
         lambda row: row.pose_sequences(0),
         lambda row: row.contact_z_m("seq"),
         lambda row: realtouch.TouchClip(row, 0),

@@ -12,8 +12,8 @@ from hypothesis.extra import numpy as arrays
 from PIL import Image
 
 import realtouch
-from realtouch import preprocess
-from realtouch.contact import median_of
+from realtouch import contacts
+from realtouch.contact_picture import median_of
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 
@@ -38,7 +38,7 @@ def test_the_background_of_pictures_read_a_few_at_a_time(single_folder: Path, se
     clips = realtouch.load(seq_folder, split="train")
     images = np.concatenate([each.sensor_image.batch() for each in rounds])
     frames = np.concatenate([clip.frames() for each in clips for clip in each.sensor_video])
-    monkeypatch.setattr(preprocess, "_BATCH_BYTES", 2 * images[0].nbytes)
+    monkeypatch.setattr(contacts, "_BATCH_BYTES", 2 * images[0].nbytes)
     for source, expected in (
         (rounds, images),
         (rounds.touches(), images),

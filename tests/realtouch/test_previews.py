@@ -13,8 +13,7 @@ import realtouch
 from realtouch.previews import (
     CONTACT,
     SENSING_AREA_M,
-    Placed,
-    TouchPreviewSpec,
+    PlacedTouch,
     cell_map,
     draw_grid,
     draw_overlay,
@@ -22,7 +21,8 @@ from realtouch.previews import (
     placed_touches,
     plan_previews,
 )
-from realtouch.rounds import Touch
+from realtouch.touch import Touch
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES
@@ -37,9 +37,9 @@ def gel(angle_deg: float, flipped: bool) -> Rotation:
     return Rotation.from_euler("z", angle_deg, degrees=True) * down
 
 
-def placed(pixels: np.ndarray, centre_m: tuple[float, float], pose: Rotation) -> Placed:
+def placed(pixels: np.ndarray, centre_m: tuple[float, float], pose: Rotation) -> PlacedTouch:
     axes = pose.apply([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])[:, :2]
-    return Placed(pixels, np.array(centre_m), axes)
+    return PlacedTouch(pixels, np.array(centre_m), axes)
 
 
 def felt_at_m(

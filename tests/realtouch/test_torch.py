@@ -174,8 +174,6 @@ def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> Non
         (touch.label, touch.touch_index) for touch in touches
     ]
     np.testing.assert_array_equal(data[7][0].numpy().transpose(1, 2, 0), touches[7].image)
-    with pytest.raises(InputError, match="load it without streaming"):
-        TouchTensors(realtouch.load(single_folder, "train", streaming=True, on_error="skip"))
 
 
 def identity(touch: realtouch.Touch) -> tuple[int, int]:

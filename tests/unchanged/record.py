@@ -30,7 +30,7 @@ import starstruck_gen
 import starstruck_gen.scene_previews
 from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
-from realtouch.spec import TouchPreviewSpec
+from realtouch.touch_options import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pytest
 
-import realtouch
 import starstruck_gen
-from realtouch.dataset import TouchSingleDataset
+from realtouch.touch_dataset import TouchSingleDataset
 from starstruck_gen.scenes_on_the_fly import MadeScenes
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.read import ChosenGroups, Row, RowGroup, RowSource, Shard, ShardedTable, all_blocks
+from tactile_toolkit.read import ChosenGroups, Row, RowSource, Shard, ShardedTable, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -63,22 +60,3 @@ def test_chosen_row_groups_are_rows_of_the_file(shard: Shard) -> None:
     images = {record._row.number: record.sensor_image[0] for _, record in chosen.rounds_without_media()}
     assert list(images) == [0, 1, 4, 5]
     assert all(np.array_equal(image, whole[row].sensor_image[0]) for row, image in images.items())
-
-
-def test_rows_before_the_damage_of_their_row_group_are_left_out_with_it(
-    shard: Shard, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """Of a large row group, the first blocks may be read before damage is met."""
-    blocks = Shard.blocks
-
-    def broken(self: Shard, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        for block in blocks(self, index, columns):
-            yield RowGroup(block.table.slice(0, 1), block.path, block.first_row)
-            if index == 1:
-                raise IntegrityError.in_file(self.path, " is damaged")
-            yield RowGroup(block.table.slice(1), block.path, block.first_row + 1)
-
-    monkeypatch.setattr(Shard, "blocks", broken)
-    whole = realtouch.load(shard.path, on_error="skip")
-    assert [record._row.number for record in whole] == [0, 1, 4, 5]
-    assert [(damage.row, damage.touch) for damage in whole.skipped] == [(2, None)]

@@ -68,20 +68,6 @@ def test_workers_share_the_rows(
     assert sorted(found) == sorted(every)
 
 
-def test_damage_in_a_worker_is_warned_of(
-    sets: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    table = pq.read_table(sets["single"] / "data" / "train-00000-of-00003.parquet")
-    column = table.column_names.index("object_id")
-    pq.write_table(table.set_column(column, "object_id", pa.array([1, None])), tmp_path / "touches.parquet")
-    stream = realtouch.load(str(tmp_path / "touches.parquet"), streaming=True, on_error="skip")
-    torch_data = ModuleType("torch.utils.data")
-    torch_data.get_worker_info = lambda: SimpleNamespace(id=0, num_workers=1)  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "torch.utils.data", torch_data)
-    with pytest.warns(UserWarning, match="left out: .* row 1, field 'object_id'"):
-        assert len(ids(stream)) == 1
-
-
 @pytest.mark.torch
 @pytest.mark.filterwarnings("ignore")
 @pytest.mark.parametrize(("workers", "start"), [(0, None), (2, "fork"), (4, "fork"), (2, "spawn")])

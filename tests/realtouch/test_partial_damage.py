@@ -1,8 +1,7 @@
-"""``on_error="skip"``: what is left out, and that all the rest can be used."""
+"""Damage of a part of a set: what is named, and that all the rest can be used."""
 
 from __future__ import annotations
 
-import pickle
 from pathlib import Path
 from typing import Any
 
@@ -61,33 +60,30 @@ def only_file(folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("edit", [two_flat_quaternions, nowhere])
-def test_every_damaged_touch_of_a_round_is_listed_and_left_out(
-    edit: Any, single_rows: list[dict], tmp_path: Path
-) -> None:
+def test_every_damaged_touch_of_a_round_is_listed(edit: Any, single_rows: list[dict], tmp_path: Path) -> None:
     lost = {1, 3} if edit is two_flat_quaternions else {0, 2}
     folder = damaged_set(tmp_path, single_rows, "single", edit)
     assert {(each.row, each.touch) for each in realtouch.verify(folder).findings} == {
         (1, touch) for touch in lost
     }
-    dataset = realtouch.load(folder, on_error="skip")
-    touches = dataset.touches()
-    assert [touch.touch_index for touch in touches if touch.label == 1] == sorted({0, 1, 2, 3, 4} - lost)
+    touches = realtouch.load(folder).touches()
     truth = realtouch.load(
         factories.write_set(tmp_path / "whole", {"train": single_rows}, "single")
     ).touches()
-    for touch in touches:
-        same = truth[5 * touch.label + touch.touch_index]
-        np.testing.assert_array_equal(touch.gel_pose.as_matrix(), same.gel_pose.as_matrix())
-        np.testing.assert_array_equal(touch.pos_in_cell_m, same.pos_in_cell_m)
-    stream = realtouch.load(folder, streaming=True, on_error="skip")
-    assert [record.touch_count for record in stream] == [5, 3, 5]
+    for index in range(15):
+        if index - 5 in lost:
+            with pytest.raises(IntegrityError, match=f"row 1, touch {index - 5},"):
+                _ = touches[index].gel_pose, touches[index].pos_in_cell_m
+        else:
+            pose = touches[index].gel_pose
+            np.testing.assert_array_equal(pose.as_matrix(), truth[index].gel_pose.as_matrix())
+            np.testing.assert_array_equal(touches[index].pos_in_cell_m, truth[index].pos_in_cell_m)
 
 
 def test_clips_beside_a_damaged_one_keep_their_poses(seq_rows: list[dict], tmp_path: Path) -> None:
     folder = damaged_set(tmp_path, seq_rows, "seq", two_flat_frames)
-    touches = realtouch.load(folder, on_error="skip").touches()
-    assert [touch.touch_index for touch in touches if touch.label == 1] == [0, 2, 4]
-    for touch in touches:
+    touches = realtouch.load(folder).touches()
+    for touch in touches[[5, 7, 9]]:
         clip = touch.clip
         pose = clip.poses[clip.contact_index("contact_end")]
         np.testing.assert_array_equal(touch.gel_pose.as_matrix(), pose.as_matrix())
@@ -101,32 +97,26 @@ def test_clips_beside_one_without_a_height_keep_theirs(seq_rows: list[dict], tmp
 
     folder = damaged_set(tmp_path, seq_rows, "seq", no_height_of_a_frame)
     whole = factories.write_set(tmp_path / "whole", {"train": seq_rows}, "seq")
-    touches = realtouch.load(folder, on_error="skip").touches()
-    kept = [5 * touch.label + touch.touch_index for touch in touches]
-    assert kept == [number for number in range(15) if number != 6]
+    kept = [number for number in range(15) if number != 6]
+    touches = realtouch.load(folder).touches()[kept]
     np.testing.assert_array_equal(touches.heights_m(), realtouch.load(whole).touches().heights_m()[kept])
     with pytest.raises(IntegrityError, match=r"row 1, touch 1, .* a gel height of nan; expected metres"):
         realtouch.load(folder).touches().heights_m()
 
 
-@pytest.mark.parametrize(("edit", "left", "touches"), [(no_height, 11, 14), (lacking_poses, 8, 10)])
-def test_heights_and_figures_leave_out_what_was_left_out(
-    edit: Any, left: int, touches: int, single_rows: list[dict], tmp_path: Path
+@pytest.mark.parametrize(("edit", "left"), [(no_height, 11), (lacking_poses, 8)])
+def test_heights_of_a_view_need_no_other(
+    edit: Any, left: int, single_rows: list[dict], tmp_path: Path
 ) -> None:
-    folder = damaged_set(tmp_path, single_rows, "single", edit)
-    dataset = realtouch.load(folder, on_error="skip")
-    assert len(dataset.touches()) == touches
-    assert len(dataset.touches().with_contact()) == left
-    summary = realtouch.summarise(dataset)
-    assert (summary.touches, summary.contact_share) == (touches, left / touches)
-    assert summary.touches_per_round == ((4, 5) if touches == 14 else (5, 5))
-    whole = realtouch.load(folder)
+    whole = realtouch.load(damaged_set(tmp_path, single_rows, "single", edit))
     assert len(whole[[0, 2]].touches().with_contact()) == 8  # what is not in a view does not matter
     with pytest.raises(IntegrityError, match="row 1"):
         whole.touches().with_contact()
     with pytest.raises(IntegrityError, match="row 1"):
         whole.touches().heights_m()
-    assert np.isfinite(dataset[0:1].touches().heights_m()).all()
+    assert np.isfinite(whole[0:1].touches().heights_m()).all()
+    if edit is no_height:
+        assert len(whole.touches()[[*range(5), *range(6, 15)]].with_contact()) == left
 
 
 def test_a_healthy_touch_beside_one_without_height_has_its_own(
@@ -138,42 +128,27 @@ def test_a_healthy_touch_beside_one_without_height_has_its_own(
         touches[5:].heights_m()
 
 
-def test_figures_of_clips_count_the_touches_left(seq_rows: list[dict], tmp_path: Path) -> None:
-    def endless(row: dict[str, Any]) -> None:
-        row["video_length_frames"] = [2_000_000_000, *row["video_length_frames"][1:]]
-
-    dataset = realtouch.load(damaged_set(tmp_path, seq_rows, "seq", endless, row=0), on_error="skip")
-    summary = realtouch.summarise(dataset)
-    lengths = [len(touch.clip) for touch in dataset.touches()]
-    assert summary.touches == 14
-    assert summary.clip_frames == (min(lengths), int(np.median(lengths)), max(lengths))
-
-
 def test_a_round_shows_its_good_touches(single_rows: list[dict], tmp_path: Path) -> None:
-    shown = realtouch.load(damaged_set(tmp_path, single_rows, "single", no_jpeg), on_error="skip")[1]
+    shown = realtouch.load(damaged_set(tmp_path, single_rows, "single", no_jpeg))[1]
     assert shown._repr_html_().count("<img") == 4
     assert "1 of 5 pictures cannot be shown" in shown._repr_html_()
 
 
-def test_a_file_cut_in_the_middle_is_left_out(single_folder: Path, tmp_path: Path) -> None:
+def test_a_file_cut_in_the_middle_is_named(single_folder: Path, tmp_path: Path) -> None:
     (tmp_path / "data").mkdir()
     for file in (single_folder / "data").glob("train-*"):
         (tmp_path / "data" / file.name).write_bytes(file.read_bytes())
     cut = tmp_path / "data" / "train-00001-of-00002.parquet"
     cut.write_bytes(cut.read_bytes()[: cut.stat().st_size // 2])
-    dataset = realtouch.load(tmp_path, on_error="skip")
-    stream = realtouch.load(tmp_path, streaming=True, on_error="skip")
-    assert [record.label for record in dataset] == [record.label for record in stream] == [0, 1]
-    for skipped in (dataset.skipped, stream.skipped, realtouch.verify(tmp_path).findings):
-        assert [(each.file, each.row) for each in skipped] == [(str(cut), None)]
-        assert "an intact Parquet file was expected" in skipped[0].problem
-    for file in (tmp_path / "data").glob("*"):
-        file.write_bytes(b"PAR1")
-    with pytest.raises(IntegrityError, match="an intact Parquet file was expected"):
-        realtouch.load(tmp_path, on_error="skip")
+    findings = realtouch.verify(tmp_path).findings
+    assert [(each.file, each.row) for each in findings] == [(str(cut), None)]
+    assert "an intact Parquet file was expected" in findings[0].problem
+    for streaming in (False, True):
+        with pytest.raises(IntegrityError, match="an intact Parquet file was expected"):
+            realtouch.load(tmp_path, streaming=streaming)
 
 
-def test_a_file_with_a_wrong_column_type_is_left_out(single_folder: Path, tmp_path: Path) -> None:
+def test_a_file_with_a_wrong_column_type_is_named(single_folder: Path, tmp_path: Path) -> None:
     for file in (single_folder / "data").glob("train-*"):
         table = pq.read_table(file)
         if "00001" in file.name:
@@ -181,33 +156,25 @@ def test_a_file_with_a_wrong_column_type_is_left_out(single_folder: Path, tmp_pa
                 table.column_names.index("label"), "label", pa.array(["two"] * len(table))
             )
         pq.write_table(table, tmp_path / file.name)
-    dataset = realtouch.load(tmp_path, on_error="skip")
-    assert [record.label for record in dataset] == [0, 1]
-    assert [(each.row, each.field) for each in dataset.skipped] == [(None, "label")]
-    both = dataset + dataset
-    assert (len(both), len(both.skipped)) == (4, 2)
+    result = realtouch.verify(tmp_path)
+    assert [(each.row, each.field) for each in result.findings] == [(None, "label")]
+    assert result.rounds == 2
 
 
 @pytest.mark.parametrize("column", ["sensor_image", "label", "gel_pose_cell_frame.position"])
-def test_rows_that_cannot_be_read_are_left_out(column: str, single_rows: list[dict], tmp_path: Path) -> None:
+def test_rows_that_cannot_be_read_are_named(column: str, single_rows: list[dict], tmp_path: Path) -> None:
     factories.write_set(tmp_path, {"train": single_rows}, "single", Layout(group_rows=1))
     spoil_pages(only_file(tmp_path), 1, column)
     result = realtouch.verify(tmp_path)
     assert (result.rounds, [each.row for each in result.findings]) == (2, [1])
     assert result.findings[0].problem.startswith("cannot be read (")  # the row is named before it
     assert str(result.findings[0]).count(str(only_file(tmp_path))) == 1
-    dataset = realtouch.load(tmp_path, on_error="skip")
-    for view in (dataset, pickle.loads(pickle.dumps(dataset))):
-        assert [each.row for each in view.skipped] == [1]
-        assert [record.id for record in view] == [single_rows[0]["id"], single_rows[2]["id"]]
-        assert view.labels.tolist() == [0, 2]
-        assert view.ids.tolist() == [single_rows[0]["id"], single_rows[2]["id"]]
-        assert len(view.touches().with_contact().objects(4000, 4002).filter(lambda touch: touch.label)) == 4
-        assert realtouch.summarise(view).touches == 10
-    stream = realtouch.load(tmp_path, streaming=True, on_error="skip")
-    for _ in range(2):  # it counts again each time
-        assert [record.label for record in stream] == [0, 2]
-        assert [each.row for each in stream.skipped] == [1]
+    dataset = realtouch.load(tmp_path)
+    for row in (0, 2):
+        assert dataset[row].id == single_rows[row]["id"]
+        assert dataset[row].sensor_image[0].shape == (72, 96, 3)
+    with pytest.raises(IntegrityError):
+        _ = dataset[1].label, dataset[1].sensor_image[0], dataset[1].gel_pose_cell_frame
 
 
 def test_verify_goes_on_behind_rows_that_cannot_be_read(single_rows: list[dict], tmp_path: Path) -> None:
@@ -224,12 +191,8 @@ def test_verify_goes_on_behind_rows_that_cannot_be_read(single_rows: list[dict],
 def test_one_rule_says_how_many_touches_a_round_has(single_rows: list[dict], tmp_path: Path) -> None:
     short = damaged_set(tmp_path / "of three", single_rows, "single", one_touch_less)
     assert [each.field for each in realtouch.verify(short).findings] == ["pos_in_cell"]
-    assert [each.label for each in realtouch.load(short, on_error="skip")] == [0, 2]
-    assert [each.label for each in realtouch.load(short, streaming=True, on_error="skip")] == [0, 2]
     either = damaged_set(tmp_path / "of two", single_rows[:2], "single", one_touch_less)
     assert realtouch.verify(either).ok  # no number is that of more than half
-    assert len(realtouch.load(either, on_error="skip")) == 2
-    assert len(list(realtouch.load(either, streaming=True, on_error="skip"))) == 2
 
 
 def test_rounds_of_chosen_touches_may_differ(single_rows: list[dict], tmp_path: Path) -> None:
@@ -241,9 +204,8 @@ def test_rounds_of_chosen_touches_may_differ(single_rows: list[dict], tmp_path: 
     realtouch.select(str(folder), str(tmp_path / "chosen"), contact=True)
     assert realtouch.verify(tmp_path / "chosen").ok
     for streaming in (False, True):
-        dataset = realtouch.load(tmp_path / "chosen", streaming=streaming, on_error="skip")
+        dataset = realtouch.load(tmp_path / "chosen", streaming=streaming)
         assert [record.touch_count for record in dataset] == [4, 2, 4]
-        assert list(dataset.skipped) == []
 
 
 def test_null_positions_are_damage_of_the_round(single_rows: list[dict], tmp_path: Path) -> None:
@@ -252,6 +214,3 @@ def test_null_positions_are_damage_of_the_round(single_rows: list[dict], tmp_pat
         folder = factories.write_set(tmp_path / f"{fixed}", {"train": single_rows}, "single", layout)
         findings = realtouch.verify(folder).findings
         assert [(each.row, each.touch, each.field) for each in findings] == [(1, None, "pos_in_cell")]
-        for streaming in (False, True):
-            dataset = realtouch.load(folder, streaming=streaming, on_error="skip")
-            assert [record.label for record in dataset] == [0, 2]

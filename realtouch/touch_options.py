@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TypeVar
 
 from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import check_fields, choice, integer, text
@@ -12,9 +12,11 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.units import PER_METRE, length_per_metre
 
+T = TypeVar("T", str, tuple[str, ...])
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
+_OUR_IMAGES = "file"
 _LENGTHS = 3  # of these, the first so many are lengths
 
 
@@ -52,7 +54,7 @@ class ImportColumns:
     """
 
     image: str | None = text(
-        "file",
+        _OUR_IMAGES,
         name="--image-column",
         metavar="NAME",
         help="Column of the paths of the images; for tars, their file extension.",
@@ -111,6 +113,13 @@ class ImportColumns:
             )
 
     @property
+    def image_name(self) -> str:
+        """What was named as image, other than the column of our own exports; empty by default."""
+        if self.image == _OUR_IMAGES:
+            return ""
+        return self.image or ""
+
+    @property
     def order(self) -> str:
         """Order of the quaternion: ``"xyzw"`` or ``"wxyz"``."""
         return self.quaternion_order or "xyzw"
@@ -119,16 +128,18 @@ class ImportColumns:
         """Return by what each of so many values in some columns is divided; InputError for another unit."""
         lengths = min(count, _LENGTHS)
         units = [length_per_metre(name, self.length_unit) for name in names[:lengths]]
-        whole = units * lengths if len(names) == 1 else units
-        return (*whole, *[1.0] * (count - len(whole)))
+        if len(names) == 1:
+            units *= lengths
+        return (*units, *[1.0] * (count - len(units)))
 
     def found_in(self, known: Collection[str]) -> ImportColumns:
         """Return these columns and, where none was named, those of our own exports among the known ones."""
 
-        def ours(chosen: Any, *several: str | tuple[str, ...]) -> Any:
+        def ours(chosen: T | None, *several: T) -> T | None:
             """Return what was chosen, or the first of several, a column or some of them, that is known."""
-            found = (each for each in several if {*([each] if isinstance(each, str) else each)} <= {*known})
-            return next(found, None) if chosen is None else chosen
+            if chosen is not None:
+                return chosen
+            return next((each for each in several if _columns_in(each) <= {*known}), None)
 
         return replace(
             self,
@@ -144,6 +155,13 @@ class ImportColumns:
         """Return the columns that must be there."""
         plain = (self.label, self.round, self.object_id, self.split)
         return list(dict.fromkeys(filter(None, (*plain, *(self.position or ()), *(self.pose or ())))))
+
+
+def _columns_in(columns: str | tuple[str, ...]) -> set[str]:
+    """Return one column or several as a set."""
+    if isinstance(columns, str):
+        return {columns}
+    return set(columns)
 
 
 @dataclass(frozen=True, slots=True)

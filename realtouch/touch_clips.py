@@ -1,14 +1,11 @@
-"""The images and clips of a round, decoded when they are asked for; threads; sheets of pictures.
+"""The clips of a round; frames are found through the index of the file and decoded one by one.
 
-Frames of a clip are found through the file's index and decoded one by one, only those asked for: an AVI of
-MJPEG frames is a string of JPEGs, which libjpeg decodes.
+An AVI of MJPEG frames is a string of JPEGs, which libjpeg decodes.
 """
 
 from __future__ import annotations
 
-import html
 import operator
-from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from functools import partial
@@ -17,170 +14,20 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import DTypeLike
 
-from realtouch.columns import TouchRow
-from realtouch.contact import ContactMethod, best_of, contact_window, require_method
+from realtouch.avi import Avi
+from realtouch.contact import ContactMethod, contact_window, require_method
+from realtouch.contact_picture import best_of
+from realtouch.picture_views import evenly_spaced, round_html
 from realtouch.poses import Poses
-from realtouch.video import Avi
+from realtouch.sensor_images import in_parallel, room_for
+from realtouch.stored_round import StoredRound
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
-from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
-from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
-from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import decode_image, image_size, resized
+from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.read import checked_index, picks_several, positions
+from tactile_toolkit.touch import decode_image, image_size
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
-
-# Long enough that taking a run costs nothing, short enough that threads end together.
-_LONGEST_RUN = 16
-
-
-class SensorImages(Sequence[UInt8]):
-    """The images of one round; each is decoded when it is asked for, none is kept.
-
-    ``images[i]`` gives (H, W, 3) uint8; a slice, list or array of ints, or boolean mask gives (n, H, W, 3).
-    Safe to share between threads and to pickle.
-    """
-
-    __slots__ = ("_blobs", "_count", "_row", "_start")
-
-    def __init__(self, row: TouchRow) -> None:
-        column = row.group.nested("sensor_image")
-        start, stop = column.inside(0, row.index, row.index + 1)
-        self._row = row
-        self._blobs: BytesColumn = column.values
-        self._start, self._count = start, stop - start
-
-    def __len__(self) -> int:
-        return self._count
-
-    def __getitem__(self, index: Any) -> UInt8:  # type: ignore[override]
-        """Decode one image, or some into one array.
-
-        Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
-        file, row and touch.
-        """
-        if picks_several(index):
-            return self.batch(index)
-        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
-
-    def __iter__(self) -> Iterator[UInt8]:
-        return (self._decode(touch) for touch in range(self._count))
-
-    def batch(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
-        """Decode several images into one array.
-
-        Parameters
-        ----------
-        index : slice, sequence of int, or boolean mask
-            Which touches; all by default.
-        threads : int
-            How many to decode at a time.
-        out : ndarray, shape (n, H, W, 3), uint8, optional
-            Where to put them, to spare the memory of a new array per batch; each image C-contiguous.
-
-        Returns
-        -------
-        ndarray, shape (n, H, W, 3), uint8
-
-        Raises
-        ------
-        InputError
-            ``out`` is not such an array.
-        IntegrityError
-            As for indexing; or the images exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
-        """
-        touches = positions(index, self._count).tolist()
-        first = touches[0] if len(touches) else 0
-        size = self.size(first) if self._count else (0, 0)
-        with self._row.naming("sensor_image", first):
-            pixels = room_for(len(touches), size, out)
-        self.decode_into(pixels, touches, threads=threads)
-        return pixels
-
-    def decode_into(self, out: UInt8, touches: Sequence[int], *, threads: int = 1) -> None:
-        """Decode several images into an array of their size, such as ``room_for`` gives."""
-        in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
-
-    def encoded(self, touch: int) -> memoryview:
-        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
-        place = checked_index(touch, self._count, "touch", "touches")
-        blob = self._blobs[self._start + place]
-        if blob is None or len(blob) == 0:
-            raise self._row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
-        return blob
-
-    def size(self, touch: int = 0) -> tuple[int, int]:
-        """Return height and width of one image from its header."""
-        with self._row.naming("sensor_image", touch):
-            return image_size(self.encoded(touch))
-
-    def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
-        with self._row.naming("sensor_image", touch):
-            return decode_image(self.encoded(touch), out)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return (SensorImages, (self._row,))
-
-    def __repr__(self) -> str:
-        return f"SensorImages({self._count} touches)"
-
-
-def in_parallel(work: Callable[[int], object], count: int, threads: int) -> None:
-    """Do ``count`` pieces of work, numbered from 0, in some threads; the first error ends all of them.
-
-    Each takes a run of pieces at a time: neighbours share pages of the array that they are written to.
-    """
-    length = max(1, min(_LONGEST_RUN, count // max(1, 4 * threads)))
-    runs = (range(start, min(start + length, count)) for start in range(0, count, length))
-    deque(in_threads(lambda run: deque(map(work, run), maxlen=0), runs, max(1, threads)), maxlen=0)
-
-
-MOST_TILES = 32
-"""Touches that a notebook shows of a round."""
-
-_TILE_WIDTH = 120
-_GAP = 4
-
-
-def evenly_spaced(count: int, most: int) -> list[int]:
-    """Choose up to ``most`` of ``count`` indices, first and last among them."""
-    indices: list[int] = np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
-    return indices
-
-
-def fitted(image: UInt8, width: int) -> UInt8:
-    """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
-    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
-
-
-def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _TILE_WIDTH) -> UInt8:
-    """Lay RGB images, (H, W, 3), out in rows of ``columns``, each ``tile_width`` pixels wide.
-
-    All get the proportions of the first.
-    """
-    height = fitted(images[0], tile_width).shape[0]
-    tiles = [Tile(resized(image, tile_width, height)) for image in images]
-    return sheet(tiles, min(columns, len(images)), gap_px=_GAP, margin_px=_GAP)
-
-
-def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, Callable[[], UInt8]]]) -> str:
-    """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
-    tiles = []
-    for caption, read in pictures:
-        with suppress(IntegrityError):
-            tiles.append(touch_html(read(), caption))
-    if len(tiles) < len(pictures):
-        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
-        words = [*words, missing]
-    grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
-    return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
-
-
-def touch_html(picture: UInt8, caption: str) -> str:
-    """Return a notebook's view of a touch: its picture and what it is."""
-    return figure_html(fitted(picture, _TILE_WIDTH), caption, TILE_STYLE)
-
 
 _SHOWN_FRAMES = 8
 
@@ -195,7 +42,7 @@ class TouchClip(Sequence[UInt8]):
 
     Parameters
     ----------
-    row : TouchRow
+    row : StoredRound
         The round.
     touch : int
         Number of the touch in it.
@@ -216,7 +63,7 @@ class TouchClip(Sequence[UInt8]):
 
     __slots__ = ("_avi", "_row", "data", "touch")
 
-    def __init__(self, row: TouchRow, touch: int) -> None:
+    def __init__(self, row: StoredRound, touch: int) -> None:
         self._row, self.touch = row, touch
         self.data = row.stored_clip(touch)
         stated = row.clip_length(touch)
@@ -260,7 +107,7 @@ class TouchClip(Sequence[UInt8]):
         Raises
         ------
         IntegrityError
-            A frame is damaged, or they exceed :data:`realtouch.media.MAX_BATCH_PIXELS`.
+            A frame is damaged, or they exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, len(self)).tolist()
         with self._row.naming("sensor_video", self.touch):
@@ -345,7 +192,9 @@ class TouchClip(Sequence[UInt8]):
         Those stored with the round; the file's own clock in data sets without them.
         """
         times = self._row.stamps_s(self.touch)
-        return self.media_times_s if times is None else times[0]
+        if times is None:
+            return self.media_times_s
+        return times[0]
 
     def at(self, time_s: float) -> UInt8:
         """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
@@ -435,7 +284,7 @@ class SensorClips(Sequence[TouchClip]):
 
     __slots__ = ("_count", "row")
 
-    def __init__(self, row: TouchRow) -> None:
+    def __init__(self, row: StoredRound) -> None:
         _, start, stop = row.entries_of("sensor_video")
         self.row, self._count = row, stop - start
 
@@ -456,9 +305,11 @@ class SensorClips(Sequence[TouchClip]):
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
 
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
-        :data:`realtouch.media.MAX_BATCH_PIXELS`.
+        :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        size = self[0].size if self._count else (0, 0)
+        size = (0, 0)
+        if self._count:
+            size = self[0].size
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
@@ -469,7 +320,7 @@ class SensorClips(Sequence[TouchClip]):
         return f"SensorClips({self._count} touches)"
 
 
-def contact_windows(row: TouchRow, touch: int | None = None) -> list[slice]:
+def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
     """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
 
     Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
@@ -477,13 +328,15 @@ def contact_windows(row: TouchRow, touch: int | None = None) -> list[slice]:
     """
     times = row.stamps_s(touch)
     if times is None:
-        touches = range(row.touch_total()) if touch is None else [touch]
+        touches: Sequence[int] = range(row.touch_total())
+        if touch is not None:
+            touches = [touch]
         times = [TouchClip(row, each).media_times_s for each in touches]
     ends = (each.tolist() for each in row.times_of_touches(touch))
     return [contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
-def contact_frames_of(row: TouchRow, method: ContactMethod, touch: int | None = None) -> list[int]:
+def contact_frames_of(row: StoredRound, method: ContactMethod, touch: int | None = None) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
     See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
@@ -517,35 +370,3 @@ def decode_frames(
             raise clips.row.damaged("sensor_video", problem, touches[number]) from error
 
     in_parallel(decode, len(encoded), threads)
-
-
-MAX_BATCH_PIXELS = 1 << 31
-"""Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
-
-
-def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UInt8:
-    """Return an array for images of one size, shape (n, H, W, 3), uint8: new, or ``out`` if it fits.
-
-    ``size`` is (height, width), pixels; in ``out``, n may be larger than ``count``. Raises InputError when
-    ``out`` cannot take the images, ValueError when a new array would exceed :data:`MAX_BATCH_PIXELS`.
-    """
-    height, width = size
-    if out is None:
-        if count * height * width > MAX_BATCH_PIXELS:
-            raise ValueError(
-                f"{count:,} images of {width} x {height} pixels at once; the limit is "
-                f"{MAX_BATCH_PIXELS:,} pixels"
-            )
-        return np.empty((count, height, width, 3), np.uint8)
-    if not count:
-        return out
-    fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
-    # The images may lie apart; the decoder writes the pixels of each in one go.
-    if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
-        return out
-    shape = (count, height, width, 3)
-    found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    raise InputError(
-        f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
-        next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
-    )

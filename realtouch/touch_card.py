@@ -10,13 +10,14 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from realtouch.columns import TouchRow
 from realtouch.contact import ContactHeight
-from realtouch.dataset import TouchDataset, dataset_of
 from realtouch.kind import KIND
-from realtouch.media import contact_sheet, evenly_spaced
-from realtouch.rounds import Touch, TouchSeqRound, TouchSingleRound
+from realtouch.picture_views import contact_sheet, evenly_spaced
+from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.schema import media_kind, origin_of
+from realtouch.stored_round import StoredRound
+from realtouch.touch import Touch
+from realtouch.touch_dataset import TouchDataset, dataset_of
 from tactile_toolkit import cards, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
@@ -31,7 +32,6 @@ _TILES = 16
 _TILE_WIDTH = 96
 # Each is a block to unpack: of a damaged set a card should not try them all.
 _ROUNDS_SEEN = 4
-
 _COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it
 _WINDOW = "18.88 x 14.16 mm of gel"
 
@@ -213,7 +213,7 @@ def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRo
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
     for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
         # One of each block, so that a damaged block does not use up all tries.
-        yield record(TouchRow(group, 0))
+        yield record(StoredRound(group, 0))
 
 
 def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:

@@ -1,4 +1,4 @@
-"""What users of the touches do before training: backgrounds, differences, and contact by the picture."""
+"""What users of the touches do before training: backgrounds, and contact by the picture."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.contact import (
+from realtouch.contact_picture import (
     ContactRule,
     ContactScore,
     as_pictures,
@@ -18,9 +18,10 @@ from realtouch.contact import (
     median_in_memory,
     median_of,
 )
-from realtouch.dataset import Touches, with_no_contact
-from realtouch.media import SensorImages, TouchClip, in_parallel
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from realtouch.sensor_images import SensorImages, in_parallel
+from realtouch.touch_clips import TouchClip
+from realtouch.touches import Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -53,14 +54,13 @@ def background(pictures: Any) -> UInt8:
         A picture is damaged, or of another size than those of its set.
     """
     first = list(islice(_batches(pictures), 2))
-    if len(first) == 1:
-        return median_in_memory(first[0])
-    found = median_of(lambda: _batches(pictures)) if first else None
-    if found is None:
+    if not first:
         raise InputError(
             "no pictures to take a background of; expected a clip, a round or touches that hold any"
         )
-    return found
+    if len(first) == 1:
+        return median_in_memory(first[0])
+    return median_of(lambda: _batches(pictures))
 
 
 def _batches(pictures: Any) -> Iterator[UInt8]:
@@ -85,7 +85,9 @@ def _batches(pictures: Any) -> Iterator[UInt8]:
 
 
 def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
-    length = max(1, _BATCH_BYTES // read(slice(1)).nbytes) if count else 1
+    if not count:
+        return
+    length = max(1, _BATCH_BYTES // read(slice(1)).nbytes)
     for start in range(0, count, length):
         yield read(slice(start, start + length))
 
@@ -117,7 +119,9 @@ def best_frame(
     IntegrityError
         A frame is damaged.
     """
-    return best_of(clip.frames() if isinstance(clip, TouchClip) else as_pictures(clip), rule, base)
+    if isinstance(clip, TouchClip):
+        clip = clip.frames()
+    return best_of(as_pictures(clip), rule, base)
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,30 +211,43 @@ def contacts_by_image(
             f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
             "`realtouch.load(...).touches()`"
         )
-    rule, count = rule or ContactRule(), len(touches)
-    shared: UInt8 | None = None
-    frame, area = np.zeros(count, np.int64), np.zeros(count, np.int64)
-    intensity = np.zeros(count)
-    places = touches.round_positions
-
-    def look(index: int) -> None:
-        frame[index], score = best_frame(touches[index].clip, rule)
-        area[index], intensity[index] = score.area_px, score.intensity
-
-    def look_at_round(index: int) -> None:
-        (chosen,) = np.nonzero(places == rounds[index])
-        images = touches.images(chosen)
-        base = background(images) if len(chosen) > 1 or shared is None else shared
-        score = contact_score(images, base, rule)
-        area[chosen], intensity[chosen] = score.area_px, score.intensity
-
-    # Images stand alone: the background is what those of a round have in common.
-    rounds, sizes = np.unique(places, return_counts=True)
-    if count and isinstance(touches[0].round, TouchSingleRound):
-        alone = np.flatnonzero(np.isin(places, rounds[sizes == 1]))
-        shared = background(touches[alone[:: len(alone) // _MOST_SHARED + 1]]) if len(alone) else None
-        in_parallel(look_at_round, len(rounds), threads)
+    rule = rule or ContactRule()
+    frame, area = np.zeros((2, len(touches)), np.int64)
+    score = ContactScore(area, np.zeros(len(touches)))
+    if len(touches) and isinstance(touches[0].round, TouchSingleRound):
+        _measure_images(touches, rule, threads, score)
     else:
-        in_parallel(look, count, threads)
-    contact = np.asarray(rule.holds(ContactScore(area, intensity)), bool)
-    return Contacts(touches, frame, area, intensity, contact)
+        _measure_clips(touches, rule, threads, frame, score)
+    return Contacts(touches, frame, area, score.intensity, np.asarray(rule.holds(score), bool))
+
+
+def _measure_clips(
+    touches: Touches[Any], rule: ContactRule, threads: int, frame: Int64, score: ContactScore
+) -> None:
+    """Fill in the best frame of each clip and its score."""
+
+    def measure(index: int) -> None:
+        frame[index], found = best_frame(touches[index].clip, rule)
+        score.area_px[index], score.intensity[index] = found.area_px, found.intensity
+
+    in_parallel(measure, len(touches), threads)
+
+
+def _measure_images(touches: Touches[Any], rule: ContactRule, threads: int, score: ContactScore) -> None:
+    """Fill in the score of each image; images of a round have their background in common."""
+    places = touches.round_positions
+    rounds, sizes = np.unique(places, return_counts=True)
+    alone = np.flatnonzero(np.isin(places, rounds[sizes == 1]))
+    shared = np.zeros(0, np.uint8)
+    if len(alone):
+        shared = background(touches[alone[:: len(alone) // _MOST_SHARED + 1]])
+
+    def measure(index: int) -> None:
+        (chosen,) = np.nonzero(places == rounds[index])
+        images, base = touches.images(chosen), shared
+        if len(chosen) > 1:
+            base = background(images)
+        found = contact_score(images, base, rule)
+        score.area_px[chosen], score.intensity[chosen] = found.area_px, found.intensity
+
+    in_parallel(measure, len(rounds), threads)

@@ -1,200 +1,33 @@
-"""Data sets and streams of rounds, and the flat view of their touches with random access and filters."""
+"""The touches of some rounds as one sequence with random access and filters."""
 
 from __future__ import annotations
 
 import hashlib
-import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
-from functools import partial
+from collections.abc import Collection, Iterable, Iterator
 from itertools import groupby
 from operator import itemgetter
-from typing import Any, ClassVar, Generic, Self, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from realtouch.columns import Damage, TouchRow, rows_of, stored_rows
-from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
-from realtouch.integrity import checked_rows, stated_class_names, stored_touch_counts
-from realtouch.media import SensorImages, room_for
-from realtouch.rounds import (
-    RowsWithoutMedia,
-    Touch,
-    TouchRound,
-    TouchSeqRound,
-    TouchSingleRound,
-    touch_id,
-)
-from realtouch.schema import POSE_COLUMN, flat_row, is_per_touch, media_kind
+from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.schema import flat_row, is_per_touch
+from realtouch.sensor_images import SensorImages, room_for
+from realtouch.stored_round import StoredRound
+from realtouch.touch import Touch, touch_id
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
+
+if TYPE_CHECKING:
+    from realtouch.touch_dataset import TouchDataset
 
 _INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
-
 R = TypeVar("R", bound=TouchRound)
-
-
-class TouchDataset(read.RecordDataset[R]):
-    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.RecordDataset`.
-
-    Parameters
-    ----------
-    table, rows, label_names
-        As for :class:`tactile_toolkit.read.RecordDataset`.
-    skipped : sequence of (int or None, Damage)
-        Damage that was found and is left out, each with the number of its row in the table: rounds by
-        the data set itself, single touches by :meth:`touches`. None stands for a file or row group left out.
-    """
-
-    things = "rounds"
-    kind: Kind
-
-    def __init__(
-        self,
-        table: read.ShardedTable,
-        rows: range | Int64 | None = None,
-        label_names: Sequence[str] = (),
-        skipped: Sequence[tuple[int | None, Damage]] = (),
-    ) -> None:
-        super().__init__(table, rows, label_names)
-        self._skipped = tuple(skipped)
-
-    @property
-    def skipped(self) -> tuple[Damage, ...]:
-        """What was left out as damaged, in a data set loaded with ``on_error="skip"``."""
-        return tuple(damage for _, damage in self._skipped)
-
-    def touches(self) -> Touches[R]:
-        """Return the flat view: every touch of every round, in order, with random access.
-
-        Touches found to be damaged on loading with ``on_error="skip"`` are left out.
-        """
-        view = Touches(self)
-        return view.without(self._lost_touches) if self._lost_touches else view
-
-    @property
-    def _lost_touches(self) -> frozenset[tuple[int, int]]:
-        """Stored row and number in the round of each touch that was left out."""
-        places = ((row, damage.touch) for row, damage in self._skipped)
-        return frozenset((row, touch) for row, touch in places if row is not None and touch is not None)
-
-    def _row(self, number: int) -> TouchRow:
-        return TouchRow(*self._table.locate(number))
-
-    def _concat(self, other: Self) -> Self:
-        joined, offset = super()._concat(other), len(self._table)
-        moved = [(None if row is None else row + offset, damage) for row, damage in other._skipped]
-        joined._skipped = (*self._skipped, *moved)
-        return joined
-
-    @property
-    def touch_counts(self) -> Int64:
-        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self._row_numbers]
-
-    @property
-    def _stored_counts(self) -> Int64:
-        return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
-
-    @property
-    def touch_starts(self) -> Int64:
-        """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
-        return np.concatenate([[0], np.cumsum(self._stored_counts)])
-
-    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
-        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
-
-        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
-        height of the plate is known, it is always taken.
-        """
-
-        def heights_m(row: TouchRow, rule: ContactHeight) -> Float64:
-            z_m = row.readable(partial(row.contact_z_m, self.kind))
-            plate_m = PRESS_DEPTH_M if rule.plate == "known" else row.stored_plate_z_m()
-            return contact_heights_m(z_m, recalibrate_z or rule.plate == "known", plate_m)
-
-        columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
-        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
-
-    def known_positions_m(self) -> Float64:
-        """Read where every stored touch was meant to be, NaN where that cannot be read.
-
-        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
-        """
-
-        def positions_m(row: TouchRow, _rule: ContactHeight) -> Float64:
-            return row.readable(row.intended_positions, (2,))
-
-        return self._per_touch("positions", ["pos_in_cell"], positions_m)
-
-    def _per_touch(
-        self,
-        key: str,
-        columns: Sequence[str],
-        known: Callable[[TouchRow, ContactHeight], Float64],
-    ) -> Float64:
-        """Join what is known of the touches of each stored row, of a few columns."""
-
-        def of_source(source: read.RowSource) -> list[Float64]:
-            rule = ContactHeight.of(read.column_types(source.schema))
-            return [known(row, rule) for row in stored_rows([source], columns)]
-
-        values = self._table.per_shard(key, of_source)
-        if len(values) != self.touch_starts[-1]:
-            raise IntegrityError(
-                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
-                next="run `realtouch verify`, which names the rounds",
-            )
-        return values
-
-    def contact_rules(self) -> list[ContactHeight]:
-        """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
-        of_rows = [rule for rule, count in rules for _ in range(count)]
-        return [of_rows[row] for row in self._row_numbers.tolist()]
-
-    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
-        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
-        number = 0
-        # Through the stored rows in their order: each block is read once, whatever the order of the view.
-        wanted = set(self._row_numbers.tolist())
-        media = MEDIA_COLUMN[self.kind]
-        for source in self._table.shards:
-            columns, start = [name for name in source.schema.names if name != media], number
-            for block in read.all_blocks([source], columns):
-                rows = RowsWithoutMedia(block, source, number - start)
-                for row in range(len(block.table)):
-                    if number + row in wanted:
-                        yield number + row, self.record_class(TouchRow(rows, row))
-                number += len(block.table)
-
-    def _each(self) -> Iterator[tuple[int, R]]:
-        places: dict[int, list[int]] = {}
-        for place, row in enumerate(self._row_numbers.tolist()):
-            places.setdefault(row, []).append(place)
-        # A view may hold a round several times, at several places.
-        for row, record in self.rounds_without_media():
-            for place in places[row]:
-                yield place, record
-
-
-class TouchSingleDataset(TouchDataset[TouchSingleRound]):
-    """Rounds with one image per touch."""
-
-    record_class: ClassVar[type[Any]] = TouchSingleRound
-    kind = "single"
-
-
-class TouchSeqDataset(TouchDataset[TouchSeqRound]):
-    """Rounds with one clip per touch."""
-
-    record_class: ClassVar[type[Any]] = TouchSeqRound
-    kind = "seq"
 
 
 class Touches(read.RecordDataset[Touch], Generic[R]):
@@ -218,10 +51,14 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         self.dataset = dataset
         counts = dataset.touch_counts
         self._starts = np.concatenate([[0], np.cumsum(counts)])
-        rows = range(int(self._starts[-1])) if chosen is None else chosen
+        rows: range | Int64 = range(int(self._starts[-1]))
+        if chosen is not None:
+            rows = chosen
         super().__init__(dataset._table, rows, dataset.label_names)
         # Rounds of one length, the common case, are found by a division.
-        self._per_round = int(counts[0]) if len(counts) and (counts == counts[0]).all() else 0
+        self._per_round = 0
+        if len(set(counts.tolist())) == 1:
+            self._per_round = int(counts[0])
 
     def __iter__(self) -> Iterator[Touch]:
         last, current = -1, None
@@ -283,8 +120,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     @property
     def _plain_columns(self) -> tuple[str, ...]:
-        where = _POSITION if self.dataset.has_column("pos_in_cell") else ()
-        return (*self.dataset._plain_columns, _INDEX, *where)
+        names = (*self.dataset._plain_columns, _INDEX)
+        if self.dataset.has_column("pos_in_cell"):
+            names += _POSITION
+        return names
 
     def column(self, name: str) -> AnyArray:
         """Read one plain column, shape (len,): one of the rounds, ``touch_index``, or ``x_m`` or ``y_m``.
@@ -355,10 +194,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def heights_m(self, recalibrate_z: bool = True) -> Float64:
         """Return how high above the plate the gel stopped in each touch, shape (len,), metres.
 
-        Reads the poses only. See :func:`realtouch.contact.contact_heights_m`; all touches of a round take
-        part in finding its plate, whatever was selected here; where `realtouch select` took touches out of
-        the files, the plate that it stored is taken. Of touches that `tactile-sim generate` made, the height
-        of the plate is known and always taken.
+        Reads the poses only; see :func:`realtouch.contact.contact_heights_m`. All touches of a round take
+        part in finding its plate, whatever was selected here. Where `realtouch select` took touches out of
+        the files, the stored height of the plate is taken. The plate of touches made by `tactile-sim
+        generate` is known and always taken.
 
         Raises
         ------
@@ -442,19 +281,16 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             There are fewer touches, or a number, fraction or mask is invalid.
         """
-        if no_contact_fraction is None:
-            return super().sample(len(self) if n is None else n, seed)
-        mask = self.in_contact() if contact is None else contact
-        chosen = self._select(with_no_contact(self, mask, no_contact_fraction, seed))
-        return chosen if n is None else super(Touches, chosen).sample(n, seed)
-
-    def without(self, lost: Iterable[tuple[int, int | None]]) -> Touches[R]:
-        """Return all touches except some, given as stored row and number in the round."""
-        # By stored row: places in a view change with each filter.
-        rows = self.dataset._row_numbers[self.round_positions].tolist()
-        gone = set(lost)
-        pairs = zip(rows, self.touch_indices.tolist(), strict=True)
-        return self[np.array([pair not in gone for pair in pairs], bool)]
+        chosen = self
+        if no_contact_fraction is not None:
+            if contact is None:
+                contact = self.in_contact()
+            chosen = self._select(with_no_contact(self, contact, no_contact_fraction, seed))
+            if n is None:
+                return chosen
+        if n is None:
+            n = len(self)
+        return super(Touches, chosen).sample(n, seed)
 
     def images(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode the images of several touches of a ``single`` set into one array.
@@ -480,9 +316,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             An image is damaged or of another size; names file, row and touch.
         """
         wanted = [self.locate(each) for each in read.positions(index, len(self)).tolist()]
-        first, number = wanted[0] if wanted else (0, 0)
-        has_any = wanted or (len(self.dataset) and self.dataset[0].touch_count)
-        size = self._images_of(first).size(number) if has_any else (0, 0)
+        size = (0, 0)
+        if wanted or (len(self.dataset) and self.dataset[0].touch_count):
+            first, number = [*wanted, (0, 0)][0]
+            size = self._images_of(first).size(number)
         out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else room_for(len(wanted), size, out)
         start = 0
         for position, of_round in groupby(wanted, key=itemgetter(0)):
@@ -569,7 +406,7 @@ def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed:
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
 
 
-def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
+def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> Any:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
     import pyarrow as pa
 
@@ -583,101 +420,3 @@ def _row_of_each_touch(row: TouchRow, per_touch: Collection[str]) -> Any:
         else:
             columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
     return pa.table({**columns, _INDEX: np.arange(count)})
-
-
-def dataset_of(
-    shards: Sequence[read.RowSource],
-    rows: Int64 | None = None,
-    skipped: Sequence[tuple[int | None, Damage]] = (),
-) -> TouchSeqDataset | TouchSingleDataset:
-    """Return the data set of some shards of one kind: of all rows, or those that are not skipped."""
-    stated = stated_class_names(shards)
-    names = CLASS_NAMES if stated is None else stated
-    is_seq = media_kind(shards[0].schema, shards[0].path) == "seq"
-    dataset = TouchSeqDataset if is_seq else TouchSingleDataset
-    return dataset(read.ShardedTable(tuple(shards)), rows, names, skipped)
-
-
-class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
-
-    Parameters
-    ----------
-    shards : tuple of Shard
-        Shards to read in turn.
-    kind : "seq" or "single"
-        What they hold.
-    skip_damage : bool
-        Check each round before it is given: leave out damaged rounds, and damaged touches of the others, and
-        rows that cannot be read.
-    expected_touches : int, optional
-        T that each round must have to pass that check.
-    left_out : sequence of Damage
-        Files that were left out beforehand.
-
-    Attributes
-    ----------
-    skipped : list of Damage
-        What was left out so far, since the stream was last begun. A worker of a loader has a list of its
-        own, and warns of what it leaves out.
-    """
-
-    def __init__(
-        self,
-        shards: tuple[read.Shard, ...],
-        kind: Kind,
-        *,
-        skip_damage: bool = False,
-        expected_touches: int | None = None,
-        left_out: Sequence[Damage] = (),
-    ) -> None:
-        super().__init__(shards)
-        self.kind = kind
-        self.skip_damage = skip_damage
-        self.skipped = list(left_out)
-        self._expected_touches = expected_touches
-        self._left_out = tuple(left_out)
-        self._stated_names = stated_class_names(shards)
-
-    @property
-    def label_names(self) -> tuple[str, ...]:
-        """Name of each class."""
-        return CLASS_NAMES if self._stated_names is None else self._stated_names
-
-    def touches(self) -> Touches[Any]:
-        """Return the flat view: every touch of every round, in order, with random access.
-
-        A row group is read from its address when one of its rows is first asked for, and kept in the cache.
-
-        Raises
-        ------
-        InputError
-            The stream leaves out what is damaged, which is known only when all of it was read.
-        """
-        if self.skip_damage:
-            raise InputError(
-                "a stream that skips damage has no numbered touches", next="load it without streaming"
-            )
-        return dataset_of(self.shards).touches()
-
-    def __iter__(self) -> Iterator[TouchRound]:
-        """Yield rounds; a bounded block of rows is in memory at a time."""
-        # In place: who holds the list sees what this pass leaves out.
-        self.skipped[:] = self._left_out
-        record = TouchSingleRound if self.kind == "single" else TouchSeqRound
-        if not self.skip_damage:
-            blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
-            yield from map(record, rows_of(blocks))
-            return
-        for row, damage in checked_rows(self._row_groups(), self._expected_touches, self._stated_names):
-            self.skipped += damage
-            if damage and read.loader_worker() is not None:
-                warnings.warn(f"left out: {'; '.join(map(str, damage))}", stacklevel=2)
-            lost = {each.touch for each in damage}
-            if row is not None and None not in lost:
-                intact = record(row)
-                kept = [touch for touch in range(intact.touch_count) if touch not in lost]
-                yield intact.with_touches(kept) if lost else intact
-
-    def __repr__(self) -> str:
-        return self._described(self.kind)

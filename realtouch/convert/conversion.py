@@ -1,0 +1,290 @@
+"""What all conversions share: source, rows, what becomes of a row, and tables that index files."""
+
+from __future__ import annotations
+
+import hashlib
+import operator
+import re
+from collections import deque
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from itertools import chain
+from typing import Any, NamedTuple, Protocol
+from urllib.parse import unquote
+
+import pyarrow as pa
+
+from realtouch.kind import KIND
+from realtouch.schema import media_kind, require_types
+from realtouch.stored_round import StoredRound
+from realtouch.touch_dataset import dataset_of
+from tactile_toolkit import catalog, places, read, store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.run import in_threads
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind
+
+_READERS = 4  # threads that read footers
+
+Made = tuple[pa.Table, Mapping[str, bytes]]
+"""New rows, and the files that lie next to them, by path."""
+
+Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
+"""What makes files of all new rows of a shard, and an index of them, which the shard keeps; picklable."""
+
+WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
+"""Writes the files that follow from all rows, and returns their checksums by path."""
+
+# Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row.
+_PREFIXES = ("", "meta_")
+
+_NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
+
+_LONGEST = 100
+
+_KEPT = 60  # of a longer one, before its digest
+
+
+def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
+    """Return the splits that are meant: the one named, or all."""
+    if split is None:
+        return place.splits
+    return (split,)
+
+
+@dataclass(frozen=True)
+class Source:
+    """A data set to convert: its name as the user gave it, the shards of each split, and what it holds."""
+
+    name: str
+    shards: Mapping[str, tuple[read.Shard, ...]]
+    kind: Kind
+    unfinished: str = ""
+
+    @classmethod
+    def open(cls, name: places.Name | places.Place, split: str | None = None) -> Source:
+        """Find the splits of a data set (or the one given), fetching them first where they are on the Hub.
+
+        Reads footers. Raises as :func:`realtouch.load`.
+        """
+        place = places.open_place(name).require_complete(split)
+        splits = parts_of(place, split)
+        shards = {each: place.shards(each, kind=KIND) for each in splits}
+        for found in shards.values():
+            deque(in_threads(require_types, found, _READERS), maxlen=0)
+        return cls(place.name, shards, media_kind(shards[splits[0]][0].schema, place.name), place.unfinished)
+
+    @property
+    def schema(self) -> pa.Schema:
+        """Arrow schema of the first shard."""
+        return next(iter(self.shards.values()))[0].schema
+
+    def manifest(self) -> store.Manifest | None:
+        """Return the manifest next to the shards, where there is one."""
+        return catalog.manifest_beside(next(iter(self.shards.values()))[0])
+
+    def row_bytes(self) -> int:
+        """Return the size of a row unpacked, on average over the data set; at least 1."""
+        sizes = in_threads(_unpacked_bytes, self._files(), _READERS)
+        return max(sum(sizes) // max(sum(map(len, self._files())), 1), 1)
+
+    def media_bytes(self) -> int:
+        """Return the size of an image or clip, on average over the data set; at least 1."""
+        column = f"{MEDIA_COLUMN[self.kind]}."
+        found = in_threads(partial(_media_bytes, column), self._files(), _READERS)
+        count, size = map(sum, zip(*found, strict=True))
+        return max(size // max(count, 1), 1)
+
+    def _files(self) -> Iterator[read.Shard]:
+        return chain.from_iterable(self.shards.values())
+
+    def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
+        """Return JSON values that identify the rows: names, sizes and footers of the files.
+
+        The footer holds offset and size of every column chunk: other content gives another footer, and
+        reading 28 GB to plan a conversion would cost minutes.
+        """
+        return {
+            split: list(in_threads(read.Shard.fingerprint, found, _READERS))
+            for split, found in self.shards.items()
+        }
+
+
+def _chunks(shard: read.Shard) -> Iterator[Any]:
+    """Yield what the footer says of each column chunk of a file."""
+    groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
+    return (group.column(index) for group in groups for index in range(group.num_columns))
+
+
+def _unpacked_bytes(shard: read.Shard) -> int:
+    return sum(chunk.total_uncompressed_size for chunk in _chunks(shard))
+
+
+def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
+    """Return the number of values of a column of bytes, and the size of the column unpacked."""
+    chosen = [chunk for chunk in _chunks(shard) if chunk.path_in_schema.startswith(column)]
+    values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
+    return values, sum(chunk.total_uncompressed_size for chunk in chosen)
+
+
+class RowChoice(NamedTuple):
+    """A row that a conversion takes: its number in the split, and which touches (None: all).
+
+    ``is_repeated``: its id stands in a row before it, so that files of both would have one name.
+    """
+
+    row: int
+    touches: tuple[int, ...] | None = None
+    is_repeated: bool = False
+
+
+Choices = Mapping[str, Sequence[RowChoice]]
+"""The rows of each split that a conversion takes, in order."""
+
+
+class Step(Protocol):
+    """What a conversion does to one row; small and picklable."""
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the flat schema that it writes, for the flat schema that it reads."""
+        ...
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Return the new rows as a table of that schema, with files where it makes some.
+
+        A row that raises IntegrityError is left out and listed.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Conversion:
+    """A conversion, decided down to its rows.
+
+    ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
+    ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
+    see :class:`tactile_toolkit.store.BuildPlan`.
+    """
+
+    source: Source
+    operation: str
+    options: Mapping[str, Any]
+    step: Step
+    choices: Choices
+    rows_per_shard: int | None = None
+    rows_per_group: int | None = None
+    extra_dirs: tuple[str, ...] = ()
+    write_files: WriteFiles = field(default=lambda _folder, _manifest: {}, repr=False)
+    pack: Pack | None = None
+
+
+def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
+    """Choose the first so many rows of each split; all for None."""
+    counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
+    return {split: list(map(RowChoice, range(count)[:limit])) for split, count in counts.items()}
+
+
+def require_limit(limit: int | None, name: str = "limit") -> int | None:
+    """Return a limit; InputError where it is below 1."""
+    if limit is None:
+        return None
+    if limit < 1:
+        raise InputError(f"the {name} is {limit}; expected an integer of at least 1")
+    return operator.index(limit)
+
+
+def marked_repetitions(source: Source, choices: Choices) -> Choices:
+    """Mark the rows of each split whose id stands in a row before them; reads the column of ids only."""
+    marked = {}
+    for split, chosen in choices.items():
+        ids = dataset_of(source.shards[split]).ids
+        first: dict[Any, int] = {}
+        rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
+        marked[split] = [
+            each._replace(is_repeated=row != each.row) for each, row in zip(chosen, rows, strict=True)
+        ]
+    return marked
+
+
+def with_files(
+    index: pa.Table, files: Mapping[str, bytes], named: Sequence[Sequence[str]] | None = None
+) -> Made:
+    """Return the files of a shard with its index, which names up to two for each row: by default all."""
+    digests = {path: store.sha256_hex(content) for path, content in files.items()}
+    columns = named or [[path] * len(index) for path in files]
+    for prefix, paths in zip(_PREFIXES, columns, strict=False):
+        for name, values in (("file", paths), ("sha256", [digests[path] for path in paths])):
+            index = index.append_column(f"{prefix}{name}", pa.array(values, pa.string()))
+    return index, files
+
+
+def files_of(folder: store.DataFolder, record: store.ShardRecord) -> dict[str, str]:
+    """Return the checksum of each file that the index of a finished shard names, by path."""
+    shard = read.Shard(folder.address(record.shard.data_path))
+    found: dict[str, str] = {}
+    for prefix in _PREFIXES:
+        names = [f"{prefix}file", f"{prefix}sha256"]
+        if all(name in shard.types for name in names):
+            paths, digests = (column.to_pylist() for column in shard.read(columns=names).columns)
+            found |= dict(zip(paths, digests, strict=True))
+    return found
+
+
+def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
+    """Return the checksum of each file that the shards name, for the manifest."""
+    return {path: sha256 for record in manifest.shards for path, sha256 in files_of(folder, record).items()}
+
+
+def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
+    """Return those of the wanted columns that a source can fill.
+
+    With the type of each stand columns of the source, of which one is needed; without any it is always there.
+    """
+    known = read.column_types(source)
+    return pa.schema(
+        (name, data_type)
+        for name, (data_type, needed) in wanted.items()
+        if not needed or any(each in known for each in needed)
+    )
+
+
+def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
+    """Return the columns of a schema as a table; those that are not given have no values."""
+    unknown = [None] * len(columns["id"])
+    return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
+
+
+def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[str, str]:
+    """Write files where they differ: a run over a finished set changes nothing. Return their checksums."""
+    digests = {path: store.sha256_hex(content) for path, content in files.items()}
+    for path, content in files.items():
+        if not store.is_unchanged(folder, path, digests[path]):
+            folder.write_bytes(path, content)
+    return digests
+
+
+def file_stem(round_id: str) -> str:
+    """Return the name of a file for a round, without an ending: its id, if that is plain.
+
+    Whatever is not a letter, a digit, ``-`` or ``_`` is escaped as in addresses, ``a.b`` as ``a%2Eb``, so
+    that different ids stay different and lead nowhere else on any system; a long one ends in its digest.
+    """
+    content = round_id.encode()
+    stem = _NOT_PLAIN.sub(_escaped, content).decode()
+    if len(stem) > _LONGEST:
+        return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
+    if not stem or store.problem_of_name(stem):  # none, or a device of Windows, such as ``con``
+        return f"%{content[:1].hex().upper()}{stem[1:]}"
+    return stem
+
+
+def id_of_stem(stem: str) -> str:
+    """Return the id of which :func:`file_stem` made a name; a name that others made, as it is."""
+    round_id = unquote(stem)
+    if file_stem(round_id) == stem:
+        return round_id
+    return stem
+
+
+def _escaped(found: re.Match[bytes]) -> bytes:
+    return f"%{found[0].hex().upper()}".encode()

@@ -1,0 +1,233 @@
+"""Data sets with other pictures: one image of each clip, or pictures of another size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from os import PathLike
+from typing import Unpack
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.avi import write_avi
+from realtouch.contact import ContactMethod, require_method
+from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
+from realtouch.convert.picture_files import shown_touches
+from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.schema import POSE_COLUMN, bytes_lists, column_type, flat_row, number_lists
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound
+from realtouch.touch_clips import SensorClips, TouchClip
+from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.places import Name, Place
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
+
+_CONTACT_FRAME_ROWS = 16
+_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+_WIDTHS = {"position": 3, "quaternion": 4}
+_SEQ_ONLY = (
+    "video_length_frames",
+    "time_stamp_rel_seq",
+    "touch_start_time_rel",
+    "touch_end_time_rel",
+    "sensor_video",
+)
+
+
+def clips_to_images(
+    source: Name | Place,
+    out: str | PathLike[str],
+    frame: str = "contact_end",
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
+
+    Parameters
+    ----------
+    source : str or path
+        Data set as :func:`realtouch.load` opens it by one name.
+    out : str or path
+        Folder to write, outside the source.
+    frame : str
+        ``"contact_end"``, ``"contact_start"``, ``"peak"`` or ``"best"``; see
+        :meth:`~realtouch.TouchClip.contact_index`.
+    split : str, optional
+        Only this split, of which alone files are fetched; all by default.
+    limit : int, optional
+        Only the first ``limit`` rounds of each split.
+    workers : int or Runner
+        Number of local processes, 1 by default, or a runner of another kind.
+    overwrite : bool
+        Replace another data set of this toolkit in the folder.
+    on_progress : callable
+        Called after each shard.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now; rounds that are damaged are left out and listed in it.
+
+    Raises
+    ------
+    InputError
+        The source or an option cannot be used, or the folder to write holds the source.
+    IntegrityError, HubError
+        A file of the source cannot be read or fetched, or every round is damaged.
+    SpecMismatchError, StorageError
+        The folder holds a data set of another specification, or cannot be written: what was finished stays.
+    """
+    method = require_method(frame)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        if opened.kind != "seq":
+            raise InputError(
+                f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
+            )
+        return Conversion(
+            opened,
+            "to-single",
+            {"frame": method, "limit": limit},
+            TakeContactFrames(method),
+            first_rows(opened, limit),
+            rows_per_shard=_CONTACT_FRAME_ROWS,
+            rows_per_group=_CONTACT_FRAME_ROWS // 2,
+        )
+
+    return write_conversion(source, out, plan, **job)
+
+
+@dataclass(frozen=True)
+class TakeContactFrames:
+    """Step of ``clips-to-images``: one frame of each clip, with the pose of the gel at that moment."""
+
+    method: ContactMethod
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the published ``single`` schema with the columns of the source; InputError without poses."""
+        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
+        if leaf is None:
+            raise InputError(
+                f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
+            )
+        # In the precision of the source: poses are copied, not computed.
+        _, number = read.list_depth(leaf)
+        count = getattr(column_type(source, "sensor_video"), "list_size", -1)
+        return pa.schema(
+            [
+                *(
+                    field
+                    for field in source
+                    if field.name not in _SEQ_ONLY and not field.name.startswith(f"{_POSE_SEQUENCE}.")
+                ),
+                *(
+                    pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count))
+                    for part, width in _WIDTHS.items()
+                ),
+                pa.field("sensor_image", pa.list_(MEDIA_TYPE, count)),
+            ]
+        )
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
+        flat = flat_row(row)
+        schema = self.schema(flat.schema)
+        pictures: list[memoryview] = []
+        found: list[AnyArray] = [np.empty((0, 7))]
+        for each in shown_touches(row, self.method):
+            _ = each.pixels  # what passes through must be intact
+            pictures.append(each.stored)
+            found.append(each.pose[None])
+        poses = dict(zip(_WIDTHS, np.hsplit(np.concatenate(found), [3]), strict=True))
+        made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
+        for part, values in poses.items():
+            name = f"{_POSE}.{part}"
+            made[name] = number_lists([values], schema.field(name).type)
+        if row.has("pos_in_cell"):
+            row.vectors("pos_in_cell", 2)  # checked here, passed through below
+        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
+        return pa.table([columns[name] for name in schema.names], schema=schema), {}
+
+
+def resize(
+    source: Name | Place,
+    out: str | PathLike[str],
+    width: int,
+    height: int,
+    *,
+    quality: int = 95,
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Write the same data set with images or clips of another size.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`clips_to_images`.
+    width, height : int
+        Size wanted, pixels. What has it already passes through byte for byte.
+    quality : int
+        JPEG quality of images that are encoded again, 1 to 100.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`clips_to_images`.
+    """
+    if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
+        raise InputError(
+            f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
+            f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
+        )
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        options = {"width": width, "height": height, "quality": quality, "limit": limit}
+        step = ResizeMedia(width, height, quality)
+        return Conversion(opened, "resize", options, step, first_rows(opened, limit))
+
+    return write_conversion(source, out, plan, **job)
+
+
+@dataclass(frozen=True)
+class ResizeMedia:
+    """Step of ``resize``: pixels are averaged, and only what changes is encoded again."""
+
+    width: int
+    height: int
+    quality: int
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source: only the pixels change."""
+        return source
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Resize the images or clips of a row; those of the wanted size already are copied."""
+        name, suffix = "sensor_video", "avi"
+        if row.has("sensor_image"):
+            name, suffix = "sensor_image", "jpg"
+            images = SensorImages(row)
+            blobs = [self._image(images, touch) for touch in range(len(images))]
+        else:
+            blobs = [self._clip(clip) for clip in SensorClips(row)]
+        flat = flat_row(row)
+        index = flat.schema.get_field_index(name)
+        field = flat.schema.field(index)
+        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type)), {}
+
+    def _image(self, images: SensorImages, touch: int) -> bytes | memoryview:
+        if images.size(touch) == (self.height, self.width):
+            return images.encoded(touch)
+        return self._encode(images[touch])
+
+    def _clip(self, clip: TouchClip) -> bytes | memoryview:
+        if clip.size == (self.height, self.width):
+            return clip.data
+        return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
+
+    def _encode(self, pixels: UInt8) -> bytes:
+        return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)

@@ -1,0 +1,252 @@
+"""The picture that stands for each touch; touches as plain image files with an index."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from os import PathLike
+from typing import Any, Literal, Unpack
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.contact import ContactMethod, require_method
+from realtouch.contact_picture import difference
+from realtouch.contacts import background
+from realtouch.convert.conversion import (
+    Conversion,
+    Made,
+    RowChoice,
+    Source,
+    file_stem,
+    first_rows,
+    marked_repetitions,
+    table_of,
+    write_changed,
+)
+from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.poses import Poses
+from realtouch.rounds import TouchSingleRound
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound
+from realtouch.touch_clips import SensorClips, TouchClip
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit import read, store
+from tactile_toolkit.array_types import Float64, Floating, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.places import Name, Place
+from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image, is_jpeg
+
+IMAGE_FOLDER = "images"
+INDEX_FILE = "index.csv"
+_INDEX_ROWS = 16
+_INDEX_SCHEMA = pa.schema(
+    [
+        ("id", pa.string()),
+        ("file", pa.string()),
+        ("sha256", pa.string()),
+        ("round_id", pa.string()),
+        ("touch", pa.int64()),
+        ("frame", pa.int64()),
+        ("label", pa.int64()),
+        ("object_id", pa.int64()),
+        *((name, pa.float64()) for name in (*POSITION_COLUMNS, *POSE_COLUMNS)),
+    ]
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPicture:
+    """The picture that stands for a touch, and the pose of the gel then.
+
+    ``images`` holds it at ``place``: the images of the round, or the clip whose frame it is. ``pose`` are
+    position and quaternion, seven numbers, or none where there are no poses.
+    """
+
+    touch: int
+    frame: int
+    images: SensorImages | TouchClip
+    place: int
+    pose: Floating
+
+    @property
+    def stored(self) -> memoryview:
+        """The picture as it is stored."""
+        return self.images.encoded(self.place)
+
+    @property
+    def pixels(self) -> UInt8:
+        """The picture, decoded."""
+        return self.images[self.place]
+
+
+def shown_touches(row: StoredRound, method: ContactMethod) -> Iterator[TouchPicture]:
+    """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
+    if row.kind == "single":
+        images = TouchSingleRound(row).sensor_image
+        poses = np.empty((len(images), 0))
+        if row.has_poses:
+            poses = _pose_values(row.poses(), slice(None))
+        for touch in range(len(images)):
+            yield TouchPicture(touch, 0, images, touch, poses[touch])
+        return
+    for touch, clip in enumerate(SensorClips(row)):
+        frame, pose = clip.contact_index(method), np.empty(0)
+        if row.has_poses:
+            pose = _pose_values(row.pose_sequences(touch)[0], frame)
+        yield TouchPicture(touch, frame, clip, frame, pose)
+
+
+def _pose_values(at: Poses, index: int | slice) -> Float64:
+    return np.hstack([at.position_m[index], at.quaternion[index]])
+
+
+def columns_of_touches(
+    row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
+) -> dict[str, Any]:
+    """Return what a table says of the touches of a round, by column; only of what the source stores."""
+    label, count = row.label_value(), len(shown)
+    columns: dict[str, Any] = {
+        "label": np.full(count, label),
+        "label_name": [dict(enumerate(names)).get(label)] * count,
+        "round_id": [row.name()] * count,
+        "touch": np.arange(count),
+        "frame": [each.frame for each in shown],
+    }
+    if row.has("object_id"):
+        columns["object_id"] = np.full(count, row.integer("object_id"))
+    if row.has("pos_in_cell"):
+        columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
+    if shown:
+        columns |= dict(zip(POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False))
+    return columns
+
+
+def frames(
+    source: Name | Place,
+    out: str | PathLike[str],
+    kind: Literal["png", "jpeg"] = "png",
+    frame: str = "contact_end",
+    *,
+    difference: Literal["grey", "absolute"] | None = None,
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Write touches as plain image files with an index in CSV and Parquet.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`clips_to_images`.
+    kind : "png" or "jpeg"
+        Format of the files ``images/SPLIT/ROUND/TOUCH.png``. Stored JPEGs pass through byte for byte, each
+        decoded once to prove that it is intact.
+    frame : str
+        Which frame of a clip; as for :func:`clips_to_images`.
+    difference : "grey" or "absolute", optional
+        Write what differs from the background, as :func:`realtouch.difference` gives it, instead of the
+        picture: from the median of the clip, or of the images of the round.
+
+    Returns
+    -------
+    Manifest
+        Each file is named in ``index.csv`` with its checksum, label, position and pose. Whatever in an id is
+        not a letter, a digit, ``-`` or ``_`` is escaped in names of files, as in addresses. A round whose
+        id stands in a round before it is left out like a damaged one.
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`clips_to_images`.
+    """
+    if kind not in ("png", "jpeg"):
+        raise InputError(f"no picture format {kind!r}; expected png or jpeg")
+    if difference not in (None, "grey", "absolute"):
+        raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
+    method = require_method(frame)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        options: dict[str, Any] = {"kind": kind, "frame": None, "limit": limit}
+        if opened.kind == "seq":
+            options["frame"] = method
+        if difference is not None:
+            options["difference"] = difference
+        return Conversion(
+            opened,
+            "frames",
+            options,
+            WritePictures(kind, method, difference, read.class_names(opened.schema, CLASS_NAMES)),
+            marked_repetitions(opened, first_rows(opened, limit)),
+            rows_per_shard=_INDEX_ROWS,
+            rows_per_group=1 << 16,
+            extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
+            write_files=write_index,
+        )
+
+    return write_conversion(source, out, plan, **job)
+
+
+@dataclass(frozen=True)
+class WritePictures:
+    """Step of ``frames``: gives the pictures of a row, and their lines of the index.
+
+    Stored JPEGs pass through as they are. With ``difference``, pictures are what differs from the background:
+    the median of the clip, or of the images of the round. ``names`` are those of the classes.
+    """
+
+    kind: ImageFormat
+    method: ContactMethod
+    difference: Literal["grey", "absolute"] | None = None
+    names: tuple[str, ...] = CLASS_NAMES
+
+    def schema(self, source: Any) -> pa.Schema:
+        """Return the columns of the index; classes have names in it where those are not the digits."""
+        if self.names == CLASS_NAMES:
+            return _INDEX_SCHEMA
+        return _INDEX_SCHEMA.append(pa.field("label_name", pa.string()))
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Return the lines of the index of a row, and its pictures.
+
+        A row with a damaged touch is left out with all of its pictures.
+        """
+        name = file_stem(str(row.plain_value("id")))
+        shown = list(shown_touches(row, self.method))
+        base = None
+        if self.difference is not None and row.has("sensor_image") and shown:
+            # Of a round of images, once; a clip has a background of its own.
+            base = background(TouchSingleRound(row))
+        folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", IMAGE_SUFFIX[self.kind]
+        files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
+        columns = {
+            **columns_of_touches(row, shown, self.names),
+            "id": [f"{name}/{each.touch:03d}" for each in shown],
+            "file": list(files),
+            "sha256": list(map(store.sha256_hex, files.values())),
+        }
+        return table_of(self.schema(None), columns), files
+
+    def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
+        """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""
+        pixels, stored = shown.pixels, shown.stored
+        if self.difference is not None:
+            if base is None:
+                base = background(shown.images)
+            return encode_image(difference(pixels, base, self.difference), self.kind)
+        if self.kind == "jpeg" and is_jpeg(stored):
+            return bytes(stored)
+        return encode_image(pixels, self.kind)
+
+
+def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
+    """Write the index of all pictures as ``index.csv`` and return its checksum by its path."""
+    stream = io.StringIO(newline="")
+    writer = csv.writer(stream, lineterminator="\n")
+    for number, record in enumerate(manifest.shards):
+        table = read.Shard(folder.address(record.shard.data_path)).read()
+        if number == 0:
+            writer.writerow(["split", *table.column_names])
+        writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
+    content = stream.getvalue().encode()
+    return write_changed(folder, {INDEX_FILE: content})

@@ -1,0 +1,183 @@
+"""Some rounds and touches of a data set."""
+
+from __future__ import annotations
+
+import math
+import operator
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from itertools import groupby
+from operator import itemgetter
+from os import PathLike
+from typing import Any, SupportsIndex, Unpack
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
+from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, require_limit
+from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.schema import column_type, flat_row, is_per_touch, take_touches
+from realtouch.stored_round import StoredRound
+from realtouch.touch_dataset import dataset_of
+from tactile_toolkit import catalog, read, store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.places import Name, Place
+from tactile_toolkit.touch import height_text
+
+
+def select(
+    source: Name | Place,
+    out: str | PathLike[str],
+    *,
+    contact: bool = False,
+    min_height_m: float | None = None,
+    recalibrate_z: bool = True,
+    labels: Iterable[int | str] = (),
+    objects: Iterable[int | tuple[int, int]] = (),
+    per_class: int | None = None,
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Write some rounds and touches of a data set; images and clips pass through byte for byte.
+
+    Parameters
+    ----------
+    source, out, split, workers, overwrite, on_progress
+        As for :func:`clips_to_images`.
+    contact : bool
+        Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
+        a column ``plate_z_m`` keeps the height of the plate, which followed from the removed touches.
+    min_height_m : float, optional
+        Height above the plate from which a touch counts as contact, metres; see
+        :meth:`~realtouch.Touches.in_contact`.
+    recalibrate_z : bool
+        Take the deepest touch of each round as the plate, where its height is not known.
+    labels : iterable of int or str
+        Only these classes.
+    objects : iterable of int, or of pairs of them
+        Only these objects, by ``object_id``; a pair stands for all from its first to its last.
+    per_class : int, optional
+        Only the first ``per_class`` rounds of each class of each split.
+    limit : int, optional
+        Then only the first ``limit`` rounds of each split.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError, SpecMismatchError, StorageError
+        As :func:`clips_to_images`.
+    """
+    if min_height_m is not None:
+        min_height_m = float(min_height_m)
+        if not math.isfinite(min_height_m):  # nothing is as high as NaN
+            expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+            raise InputError(f"min_height_m is {min_height_m}; {expected}")
+    chosen: dict[str, Any] = {
+        "contact": contact,
+        "min_height_m": min_height_m,
+        "recalibrate_z": recalibrate_z,
+        "labels": [str(label) for label in labels],
+        "objects": [_object_ids(each) for each in objects],
+    }
+    if per_class is not None:
+        chosen["per_class"] = require_limit(per_class, "per_class")
+    return write_conversion(source, out, partial(_selection, chosen), **job)
+
+
+def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
+    options = {**chosen, "limit": limit}
+    if options["min_height_m"] is None:
+        options["min_height_m"] = MIN_CONTACT_HEIGHT_M
+        if options["contact"]:
+            options["min_height_m"] = ContactHeight.of(read.column_types(opened.schema)).min_height_m
+    choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
+    if options["contact"] and not any(choices.values()):
+        raise _no_contact(opened, options["min_height_m"])
+    return Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
+
+
+def _no_contact(source: Source, height_m: float) -> InputError:
+    heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    return InputError(
+        f"no touch that was chosen of {source.name!r} counts as contact (it does where "
+        f"{height_text(height_m)}); the highest of all touches is "
+        f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
+        next="a smaller --min-height-mm, or fewer filters",
+    )
+
+
+def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
+    """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
+    dataset, limit = dataset_of(source.shards[split]), options["limit"]
+    if options["labels"]:
+        unknown = set(options["labels"]).difference(dataset.label_names)
+        numbers = {name: int(name) for name in unknown if name.isdecimal()}
+        dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
+    if options["objects"]:
+        if not dataset.has_column("object_id"):
+            raise InputError(
+                f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
+                next="choose by --labels, or import it again with --object-column",
+            )
+        object_ids = dataset.int_column("object_id")
+        ranges = map(np.ravel, options["objects"])
+        inside = [(ends[0] <= object_ids) & (object_ids <= ends[-1]) for ends in ranges]
+        dataset = dataset[np.logical_or.reduce(inside).astype(bool)]
+    if "per_class" in options and len(dataset):
+        ((_, _, rows_kept),) = catalog.choose_rows([("", dataset)], per_class=options["per_class"])
+        dataset = dataset[rows_kept]
+    rows = dataset._row_numbers.tolist()
+    if not options["contact"]:
+        return list(map(RowChoice, rows))[:limit]
+    touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
+    places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
+    kept = groupby(sorted(places), key=itemgetter(0))
+    return [RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][:limit]
+
+
+def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
+    try:
+        if isinstance(value, tuple):
+            return tuple(map(operator.index, value))
+        return operator.index(value)
+    except TypeError as error:
+        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+
+
+@dataclass(frozen=True)
+class KeepTouches:
+    """Step of ``select``; where rounds lose touches, they differ in length."""
+
+    some_touches: bool
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source; where rounds differ, lists over touches have no fixed length.
+
+        Rounds that lose touches keep the height of their plate: the touches that showed it may be gone.
+        """
+        if not self.some_touches:
+            return source
+        fields = list(source)
+        for place, field in enumerate(source):
+            if is_per_touch(field.name, field.type):
+                fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
+        if column_type(source, PLATE_COLUMN) is None:
+            fields.append(pa.field(PLATE_COLUMN, pa.float64()))
+        return pa.schema(fields)
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Pass a row on, with the touches chosen; no image or clip is decoded."""
+        flat = flat_row(row)
+        if choice.touches is None:
+            return flat, {}
+        kept = take_touches(flat, choice.touches, row.touch_total())
+        if row.has(PLATE_COLUMN):
+            return kept, {}
+        plate_m = row.plate_z_m()
+        if math.isnan(plate_m):
+            plate_m = row.contact_z_m(row.kind).min(initial=np.inf)
+        return kept.append_column(PLATE_COLUMN, pa.array([plate_m], pa.float64())), {}

@@ -1,0 +1,79 @@
+"""Touches in the formats of other libraries, each a module of this package."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from os import PathLike
+from typing import Literal, TypeVar, Unpack, get_args
+
+from realtouch.contact import require_method
+from realtouch.convert.conversion import Conversion, Source, first_rows
+from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from tactile_toolkit import places, store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+
+T = TypeVar("T")
+ExportLayout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
+EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
+
+
+def require_layout(layout: str, known: Mapping[str, T]) -> T:
+    """Return what stands for a format; InputError where none of those known has that name."""
+    if layout not in known:
+        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
+    return known[layout]
+
+
+def export(
+    source: places.Name | places.Place,
+    out: str | PathLike[str],
+    layout: ExportLayout,
+    *,
+    frame: str = "contact_end",
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`realtouch.clips_to_images`.
+    layout : str
+        ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
+        same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
+        LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
+        holds one split. ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
+        reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
+        lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
+    frame : str
+        Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"`` and
+        ``"replay"`` take all.
+
+    Returns
+    -------
+    Manifest
+        What the folder holds now. Damaged rounds are left out and listed in it; LeRobot numbers episodes
+        without gaps, so that there they end the export.
+
+    Raises
+    ------
+    InputError
+        The source or an option cannot be used, or the folder to write holds the source.
+    IntegrityError
+        A file of the source cannot be read, or every round is damaged.
+    HubError
+        The source is on the Hub and cannot be fetched.
+    SpecMismatchError
+        The folder holds a data set of another specification.
+    StorageError
+        The folder cannot be written. What was finished stays.
+    """
+    plan, method = require_layout(layout, EXPORTS), require_method(frame)
+
+    def planned(opened: Source, limit: int | None) -> Conversion:
+        options = {"layout": layout, "limit": limit}
+        conversion: Conversion = plan(opened, first_rows(opened, limit), method, options)
+        return conversion
+
+    return write_conversion(source, out, planned, **job)

@@ -1,0 +1,221 @@
+"""Touches to import: where their images are and what is said of them; files of the source; formats."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from itertools import groupby
+from operator import attrgetter
+from typing import IO, Any, Literal, get_args
+
+from realtouch.exchange.fields import NUMBERED
+from realtouch.exchange.stored_images import require_intact
+from realtouch.touch_options import ImportColumns
+from tactile_toolkit import run, store
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.text_tables import table_lines
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
+from tactile_toolkit.wording import did_you_mean
+
+IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+
+# Images of a store that are asked for at a time: each answer takes long, and they are small.
+_FAR_READERS = 16
+
+_HERE = re.compile(r"^(?:\./+)+")
+
+ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
+
+_SIZES_SEEN = 32
+
+
+@dataclass(frozen=True, slots=True)
+class FoundTouch:
+    """A touch to import: where its image is, its fields, and why it cannot be used, if so.
+
+    ``path`` is below ``home``, the address of the source; of a group of arrays, ``part`` names what is meant.
+    ``fields`` names all fields of the source that have a value.
+    """
+
+    name: str
+    home: str
+    path: str
+    start: int
+    size: int
+    values: Mapping[str, Any] = field(repr=False)
+    problem: ItemError | None = None
+    number: int = 0
+    fields: tuple[str, ...] = field(default=(), repr=False)
+    part: str = ""
+
+    @property
+    def file(self) -> tuple[str, str]:
+        """Folder and path of the file that holds the image."""
+        return self.home, self.path
+
+    def used(self, number: int, columns: ImportColumns) -> FoundTouch:
+        """Return the touch with its number among all, the names of its fields, and the values in use."""
+        fields = tuple(name for name, value in self.values.items() if name and value not in (None, ""))
+        wanted = set(columns.found_in(fields).names())
+        if not columns.label:
+            wanted.add(NUMBERED)
+        values = {name: self.values[name] for name in self.values if name in wanted}
+        problem = self.problem
+        for name, value in values.items():
+            # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
+            if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
+                problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
+                values = {}
+                break
+        if problem is None and self.size > MAX_IMAGE_BYTES:
+            problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
+        return replace(self, number=number, values=values, problem=problem, fields=fields)
+
+
+def found_file(
+    home: store.DataFolder,
+    name: str,
+    values: Mapping[str, Any],
+    sizes: Callable[[str], Mapping[str, int]],
+    problem: ItemError | None = None,
+) -> FoundTouch:
+    """Return the touch whose image is a file; where there is no such file, with that as its problem."""
+    size = 0
+    try:
+        size = store.size_inside(home, name, sizes)
+    except ItemError as error:
+        problem = error
+    return FoundTouch(name, home.address(), name, 0, size, values, problem)
+
+
+def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
+    """Return the names of files directly in a folder that end so, in lower case, without hidden ones."""
+    return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
+
+
+ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
+"""Yields the bytes of the image of each item, in order, or why it cannot be read."""
+
+
+def common_size(items: Sequence[FoundTouch], read: ReadContents, sizes_seen: int) -> tuple[int, int] | None:
+    """Return height and width of most images, the first of equals; None where none can be read.
+
+    All are looked at only where some, spread over all, differ: to read each twice takes long.
+    """
+    usable = [item for item in items if item.problem is None]
+    sizes = _sizes(usable[:: max(1, len(usable) // sizes_seen)], read)
+    if len(sizes) != 1:
+        sizes = _sizes(usable, read)
+    return next((size for size, _ in sizes.most_common(1)), None)
+
+
+def _sizes(items: Iterable[FoundTouch], read: ReadContents) -> Counter[tuple[int, int]]:
+    """Count the sizes of images; those that are not intact do not count."""
+    sizes = Counter[tuple[int, int]]()
+    for content in read(items):
+        if isinstance(content, bytes):
+            with suppress(ValueError):
+                sizes[require_intact(content)] += 1
+    return sizes
+
+
+def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
+    """Yield the bytes of each image, in order, or why it cannot be read.
+
+    A tar is opened once for all that follow each other in it.
+    """
+    groups = [tuple(group) for _, group in groupby(items, key=attrgetter("file"))]
+    threads = 1
+    if any(store.is_remote(group[0].home) for group in groups[:1]):
+        threads = _FAR_READERS
+    for found in run.in_threads(_contents, groups, threads):
+        yield from found
+
+
+def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
+    found: list[bytes | ItemError] = []
+    unreadable = ItemError("image", "the file cannot be read")
+    try:
+        with store.open_inside(store.open_folder(items[0].home), items[0].path) as stream:
+            for item in items:
+                stream.seek(item.start)
+                found.append(stream.read(item.size))
+    except ItemError as error:
+        unreadable = error
+    except (OSError, InputError):  # what they say differs between systems
+        pass
+    return [*found, *[unreadable] * (len(items) - len(found))]
+
+
+def path_of(text: str) -> str:
+    """Return the path that a table or tar names, with slashes: programs of Windows write backslashes."""
+    return _HERE.sub("", text.strip().replace("\\", "/"))
+
+
+def source_of(place: str) -> tuple[store.DataFolder, str]:
+    """Return the folder of a file that the user named, and its name there; it may be a link itself."""
+    if not store.is_remote(place):
+        place = os.path.realpath(place)
+    return store.split_uri(place)
+
+
+def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
+    """Open a file of a source that holds many touches or what is known of them; InputError names it."""
+    try:
+        return store.open_inside(folder, name)
+    except ItemError as error:
+        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+
+
+def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the columns and lines of a table; InputError where it cannot be read."""
+    with open_source(folder, name) as stream:
+        content = stream.read()
+    return table_lines(content, folder.address(name))
+
+
+def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
+    """Refuse columns that are not there, or there several times (InputError)."""
+    for name in wanted:
+        count = known.count(name)
+        if count != 1:
+            found = f"{count} columns {name!r}; expected one"
+            if not count:
+                found = f"no column {name!r}{did_you_mean(name, known)}"
+            raise InputError(
+                f"{where!r} has {found}; found {', '.join(known) or 'none'}",
+                next="name the columns with the options of `realtouch import`",
+            )
+
+
+@dataclass(frozen=True)
+class ImportFormat:
+    """How a format is read.
+
+    ``find`` takes a folder, the columns and the path of a table, and yields the touches there. ``contents``
+    reads their images. ``sizes_seen`` is from how many of them the size of all follows, if these agree.
+    ``describe`` states how the images are converted; empty where they are taken as they are.
+    """
+
+    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[FoundTouch]]
+    contents: ReadContents = contents_of
+    sizes_seen: int = _SIZES_SEEN
+    describe: Callable[[Sequence[FoundTouch]], str] = lambda _touches: ""
+
+
+IMPORTS: dict[str, ImportFormat] = {
+    layout: ImportFormat(lazy(f"realtouch.exchange.{layout}:find_{layout}"))
+    for layout in get_args(ImportLayout)
+} | {
+    "replay": ImportFormat(
+        lazy("realtouch.exchange.replay:find_replay"),
+        lazy("realtouch.exchange.replay:encoded_frames"),
+        1,  # the pictures of one array are of one size
+        lazy("realtouch.exchange.replay:describe_conversion"),
+    )
+}

@@ -1,0 +1,78 @@
+"""Stored images: checked, named, and encoded again only where they must be."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.contact_picture import median_in_memory
+from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg
+
+_JPEG_END = b"\xff\xd9"
+_ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
+
+
+def require_intact(data: bytes | memoryview) -> tuple[int, int]:
+    """Return height and width of an image that begins and ends as an intact one does.
+
+    The pixels of a JPEG are not decoded, which would take longer than all other work, unless bytes follow the
+    mark of its end: cameras send whole buffers, and encoders of clips fill up to even lengths. Raises
+    ValueError.
+    """
+    size = image_size(data)
+    if not is_jpeg(data):
+        decode_image(data)
+    elif bytes(data[-2:]) != _JPEG_END and not bytes(data[-16:]).rstrip(b"\0").endswith(_JPEG_END):
+        try:
+            decode_image(data)
+        except ValueError as error:
+            raise ValueError(
+                f"an image of {len(data):,} bytes without the mark of its end; expected a whole JPEG"
+            ) from error
+    return size
+
+
+def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> pa.Array:
+    """Return images as a column with file names, whose endings follow from their first bytes."""
+    endings = (_ENDINGS.get(bytes(each[:2]), "webp") for each in images)
+    paths = [f"{name}.{ending}" for name, ending in zip(names, endings, strict=True)]
+    parts = [pa.array(images, pa.binary()), pa.array(paths, pa.string())]
+    return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
+
+
+def as_jpeg(image: bytes) -> bytes:
+    """Return an image for readers that know JPEG alone: as it is, or encoded again."""
+    if is_jpeg(image):
+        return image
+    return encode_image(decode_image(image))
+
+
+def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
+    """Return the pixels of an image; IntegrityError where it is damaged between its header and its end."""
+    try:
+        return decode_image(image, out)
+    except ValueError as error:
+        raise IntegrityError(
+            f"{name!r}: {error}",
+            next="run `realtouch verify` on the source, and leave the round out first (`realtouch select`)",
+        ) from error
+
+
+def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
+    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size.
+
+    Raises IntegrityError, with the name, for one that cannot be decoded.
+    """
+    sizes = {image_size(image) for image in images}
+    if len(sizes) > 1:
+        found = ", ".join(f"{width} x {height}" for height, width in sorted(sizes))
+        raise InputError(
+            f"images of {found} pixels have no common background; expected one size",
+            next="make them alike with `realtouch resize`",
+        )
+    pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
+    return encode_image(median_in_memory(np.stack(pixels)))

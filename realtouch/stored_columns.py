@@ -1,0 +1,324 @@
+"""Columns of a stored round, with one entry per touch or per frame; checked on reading.
+
+T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its clip,
+to which entries per frame are cut. What is wrong with a value is a :class:`Damage`.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.avi import MAX_CLIP_FRAMES
+from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
+from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
+from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind
+
+_NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
+
+_FIELD = re.compile(r"field '([^']+)': (.*)")
+
+# The first of these that is there says how many touches a round has; poses only where they were read alone.
+_COUNTED = (
+    "pos_in_cell",
+    "sensor_image",
+    "sensor_video",
+    "gel_pose_cell_frame.position",
+    "gel_pose_cell_frame_seq.position",
+)
+
+_UNREADABLE = (ValueError, pa.ArrowException)
+
+_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
+
+
+@dataclass(frozen=True, slots=True)
+class Damage:
+    """One thing that is wrong with a stored round.
+
+    Attributes
+    ----------
+    file : str
+        Parquet file.
+    row : int or None
+        Row in that file, the first one where the problem names several; None when all of the file is meant.
+    touch : int or None
+        Touch of the round; None when all of the round is meant.
+    field : str
+        Column; empty when no single one is meant.
+    problem : str
+        What was found, and what was expected.
+    """
+
+    file: str
+    row: int | None
+    touch: int | None
+    field: str
+    problem: str
+
+    def __str__(self) -> str:
+        named = {"row": self.row, "touch": self.touch, "field": self.field and repr(self.field)}
+        parts = [f"{name} {value}" for name, value in named.items() if value not in (None, "")]
+        return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
+
+
+class DamagedRoundError(IntegrityError):
+    """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
+
+    def __init__(self, damage: Damage) -> None:
+        super().__init__(damage, next=_NEXT)
+        self.damage = damage
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return (DamagedRoundError, (self.damage,))
+
+
+def unreadable_file(path: str, error: ToolkitError) -> Damage:
+    """Return the damage of an entire file, from the error that opening it raised."""
+    words = _cause(path, error)
+    named = _FIELD.match(words)
+    if named is None:
+        return Damage(path, None, None, "", words)
+    return Damage(path, None, None, named[1], named[2])
+
+
+def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
+    """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
+    first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
+    rows = "cannot be read"
+    if last > first:
+        rows = f"rows {first} to {last} cannot be read"
+    found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
+    return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
+
+
+def _cause(path: str, error: ToolkitError) -> str:
+    """Return what an error says, without the file and the next step, which a list names once for all."""
+    words = " ".join(error.what.split())
+    return words.removeprefix(repr(path)).lstrip(",: ")
+
+
+class StoredColumns(Row):
+    """A stored round, which reads its columns: each is checked where it is read.
+
+    T is the number of touches of the round, N_i the number of frames of touch i: the stated length of its
+    clip, to which entries per frame are cut.
+    """
+
+    __slots__ = ()
+
+    @property
+    def kind(self) -> Kind:
+        """Whether it has clips or images."""
+        if self.has(MEDIA_COLUMN["seq"]):
+            return "seq"
+        return "single"
+
+    @property
+    def has_poses(self) -> bool:
+        """Whether it has poses of the gel."""
+        return self.has(f"{POSE_COLUMN[self.kind]}.position")
+
+    def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
+        """Return the error for a field that cannot be used."""
+        return DamagedRoundError(Damage(self.path, self.number, touch, field, problem))
+
+    @contextmanager
+    def naming(self, field: str, touch: int | None = None, where: str = "") -> Iterator[None]:
+        """Turn a ValueError into damage of a field."""
+        try:
+            yield
+        except ValueError as error:
+            raise self.damaged(field, f"{where}{error}", touch) from error
+
+    def missing_column(self, field: str) -> InputError:
+        """Return the error for a column that was asked for and that the data set does not have."""
+        return InputError(
+            f"{self.path!r} has no column {field!r}",
+            next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
+        )
+
+    def column_of(self, name: str) -> NestedColumn:
+        """Return the column of a row; InputError when the data set has no column of that name."""
+        try:
+            return self.group.nested(name)
+        except KeyError as error:
+            raise self.missing_column(name) from error
+
+    def touch_total(self) -> int:
+        """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
+        # Once for a block of rows: this is asked for each touch.
+        name = next(filter(self.has, _COUNTED), _COUNTED[0])
+        starts = self.group.once("starts of touches", lambda: self.column_of(name).levels[0])
+        if isinstance(starts, int):
+            return starts
+        return int(starts[self.index + 1] - starts[self.index])
+
+    def entries_of(self, name: str, touch: int | None = None) -> tuple[NestedColumn, int, int]:
+        """Return a column and the range of its entries that are the round's, or one touch's.
+
+        Raises IntegrityError unless there are T, IndexError when it has no such touch.
+        """
+        column = self.column_of(name)
+        start, stop = column.inside(0, self.index, self.index + 1)
+        expected = self.touch_total()
+        if stop - start != expected:
+            raise self.damaged(name, f"{stop - start} touches; expected {expected} as in 'pos_in_cell'")
+        if touch is None:
+            return column, start, stop
+        first = start + checked_index(touch, expected, "touch", "touches")
+        return column, first, first + 1
+
+    def require_touches(self) -> None:
+        """Refuse a round whose columns differ in their number of touches; IntegrityError, with the column."""
+        for name in PER_TOUCH_COLUMNS:
+            if self.has(name):
+                self.entries_of(name)
+
+    def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
+        """Refuse entries of touches that are not all good; IntegrityError for the first that is not.
+
+        ``touch`` is the number of the first entry; what was ``found`` in its place is put into ``problem``.
+        """
+        if not good.all():
+            wrong = int(np.argmin(good))
+            raise self.damaged(name, problem.format(*(each[wrong] for each in found)), (touch or 0) + wrong)
+
+    def per_touch(self, name: str, touch: int | None = None) -> AnyArray:
+        """Return one value per touch, shape (T,), or one alone, (1,); IntegrityError unless there are T."""
+        column, start, stop = self.entries_of(name, touch)
+        values: AnyArray = column.values[start:stop]
+        return values
+
+    def vectors(self, name: str, width: int, touch: int | None = None) -> Floating:
+        """Return one vector per touch, shape (T, width), or that of one alone, (1, width), a view.
+
+        Raises IntegrityError for other numbers of values.
+        """
+        column, start, stop = self.entries_of(name, touch)
+        values = column.flat(1, start, stop)
+        touches = stop - start
+        if len(values) != touches * width:
+            problem = f"{len(values)} values for {touches} touches; expected {width} each"
+            if touch is not None:
+                problem = f"{len(values)} values; expected {width}"
+            raise self.damaged(name, problem, touch)
+        return values.reshape(touches, width)
+
+    def readable(self, read: Callable[[int | None], AnyArray], shape: tuple[int, ...] = ()) -> Float64:
+        """Return what is read of all touches, shape (T, ...), float64; NaN where a touch is damaged."""
+        try:
+            return read(None).astype(np.float64)
+        except IntegrityError:
+            # One by one only where something is damaged: all at once is many times as fast.
+            known = np.full((self.touch_total(), *shape), np.nan)
+        for touch in range(len(known)):
+            with suppress(IntegrityError):
+                known[touch] = read(touch)[0]
+        return known
+
+    def clip_lengths(self) -> Int64:
+        """Return the number of frames of each clip, shape (T,).
+
+        Raises IntegrityError for lengths that are missing, negative or beyond the limit.
+        """
+        values = self.per_touch("video_length_frames")
+        # False for NaN, which stands for a missing one.
+        possible = (values >= 0) & (values <= MAX_CLIP_FRAMES) & whole_numbers(values)
+        self.require_each("video_length_frames", possible, None, _TOO_LONG, values)
+        return values.astype(np.int64, copy=False)
+
+    def clip_length(self, touch: int) -> int:
+        """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
+        column, place, _ = self.entries_of("video_length_frames", touch)
+        frames = column.values[place]
+        if not (0 <= frames <= MAX_CLIP_FRAMES and int(frames) == frames):
+            raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
+        return int(frames)
+
+    def cut(self, name: str, width: int, touch: int | None = None) -> tuple[AnyArray, ...]:
+        """Return a sequence per touch, or of one alone, cut to the length of its clip: shapes (N_i, width).
+
+        A width of 0 means scalars, and shapes (N_i,). Raises IntegrityError when there are not T sequences,
+        one is too short, or entries are not ``width`` values each.
+        """
+        if touch is not None:
+            return (self._cut_touch(name, touch, width),)
+        lengths = self.clip_lengths()
+        column, first, last = self.entries_of(name)
+        padded = _padded(column, first, last, width)
+        # Published clips are padded to the longest of their round: one view, cut T times.
+        if padded is not None and padded.shape[1] >= lengths.max(initial=0):
+            return tuple(values[:length] for values, length in zip(padded, lengths.tolist(), strict=True))
+        return tuple(self._cut_touch(name, each, width) for each in range(last - first))
+
+    def _cut_touch(self, name: str, touch: int, width: int) -> AnyArray:
+        # Counted for a single touch, too: else it would be given the next round's for what is lacking.
+        column, first, _ = self.entries_of(name)
+        start, stop = column.inside(1, first + touch, first + touch + 1)
+        wanted = self.clip_length(touch)
+        if wanted > stop - start:
+            raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
+        values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
+        if len(values) != wanted * max(width, 1):
+            problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
+            raise self.damaged(name, problem, touch)
+        return values.reshape(wanted, width) if width else values
+
+    def plain_value(self, name: str) -> Any:
+        """Return a field as numpy's scalar or Python's object.
+
+        Raises InputError when the data set has no such column, IntegrityError when no value is stored, or
+        text that is not Unicode.
+        """
+        try:
+            value = self.value(name)
+        except KeyError as error:
+            raise self.missing_column(name) from error
+        except _UNREADABLE:  # one such value spoils the column of its whole block
+            value = self.stored_value(name)
+        if value is None:
+            raise self.damaged(name, "no value is stored")
+        return value
+
+    def stored_value(self, name: str) -> Any:
+        """Return a field of any type as Python's objects, looking at no other row.
+
+        Raises IntegrityError for text that is not Unicode.
+        """
+        try:
+            return self.group.arrow(name)[self.index].as_py()
+        except _UNREADABLE as error:
+            raise self.damaged(name, f"a value that cannot be read ({error})") from error
+
+    def integer(self, name: str) -> int:
+        """Return a field as an int from 0 to below 2**63; IntegrityError for others, else as plain_value."""
+        value = self.plain_value(name)
+        if not isinstance(value, np.signedinteger):
+            value = self.stored_value(name)  # a null next to it made numpy's column inexact
+        number = whole_number(value)
+        if number is None or number < 0:
+            found = "no value is stored" if value is None else f"the value is {value}"
+            raise self.damaged(name, f"{found}; expected an integer of 0 or more, below 2**63")
+        return number
+
+
+def _padded(column: NestedColumn, first: int, last: int, width: int) -> AnyArray | None:
+    """View all touches as one array (T, N, width), where they all have N frames of ``width`` values."""
+    touches = last - first
+    start, stop = column.inside(1, first, last)
+    frames = (stop - start) // max(touches, 1)
+    flat, starts = column.flat(1, first, last), column.levels[1]
+    is_even = isinstance(starts, int) or (np.diff(starts[first : last + 1]) == frames).all()
+    if not is_even or len(flat) != touches * frames * max(width, 1):
+        return None
+    return flat.reshape((touches, frames, width) if width else (touches, frames))

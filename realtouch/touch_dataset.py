@@ -1,0 +1,224 @@
+"""Data sets and streams of rounds: lazy, with random access or one after another."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from functools import cached_property, partial
+from typing import Any, ClassVar
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
+from realtouch.integrity import class_names_of
+from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
+from realtouch.schema import POSE_COLUMN, media_kind
+from realtouch.stored_round import StoredRound, rows_of, stored_rows, stored_touch_counts
+from realtouch.touches import R, Touches
+from tactile_toolkit import read
+from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+
+
+class RowsWithoutMedia(read.Rows):
+    """A block of rows of which images or clips were not read; these are opened where they are asked for.
+
+    ``number`` is that of the first of them in the source.
+    """
+
+    def __init__(self, block: read.RowGroup, source: read.RowSource, number: int) -> None:
+        super().__init__(block.path, block.first_row)
+        self._block = block
+        self._source = source
+        self._number = number
+
+    @cached_property
+    def table(self) -> pa.Table:
+        """The rows with all columns: the whole block is read."""
+        return self._source.locate(self._number)[0].table
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Columns by dotted name, those not read yet included."""
+        return read.column_names(self._source.schema)
+
+    def arrow(self, name: str) -> pa.Array:
+        """Return a column, opening the complete rows where it was left out."""
+        try:
+            return self._block.arrow(name)
+        except KeyError:
+            return super().arrow(name)
+
+
+class TouchDataset(read.RecordDataset[R]):
+    """A lazy sequence of rounds; see :class:`tactile_toolkit.read.RecordDataset`.
+
+    Parameters
+    ----------
+    table, rows, label_names
+        As for :class:`tactile_toolkit.read.RecordDataset`.
+    """
+
+    things = "rounds"
+    kind: Kind
+
+    def touches(self) -> Touches[R]:
+        """Return the flat view: every touch of every round, in order, with random access."""
+        return Touches(self)
+
+    def _row(self, number: int) -> StoredRound:
+        return StoredRound(*self._table.locate(number))
+
+    @property
+    def touch_counts(self) -> Int64:
+        """T of each round, shape (len,), int64; reads at most the column of intended positions."""
+        return self._stored_counts[self._row_numbers]
+
+    @property
+    def _stored_counts(self) -> Int64:
+        return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
+
+    @property
+    def touch_starts(self) -> Int64:
+        """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
+        return np.concatenate([[0], np.cumsum(self._stored_counts)])
+
+    def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
+        """Read the height of every stored touch; see :func:`realtouch.contact.contact_heights_m`.
+
+        Shape (touches of all stored rows,), metres above the plate, NaN where it cannot be read. Where the
+        height of the plate is known, it is always taken.
+        """
+
+        def heights_m(row: StoredRound, rule: ContactHeight) -> Float64:
+            z_m = row.readable(partial(row.contact_z_m, self.kind))
+            if rule.plate == "known":
+                return contact_heights_m(z_m, True, PRESS_DEPTH_M)
+            return contact_heights_m(z_m, recalibrate_z, row.stored_plate_z_m())
+
+        columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+        return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
+
+    def known_positions_m(self) -> Float64:
+        """Read where every stored touch was meant to be, NaN where that cannot be read.
+
+        Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
+        """
+
+        def positions_m(row: StoredRound, _rule: ContactHeight) -> Float64:
+            return row.readable(row.intended_positions, (2,))
+
+        return self._per_touch("positions", ["pos_in_cell"], positions_m)
+
+    def _per_touch(
+        self,
+        key: str,
+        columns: Sequence[str],
+        known: Callable[[StoredRound, ContactHeight], Float64],
+    ) -> Float64:
+        """Join what is known of the touches of each stored row, of a few columns."""
+
+        def of_source(source: read.RowSource) -> list[Float64]:
+            rule = ContactHeight.of(read.column_types(source.schema))
+            return [known(row, rule) for row in stored_rows([source], columns)]
+
+        values = self._table.per_shard(key, of_source)
+        if len(values) != self.touch_starts[-1]:
+            raise IntegrityError(
+                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
+                next="run `realtouch verify`, which names the rounds",
+            )
+        return values
+
+    def contact_rules(self) -> list[ContactHeight]:
+        """Return the rule by which touches of each round count as contact; joined sets may have several."""
+        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
+        of_rows = [rule for rule, count in rules for _ in range(count)]
+        return [of_rows[row] for row in self._row_numbers.tolist()]
+
+    def rounds_without_media(self) -> Iterator[tuple[int, R]]:
+        """Yield stored row number and round, row by row, without opening images or clips until asked for."""
+        number = 0
+        # Through the stored rows in their order: each block is read once, whatever the order of the view.
+        wanted = set(self._row_numbers.tolist())
+        media = MEDIA_COLUMN[self.kind]
+        for source in self._table.shards:
+            columns, start = [name for name in source.schema.names if name != media], number
+            for block in read.all_blocks([source], columns):
+                rows = RowsWithoutMedia(block, source, number - start)
+                for row in range(len(block.table)):
+                    if number + row in wanted:
+                        yield number + row, self.record_class(StoredRound(rows, row))
+                number += len(block.table)
+
+    def _each(self) -> Iterator[tuple[int, R]]:
+        places: dict[int, list[int]] = {}
+        for place, row in enumerate(self._row_numbers.tolist()):
+            places.setdefault(row, []).append(place)
+        # A view may hold a round several times, at several places.
+        for row, record in self.rounds_without_media():
+            for place in places[row]:
+                yield place, record
+
+
+class TouchSingleDataset(TouchDataset[TouchSingleRound]):
+    """Rounds with one image per touch."""
+
+    record_class: ClassVar[type[Any]] = TouchSingleRound
+    kind = "single"
+
+
+class TouchSeqDataset(TouchDataset[TouchSeqRound]):
+    """Rounds with one clip per touch."""
+
+    record_class: ClassVar[type[Any]] = TouchSeqRound
+    kind = "seq"
+
+
+def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
+    """Return the data set of some shards of one kind."""
+    dataset = _DATASETS[media_kind(shards[0].schema, shards[0].path)]
+    return dataset(read.ShardedTable(tuple(shards)), None, class_names_of(shards))
+
+
+_DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+    "seq": TouchSeqDataset,
+    "single": TouchSingleDataset,
+}
+
+
+class TouchStream(read.Stream[read.Shard]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
+
+    Parameters
+    ----------
+    shards : tuple of Shard
+        Shards to read in turn.
+    kind : "seq" or "single"
+        What they hold.
+    """
+
+    def __init__(self, shards: tuple[read.Shard, ...], kind: Kind) -> None:
+        super().__init__(shards)
+        self.kind = kind
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+        return class_names_of(self.shards)
+
+    def touches(self) -> Touches[Any]:
+        """Return the flat view: every touch of every round, in order, with random access.
+
+        A row group is read from its address when one of its rows is first asked for, and kept in the cache.
+        """
+        return dataset_of(self.shards).touches()
+
+    def __iter__(self) -> Iterator[TouchRound]:
+        """Yield rounds; a bounded block of rows is in memory at a time."""
+        blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
+        return map(_DATASETS[self.kind].record_class, rows_of(blocks))
+
+    def __repr__(self) -> str:
+        return self._described(self.kind)
