@@ -61,7 +61,7 @@ class DigitSetSpec:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "source": self.source.fingerprint(),
-            "solid": self.solid.to_dict(),
+            "solid": asdict(self.solid),
             "split": self.split.to_dict(),
             "print_profile": asdict(self.profile),
             "per_class": self.per_class,

@@ -102,7 +102,7 @@ def _plan_steps(
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
         source = source_again(opened.made_by["source"], **given)
-        solid_spec = SolidSpec.from_dict(opened.made_by["solid"])
+        solid_spec = SolidSpec(**opened.made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
         return solid.draw_steps(source.image(number).pixels, solid_spec, title)

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import pickle
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -365,7 +366,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(
 
 def test_a_specification_survives_a_manifest_and_a_process_border() -> None:
     spec = SolidSpec(profile="linear", threshold=90, lattice_pitch_mm=0.7)
-    assert SolidSpec.from_dict(spec.to_dict()) == spec
+    assert SolidSpec(**json.loads(json.dumps(asdict(spec)))) == spec
     assert pickle.loads(pickle.dumps(spec)) == spec
 
 
@@ -392,9 +393,7 @@ def test_numbers_that_describe_no_solid_are_refused_by_name(wrong: dict[str, Any
         replace(SolidSpec(), **wrong)
 
 
-def test_unknown_fields_and_methods_are_refused() -> None:
-    with pytest.raises(InputError, match="colour"):
-        SolidSpec.from_dict({"colour": "red"})
+def test_unknown_methods_are_refused() -> None:
     with pytest.raises(InputError, match="quick"):
         solidify(six(), SolidSpec(), method="quick")
 
