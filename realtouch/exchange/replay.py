@@ -150,6 +150,11 @@ def items(home: store.DataFolder, columns: ImportColumns, table: str | None) -> 
     home, path = _group_in(home)
     group = ZarrGroup(home, path)
     names = group.arrays("data")
+    if not names:
+        raise InputError(
+            f"{group.place!r} has no arrays in its group 'data'; expected a replay buffer",
+            next="give the group itself; a zip holds what is inside of the group's folder",
+        )
     name = _PIXELS.rpartition("/")[2] if columns.image in (None, "file") else str(columns.image)
     if name not in names:
         raise InputError(
