@@ -95,7 +95,7 @@ def _draw_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
 def _plan_steps(
     opened: pictures.MeshPreviews[DigitDataset], names: Sequence[str], spec: DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
-    """Plan the steps of the digits whose ids are given, or of the first digit."""
+    """Plan the steps of the digits with given ids, or of the first digit."""
     if "source" not in opened.made_by:
         raise InputError(f"{opened.name!r} does not name the source of its images")
     with catalog.specification_read(opened.name):

@@ -1,4 +1,4 @@
-"""A scene: what stands where, and how hard it was to place."""
+"""A scene: its placements, and statistics of sampling."""
 
 from __future__ import annotations
 

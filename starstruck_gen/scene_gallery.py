@@ -19,7 +19,7 @@ from tactile_toolkit.rows import Column, columns, with_role
 from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
-_OPAQUE_FROM = 150  # the fill of every object is so many levels darker than the plate
+_OPAQUE_FROM = 150  # levels by which the fill of every object is darker than the plate
 _PUBLISHED_CELL_M = SceneSpec.cell_m
 
 _SHOWN = (

@@ -26,7 +26,7 @@ NARROW_PX = 2.0
 """Ink or paper is narrow (a neck, a gap, a whisker) if its middle is nearer to the outline than this."""
 
 NARROW_REACH_PX = 3
-"""Ink and paper within so many pixels of something wider are not narrow: outlines are rough."""
+"""Distance, pixels, within which ink and paper near something wider are not narrow: outlines are rough."""
 
 NARROW_ERROR_PX = 0.25
 """Largest error of the outline of narrow parts: 0.05 mm."""
@@ -156,7 +156,7 @@ def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
 
 
 def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
-    """Return the pitch that was asked for, or the one at which marching cubes meet the vertex budget.
+    """Return the given pitch, or the one at which marching cubes meet the vertex budget.
 
     A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
     surface is made. It falls with the square of the pitch.
