@@ -40,6 +40,28 @@ CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"
 """Environment variable that names the cache folder."""
 
 
+# A folder is scanned at random: on average once while 1/32 of its limit is written, by any process. So
+# processes need not know of one another, nor scan all files for each that they write.
+_SCANS_PER_LIMIT = 32
+# Other generators repeat numbers in forked processes, or disturb a user who has seeded them.
+_CHANCE = random.SystemRandom()
+
+# Eviction frees at least 1/16 of the limit, so that not every scan evicts files.
+_ROOM_MADE = 16
+
+_unwritable: set[Path] = set()  # folders that this process no longer tries
+
+K = TypeVar("K", bound=Hashable)
+V = TypeVar("V")
+
+# Held while a memory cache changes.
+_LOCK = RLock()
+
+if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
+    # In the child, a lock that another thread held at the fork would never be released.
+    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
+
+
 def cache_folder() -> Path:
     """Return ``$TACTILE_TOOLKIT_CACHE``, or ``tactile-toolkit`` in the user's cache folder."""
     named = os.environ.get(CACHE_VARIABLE)
@@ -70,18 +92,6 @@ def _temporary_cache() -> Path:
         stacklevel=2,
     )
     return path
-
-
-# A folder is scanned at random: on average once while 1/32 of its limit is written, by any process. So
-# processes need not know of one another, nor scan all files for each that they write.
-_LOOKED_THROUGH_AFTER = 32
-# Other generators repeat numbers in forked processes, or disturb a user who has seeded them.
-_CHANCE = random.SystemRandom()
-
-# Eviction frees at least 1/16 of the limit, so that not every scan evicts files.
-_ROOM_MADE = 16
-
-_unwritable: set[Path] = set()  # folders that this process no longer tries
 
 
 @dataclass
@@ -137,7 +147,7 @@ class DiskCache:
             path.parent.mkdir(parents=True, exist_ok=True)
             if path.parent.is_symlink():  # nothing could be removed there
                 raise OSError(errno.ELOOP, "it is a symbolic link")
-            if _CHANCE.random() * self.limit_bytes < size_bytes * _LOOKED_THROUGH_AFTER:
+            if _CHANCE.random() * self.limit_bytes < size_bytes * _SCANS_PER_LIMIT:
                 self._make_room(path.parent, size_bytes)
             store.write_file(path, fill, durable=self.durable)
         except OSError as error:
@@ -200,17 +210,6 @@ def prune_cache(unused_days: float = 0.0) -> list[Path]:
                 path.unlink()
                 removed.append(path)
     return removed
-
-
-K = TypeVar("K", bound=Hashable)
-V = TypeVar("V")
-
-# Held while a memory cache changes.
-_LOCK = RLock()
-
-if hasattr(os, "register_at_fork"):  # not on Windows, which cannot fork
-    # In the child, a lock that another thread held at the fork would never be released.
-    os.register_at_fork(before=_LOCK.acquire, after_in_parent=_LOCK.release, after_in_child=_LOCK.release)
 
 
 class MemoryCache(Generic[K, V]):

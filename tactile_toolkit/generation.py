@@ -35,7 +35,7 @@ class StorageLayout:
     libraries : tuple of str
         Distributions whose versions decide bytes.
     smallest, largest, wanted : int
-        Rows of a shard, and how many shards a split of middle size has; see
+        Rows of a shard, and the number of shards of a medium split; see
         :func:`~tactile_toolkit.store.shard_ranges`.
     sampled : int
         Number of items from which the time and size of a run are estimated.

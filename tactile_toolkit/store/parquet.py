@@ -54,9 +54,8 @@ class ParquetStyle:
     page_index: bool = True
 
 
-REPORT_STYLE = ParquetStyle(
-    rows_per_group=1 << 16, page_index=False
-)  # reports are small, and read as a whole
+# Reports are small, and read as a whole.
+REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)
 
 
 def encode_parquet(table: pa.Table, style: ParquetStyle) -> bytes:
