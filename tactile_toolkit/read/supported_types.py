@@ -1,4 +1,4 @@
-"""Types of other writers, converted to those that the toolkit reads."""
+"""Conversion of Arrow types of other writers to those that the toolkit reads."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pyarrow as pa
 
 
 def supported_type(data_type: Any) -> Any:
-    """Return the type of ours for the same values: no dictionary, view, 64-bit offset or half float."""
+    """Return the supported type for the same values: no dictionary, view, 64-bit offset or half float."""
     kinds = pa.types
     if kinds.is_dictionary(data_type):
         return supported_type(data_type.value_type)
@@ -30,11 +30,11 @@ def supported_type(data_type: Any) -> Any:
 
 
 def supported_schema(schema: Any) -> Any:
-    """Return a schema with :func:`supported_type` of each column; the schema itself where all are plain."""
+    """Return a schema with :func:`supported_type` of each column; unchanged if all are supported."""
     types = list(map(supported_type, schema.types))
     if types == schema.types:
         return schema
-    # What other libraries note of a field that is changed, such as its categories, holds no more.
+    # Metadata of a changed field, such as its categories, are no longer valid.
     fields = [
         each if each.type == data_type else pa.field(each.name, data_type, each.nullable)
         for each, data_type in zip(schema, types, strict=True)
@@ -54,5 +54,5 @@ def supported_table(table: Any) -> Any:
 def _converted(column: Any, data_type: Any) -> Any:
     if "list_view" not in str(column.type):
         return column.cast(data_type)
-    # pyarrow 26 casts those with a null wrongly.
+    # pyarrow 26 casts list views with nulls incorrectly.
     return pa.chunked_array([pa.array(chunk.to_pylist(), data_type) for chunk in column.chunks], data_type)
