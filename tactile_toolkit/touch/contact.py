@@ -1,4 +1,4 @@
-"""Height above the plate from which a touch counts as contact, and options that commands share."""
+"""The cell and the plate, contact heights, and options that commands share."""
 
 from __future__ import annotations
 
@@ -7,6 +7,9 @@ from typing import Any
 from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import is_count
+
+CELL_M = (0.12, 0.12)
+"""Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""
 
 PRESS_DEPTH_M = 0.002125
 """Depth to which the highest point under the gel is pressed into it in rendered touches, metres (package
