@@ -88,7 +88,7 @@ def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...
     return claims
 
 
-def _abridged(value: Any) -> str:
+def _abridged(value: object) -> str:
     """Return the beginning of a value's repr."""
     # Aliases in a short head may expand to any size.
     short = reprlib.Repr()

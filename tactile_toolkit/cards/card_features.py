@@ -11,7 +11,7 @@ from tactile_toolkit import read
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
-def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
+def yaml_features(schema: pa.Schema, where: str = "") -> list[dict[str, Any]]:
     """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
 
     Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
@@ -23,7 +23,7 @@ def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
     return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
-def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
+def _entry(data_type: pa.DataType, feature: Any) -> dict[str, Any]:
     """Describe a column or list element by its Arrow type and metadata."""
     known = feature if isinstance(feature, dict) else {}
     if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):

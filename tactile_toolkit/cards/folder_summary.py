@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
+import pyarrow as pa
+
 from tactile_toolkit import places, read, run, store
 from tactile_toolkit.cards.card_features import yaml_features
 from tactile_toolkit.errors import InputError
@@ -38,7 +40,7 @@ class FolderSummary:
     """
 
     splits: tuple[SplitFiles, ...]
-    schema: Any
+    schema: pa.Schema
     recorded: bool = False
     viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 

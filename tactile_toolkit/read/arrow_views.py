@@ -31,7 +31,7 @@ class RaggedColumn:
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
 
-def ragged_column(array: Any) -> RaggedColumn:
+def ragged_column(array: pa.Array) -> RaggedColumn:
     """View ``list<fixed_size_list<T>[w]>``, or ``list<list<T>>`` with inner lists of one width, as numpy.
 
     Raises ValueError for nulls, and for inner lists of several widths.
@@ -48,12 +48,12 @@ def ragged_column(array: Any) -> RaggedColumn:
     return RaggedColumn(column.values.reshape(-1, width), np.asarray(offsets))
 
 
-def vectors_type(value_type: Any, width: int = 3) -> Any:
+def vectors_type(value_type: pa.DataType, width: int = 3) -> pa.DataType:
     """Return the Arrow type ``list<value_type[width]>``."""
     return pa.list_(pa.list_(value_type, width))
 
 
-def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
+def ragged_array(column: RaggedColumn, value_type: pa.DataType) -> pa.ListArray:
     """Pack contiguous rows into ``list<value_type[width]>``, without Python lists."""
     width = column.values.shape[1]
     # Not value_type.to_pandas_dtype(): it imports pandas, which takes a second.
@@ -121,7 +121,7 @@ class NestedColumn:
         return np.diff(np.asarray(self.levels[level])).astype(np.int64)
 
 
-def nested_column(array: Any) -> NestedColumn:
+def nested_column(array: pa.Array) -> NestedColumn:
     """View an Arrow array of lists of any depth as numpy."""
     levels: list[AnyArray | int] = []
     nulls = array.null_count
@@ -150,7 +150,7 @@ def nested_column(array: Any) -> NestedColumn:
     return NestedColumn(tuple(levels), BytesColumn(blobs, starts, present), nulls)
 
 
-def numpy_values(array: Any) -> AnyArray:
+def numpy_values(array: pa.Array) -> AnyArray:
     """Return the values of an Arrow array, read-only; numbers become floats if some are null."""
     # Arrow's `to_numpy` imports pandas, which takes half a second.
     if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
@@ -161,7 +161,7 @@ def numpy_values(array: Any) -> AnyArray:
     return values
 
 
-def table_bytes(table: Any) -> Any:
+def table_bytes(table: pa.Table) -> pa.Buffer:
     """Pack a table as an Arrow stream; returns an Arrow buffer."""
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as writer:

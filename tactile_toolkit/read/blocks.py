@@ -10,7 +10,7 @@ import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import pyarrow as pa
 import xxhash
@@ -63,21 +63,21 @@ def are_kept(files: Sequence[Path]) -> bool:
     return all(file.exists() for file in files)
 
 
-def write_block(file_name: str, table: Any, stream: IO[bytes]) -> None:
+def write_block(file_name: str, table: pa.Table, stream: IO[bytes]) -> None:
     """Write a table with one chunk per column into a stream, as the content of a file of that name."""
     content = table_bytes(table)
     stream.write(content)
     stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
 
 
-def _checksum(content: Any, file_name: str) -> int:
+def _checksum(content: pa.Buffer, file_name: str) -> int:
     # Against accidents, not forgery: 10.9 GB/s, compared with 3.1 for CRC-32 and 1.4 for SHA-256. It depends
     # on the name of the file.
     seed = xxhash.xxh3_64_intdigest(file_name.encode())
     return int(xxhash.xxh3_64_intdigest(content, seed=seed))
 
 
-def map_block(path: Path) -> tuple[Any, int]:
+def map_block(path: Path) -> tuple[pa.Table, int]:
     """Map a block into memory, without a copy; its checksum is compared once in each process.
 
     Returns the table and the number of mapped bytes. The toolkit only creates and removes such files, which

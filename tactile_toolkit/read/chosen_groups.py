@@ -5,7 +5,8 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from itertools import accumulate, pairwise
-from typing import Any
+
+import pyarrow as pa
 
 from tactile_toolkit.read.row_group import RowGroup, Rows
 from tactile_toolkit.read.shard import Shard
@@ -37,7 +38,7 @@ class ChosenGroups:
         """Decode the blocks of a row group one after another."""
         return self.shard.blocks(self.groups[index], columns)
 
-    def column(self, name: str) -> Any:
+    def column(self, name: str) -> pa.Array:
         """Read one column as an Arrow array."""
         return RowGroup(self.shard.read([name], self.groups), self.path).arrow(name)
 

@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import msgspec
+import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
 
@@ -28,7 +29,7 @@ class _Metadata(msgspec.Struct):
     info: _Info | None = None
 
 
-def dtype_name(data_type: Any) -> str:
+def dtype_name(data_type: pa.DataType) -> str:
     """Return the name in `datasets` of an Arrow type of scalars."""
     return _DTYPES.get(str(data_type), str(data_type))
 
@@ -43,7 +44,7 @@ def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
 
 
-def stored_features(schema: Any, where: str) -> dict[str, Any]:
+def stored_features(schema: pa.Schema, where: str) -> dict[str, Any]:
     """Return the features that `datasets` stored in a schema, by column; empty if there are none.
 
     Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
@@ -62,7 +63,7 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def class_names(schema: Any, default: N, where: str = "") -> tuple[str, ...] | N:
+def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ...] | N:
     """Return the class names that `datasets` stored in a schema, or ``default``.
 
     Raises IntegrityError, which names the data set ``where``, for invalid metadata.

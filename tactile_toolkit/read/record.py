@@ -85,7 +85,7 @@ class Row:
         # In Arrow, NaN is not equal to itself; as text it is.
         return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle as a table of this row alone, not of its row group."""
         content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
         return _row_from_ipc, (content, self.path, self.number)
@@ -109,7 +109,7 @@ class Record:
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (self._row,))
 
     def __eq__(self, other: object) -> bool:

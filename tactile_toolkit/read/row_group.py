@@ -29,7 +29,7 @@ class Rows:
     ``first_row`` are the origin of the rows, for messages.
     """
 
-    table: Any
+    table: pa.Table
 
     def __init__(self, path: str = "", first_row: int = 0) -> None:
         self.path = path
@@ -44,7 +44,7 @@ class Rows:
         return column_names(self.table.schema)
 
     @cached_property
-    def flat_table(self) -> Any:
+    def flat_table(self) -> pa.Table:
         """The rows with the fields of structs as columns of their own, by dotted name."""
         table = self.table
         while any(map(pa.types.is_struct, table.schema.types)):
@@ -85,7 +85,7 @@ class Rows:
         column = self._flat.get(name)
         return self._flat.setdefault(name, numpy_values(self.arrow(name))) if column is None else column
 
-    def arrow(self, name: str) -> Any:
+    def arrow(self, name: str) -> pa.Array:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
 
         Raises KeyError when the column does not exist.
@@ -102,13 +102,13 @@ class RowGroup(Rows):
     ``mapped_bytes`` is its size in a mapped file of the cache; 0 if it is in memory.
     """
 
-    def __init__(self, table: Any, path: str = "", first_row: int = 0, mapped_bytes: int = 0) -> None:
+    def __init__(self, table: pa.Table, path: str = "", first_row: int = 0, mapped_bytes: int = 0) -> None:
         super().__init__(path, first_row)
         self.table = table
         self.mapped_bytes = mapped_bytes
 
 
-def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
+def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
     """Find rows of a table, with one chunk per column, in which given columns hold a null at any depth.
 
     Returns the number of each such row with the first null field: ``"placements.shape"``. Absent columns are
@@ -125,7 +125,7 @@ def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     return found
 
 
-def _first_null(array: Any, name: str) -> str:
+def _first_null(array: pa.Array, name: str) -> str:
     """Return the first field in or below a column with a null value; "" if there is none."""
     if array.null_count:
         return name

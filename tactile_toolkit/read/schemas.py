@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any
 
 import pyarrow as pa
 
-Expected = tuple[int, tuple[Callable[[Any], bool], ...], str]
+Expected = tuple[int, tuple[Callable[[pa.DataType], bool], ...], str]
 """Required type of a column: depth of nesting, tests of the innermost type (one must hold), description."""
 
 
-def list_depth(data_type: Any) -> tuple[int, Any]:
+def list_depth(data_type: pa.DataType) -> tuple[int, pa.DataType]:
     """Return the number of nested lists in an Arrow type, and the innermost type."""
     depth = 0
     while isinstance(data_type, (pa.ListType, pa.FixedSizeListType)):
@@ -19,7 +18,7 @@ def list_depth(data_type: Any) -> tuple[int, Any]:
     return depth, data_type
 
 
-def column_types(fields: Iterable[Any], prefix: str = "") -> dict[str, Any]:
+def column_types(fields: Iterable[pa.Field], prefix: str = "") -> dict[str, pa.DataType]:
     """Return the Arrow type of each column of a schema by dotted name; structs precede their fields.
 
     Struct ``a<b, c>`` and flat columns ``a.b``, ``a.c`` have the same names.
@@ -33,13 +32,13 @@ def column_types(fields: Iterable[Any], prefix: str = "") -> dict[str, Any]:
     return types
 
 
-def column_names(schema: Any) -> tuple[str, ...]:
+def column_names(schema: pa.Schema) -> tuple[str, ...]:
     """List columns by dotted name, at any depth, with the fields of structs."""
     types = column_types(schema).items()
     return tuple([name for name, data_type in types if not pa.types.is_struct(data_type)])
 
 
-def wrong_type(types: Mapping[str, Any], expected: Mapping[str, Expected]) -> str:
+def wrong_type(types: Mapping[str, pa.DataType], expected: Mapping[str, Expected]) -> str:
     """Describe the first existing column with an unreadable type; empty if there is none."""
     for name in filter(types.__contains__, expected):
         depth, tests, words = expected[name]

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import pyarrow as pa
 
@@ -46,15 +46,20 @@ from tactile_toolkit.read.row_group import RowGroup
 from tactile_toolkit.read.schemas import column_types
 from tactile_toolkit.read.supported_types import supported_schema, supported_table
 
+if TYPE_CHECKING:
+    from pyarrow import parquet
+
 _BLOCK_BYTES = 64 << 20
 # Unpacked sizes of physical types of Parquet; others take at least four bytes, a number or an offset.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
 # A row group that expands by more than this might be a single row; padding of clips expands about 20 times.
 _MOST_EXPANSION = 500
 
+Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
+
 # Metadata and Arrow schema by content and stated rows, some hundred kB for a large shard. The schema object
 # of the metadata is not kept, because both refer to each other and would wait for the garbage collector.
-_FOOTERS: MemoryCache[tuple[str, int | None], tuple[Any, Any]] = MemoryCache(128)
+_FOOTERS: MemoryCache[tuple[str, int | None], Footer] = MemoryCache(128)
 
 
 @dataclass(frozen=True)
@@ -80,11 +85,11 @@ class Shard:
                 _ = self.identity
 
     @property
-    def _footer(self) -> tuple[Any, Any]:
+    def _footer(self) -> Footer:
         return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
 
     @property
-    def metadata(self) -> Any:
+    def metadata(self) -> parquet.FileMetaData:
         """The Parquet footer: row groups, columns, schema; read again if it was evicted.
 
         Raises IntegrityError where the file has none, or differs from the manifest in size.
@@ -92,12 +97,12 @@ class Shard:
         return self._footer[0]
 
     @property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """The Arrow schema with supported types, to which rows are converted when decoded."""
         return self._footer[1]
 
     @property
-    def types(self) -> dict[str, Any]:
+    def types(self) -> dict[str, pa.DataType]:
         """Arrow type of each column, and of each struct, by dotted name."""
         return column_types(self.schema)
 
@@ -125,7 +130,7 @@ class Shard:
     def __len__(self) -> int:
         return int(self.metadata.num_rows) if self.rows is None else self.rows
 
-    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
+    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
         """Decode row groups, with all columns or those named (fields of structs by dotted name)."""
         parquet, (metadata, _) = self._open()
         wanted = range(metadata.num_row_groups) if groups is None else groups
@@ -135,7 +140,7 @@ class Shard:
             # No threads of Arrow, because shards are already read in parallel.
             return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
 
-    def column(self, name: str) -> Any:
+    def column(self, name: str) -> pa.Array:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
@@ -257,7 +262,7 @@ class Shard:
             size_bytes //= max(group.num_rows, 1)
         require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
-    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
+    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         rows = self.block_rows[index]
         waiting = None
         with self._named_damage():
@@ -322,7 +327,9 @@ class Shard:
         """Whether the path is an address."""
         return "://" in self.path
 
-    def _opened(self, metadata: Any) -> tuple[Any, tuple[object, ...], int]:
+    def _opened(
+        self, metadata: parquet.FileMetaData | None
+    ) -> tuple[parquet.ParquetFile, tuple[object, ...], int]:
         """Open the file, whose footer may be known; return it with its identity and size in bytes."""
         if not self.is_remote:
             # After opening, so that the identity is not that of an earlier file.
@@ -350,7 +357,7 @@ class Shard:
                 self._require_same(identity, known)
                 yield stream
 
-    def fingerprint(self) -> dict[str, Any]:
+    def fingerprint(self) -> dict[str, str | int]:
         """Return JSON values that identify the rows; the footer holds the size of each column.
 
         From now on, a file that replaces this one is refused.
@@ -365,7 +372,7 @@ class Shard:
         name = self.path.rpartition("/")[2]
         return {"file": name, "rows": len(self), "bytes": size_bytes, "footer_sha256": digest}
 
-    def _open(self) -> tuple[Any, tuple[Any, Any]]:
+    def _open(self) -> tuple[parquet.ParquetFile, Footer]:
         """Open the file, check that it was not replaced, and return it with its footer."""
         key = (self.digest, self.rows)
         footer = _FOOTERS.get(key)

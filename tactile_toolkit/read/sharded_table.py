@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, chain
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_toolkit import run
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -48,7 +49,7 @@ class ShardedTable:
     def _columns(self) -> dict[str, AnyArray]:
         return {}
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle as paths; the other process opens maps again."""
         return type(self), (self.shards,)
 
@@ -56,12 +57,12 @@ class ShardedTable:
         return self._starts[-1]
 
     @property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the first shard, or None without shards."""
         return self.shards[0].schema if self.shards else None
 
     @property
-    def schemas(self) -> list[Any]:
+    def schemas(self) -> list[pa.Schema]:
         """Arrow schemas of the first shard of each set: a split of a data set."""
         # Each file that is not named as a shard is its own set.
         first = {shard.set_name: shard for shard in reversed(self.shards)}

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
+
+import pyarrow as pa
 
 from tactile_toolkit.read.row_group import RowGroup, Rows
 
@@ -16,7 +18,7 @@ class RowSource(Protocol):
         """File of the rows; empty if there is none."""
 
     @property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the rows."""
 
     @property
@@ -52,7 +54,7 @@ class RowSource(Protocol):
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Read a row group in blocks, one by one, without caching; all columns or those named."""
 
-    def column(self, name: str) -> Any:
+    def column(self, name: str) -> pa.Array:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
 
     def unpack(self, index: int) -> int:

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pyarrow as pa
 
 
-def supported_type(data_type: Any) -> Any:
+def supported_type(data_type: pa.DataType) -> pa.DataType:
     """Return the supported type for the same values: no dictionary, view, 64-bit offset or half float."""
     kinds = pa.types
     if kinds.is_dictionary(data_type):
@@ -29,7 +27,7 @@ def supported_type(data_type: Any) -> Any:
     return pa.list_(element, data_type.list_size if kinds.is_fixed_size_list(data_type) else -1)
 
 
-def supported_schema(schema: Any) -> Any:
+def supported_schema(schema: pa.Schema) -> pa.Schema:
     """Return a schema with :func:`supported_type` of each column; unchanged if all are supported."""
     types = list(map(supported_type, schema.types))
     if types == schema.types:
@@ -42,7 +40,7 @@ def supported_schema(schema: Any) -> Any:
     return pa.schema(fields, schema.metadata)
 
 
-def supported_table(table: Any) -> Any:
+def supported_table(table: pa.Table) -> pa.Table:
     """Return a table with the types of :func:`supported_schema`; the same table where it has them."""
     schema = supported_schema(table.schema)
     if schema is table.schema or schema.types == table.schema.types:
@@ -51,7 +49,7 @@ def supported_table(table: Any) -> Any:
     return pa.table(columns, schema=schema)
 
 
-def _converted(column: Any, data_type: Any) -> Any:
+def _converted(column: pa.ChunkedArray, data_type: pa.DataType) -> pa.ChunkedArray:
     if "list_view" not in str(column.type):
         return column.cast(data_type)
     # pyarrow 26 casts list views with nulls incorrectly.
