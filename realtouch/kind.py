@@ -73,6 +73,6 @@ KIND = DatasetKind(
         *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),
         *(tactile_mnist_set(*each) for each in _RENDERED),
     ),
-    plan_previews=lazy("realtouch.previews:plan_previews"),
-    plan_gallery=lazy("realtouch.gallery:plan_gallery"),
+    plan_previews=lazy("realtouch.touch_previews:plan_previews"),
+    plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
 )

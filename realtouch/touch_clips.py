@@ -22,7 +22,7 @@ from realtouch.poses import Poses
 from realtouch.sensor_images import in_parallel, room_for
 from realtouch.stored_round import StoredRound
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.read import checked_index, picks_several, positions
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -195,20 +195,6 @@ class TouchClip(Sequence[UInt8]):
         if times is None:
             return self.media_times_s
         return times[0]
-
-    def at(self, time_s: float) -> UInt8:
-        """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
-
-        Raises
-        ------
-        InputError
-            The time lies before the first frame, or more than one frame's duration after the last.
-        """
-        times = self.timestamps_s
-        if not len(times) or not times[0] <= time_s <= times[-1] + 1.0 / self.fps:
-            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no frames"
-            raise InputError(f"no frame at {time_s} s; expected a time within the clip, {span}")
-        return self[int(np.searchsorted(times, time_s, side="right")) - 1]
 
     @property
     def poses(self) -> Poses:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.kind import KIND
@@ -35,6 +36,7 @@ SENSING_AREA_M = (0.01888, 0.01416)
 CELL_M = (0.12, 0.12)
 """Size of the cell along x and y, metres (package tactile-mnist 0.13.0)."""
 
+_AFFINE = Image.Transform.AFFINE
 # Share of a side over which a picture fades: no edges show where touches overlap.
 _FEATHER = 0.06
 # A touch of bare plate counts a little, or nothing would be seen where only such are.
@@ -194,13 +196,12 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     for touch in touches:
         window, back = _back_to_touch(touch, cell)
         weight = _weight(touch.pixels, rest)
-        colours = _taken(touch.pixels.astype(np.float32), window, back)
-        share = _taken(weight, window, back)
-        inside = _taken(np.ones_like(weight), window, back, nearest=True) > 0.5
-        share = np.where(inside, share, 0.0)[:, :, None]
-        rows, columns = window
-        sums[rows, columns] += share * colours
-        weights[rows, columns] += share
+        layers = np.dstack([touch.pixels.astype(np.float32), weight])
+        sampled = _sampled(layers, window, back, Image.Resampling.BILINEAR)
+        inside = _sampled(np.ones_like(layers[..., :1]), window, back, Image.Resampling.NEAREST) > 0.5
+        share = np.where(inside, sampled[..., 3:], 0.0)
+        sums[window] += share * sampled[..., :3]
+        weights[window] += share
     mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
     return np.round(mixed).astype(np.uint8)
 
@@ -233,17 +234,10 @@ def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slic
     return window, back
 
 
-def _taken(
-    values: Float32, window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
-) -> Float64:
-    """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
-    from PIL import Image
-
+def _sampled(
+    layers: Float32, window: tuple[slice, slice], back: tuple[float, ...], method: Image.Resampling
+) -> Float32:
+    """Sample layers of a picture, (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
     size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
-    method = Image.Resampling.NEAREST if nearest else Image.Resampling.BILINEAR
-    planes = values[:, :, None] if values.ndim == 2 else values
-    sampled = [
-        np.asarray(Image.fromarray(plane).transform(size, Image.Transform.AFFINE, back, method))
-        for plane in np.moveaxis(np.ascontiguousarray(planes), 2, 0)
-    ]
-    return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]
+    planes = map(Image.fromarray, np.moveaxis(np.ascontiguousarray(layers), 2, 0))
+    return np.dstack([np.asarray(each.transform(size, _AFFINE, back, method)) for each in planes])

@@ -26,7 +26,7 @@ from tactile_toolkit.touch import decode_image
 if TYPE_CHECKING:
     import torch
 else:
-    with needs_extra("realtouch.torch", "torch", "torch"):
+    with needs_extra("realtouch.touch_tensors", "torch", "torch"):
         import torch
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
@@ -215,6 +215,6 @@ def _tensor(kind: str, pixels: UInt8) -> Any:
 
 
 def _tv_tensors() -> Any:
-    with needs_extra("realtouch.torch", "torchvision", "torch"):
+    with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
         from torchvision import tv_tensors
     return tv_tensors
