@@ -225,9 +225,7 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
     found, base = _with_background(pictures, background)
     rows, columns = rule.window(*base.shape[:2])
     score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
-    if found.ndim == 3:
-        return score.of_picture(0)
-    return score
+    return score.of_picture(0) if found.ndim == 3 else score
 
 
 def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:

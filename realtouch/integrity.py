@@ -70,9 +70,7 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
 def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
     """Return the names of the classes as the first file states them, or else those of the digits."""
     stated = stated_class_names(shards)
-    if stated is None:
-        return CLASS_NAMES
-    return stated
+    return CLASS_NAMES if stated is None else stated
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:

@@ -84,9 +84,7 @@ def origin_of(schema: Any, manifest: store.Manifest | None) -> Origin:
             return "imported"
         if stated == "synthetic":
             return "synthetic"
-    if _is_rendered(schema):
-        return "synthetic"
-    return "real"
+    return "synthetic" if _is_rendered(schema) else "real"
 
 
 def require_types(shard: read.Shard) -> None:

@@ -94,9 +94,7 @@ def unreadable_file(path: str, error: ToolkitError) -> Damage:
 def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
     first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
-    rows = "cannot be read"
-    if last > first:
-        rows = f"rows {first} to {last} cannot be read"
+    rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
     found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
 
@@ -119,9 +117,7 @@ class StoredColumns(Row):
     @property
     def kind(self) -> Kind:
         """Whether it has clips or images."""
-        if self.has(MEDIA_COLUMN["seq"]):
-            return "seq"
-        return "single"
+        return "seq" if self.has(MEDIA_COLUMN["seq"]) else "single"
 
     @property
     def has_poses(self) -> bool:

@@ -153,9 +153,7 @@ class StoredRound(StoredColumns):
     def name(self) -> str:
         """Return the id, text or an integer, as text; raises as :meth:`integer`."""
         value = self.plain_value("id")
-        if isinstance(value, str):
-            return value
-        return str(self.integer("id"))
+        return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
         """Return the class, -1 where it is not known, as `datasets` has it.

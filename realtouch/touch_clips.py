@@ -192,9 +192,7 @@ class TouchClip(Sequence[UInt8]):
         Those stored with the round; the file's own clock in data sets without them.
         """
         times = self._row.stamps_s(self.touch)
-        if times is None:
-            return self.media_times_s
-        return times[0]
+        return self.media_times_s if times is None else times[0]
 
     @property
     def poses(self) -> Poses:
@@ -293,9 +291,7 @@ class SensorClips(Sequence[TouchClip]):
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
         :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        size = (0, 0)
-        if self._count:
-            size = self[0].size
+        size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 

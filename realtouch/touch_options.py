@@ -159,9 +159,7 @@ class ImportColumns:
 
 def _columns_in(columns: str | tuple[str, ...]) -> set[str]:
     """Return one column or several as a set."""
-    if isinstance(columns, str):
-        return {columns}
-    return set(columns)
+    return {columns} if isinstance(columns, str) else set(columns)
 
 
 @dataclass(frozen=True, slots=True)

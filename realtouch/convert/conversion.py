@@ -47,9 +47,7 @@ _KEPT = 60  # of a longer one, before its digest
 
 def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
     """Return the splits that are meant: the one named, or all."""
-    if split is None:
-        return place.splits
-    return (split,)
+    return place.splits if split is None else (split,)
 
 
 @dataclass(frozen=True)
@@ -281,9 +279,7 @@ def file_stem(round_id: str) -> str:
 def id_of_stem(stem: str) -> str:
     """Return the id of which :func:`file_stem` made a name; a name that others made, as it is."""
     round_id = unquote(stem)
-    if file_stem(round_id) == stem:
-        return round_id
-    return stem
+    return round_id if file_stem(round_id) == stem else stem
 
 
 def _escaped(found: re.Match[bytes]) -> bytes:

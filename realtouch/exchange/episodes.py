@@ -81,9 +81,7 @@ class Episodes:
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
         name, label = row.name(), row.label_value(self.names)
-        object_id = 0
-        if row.has("object_id"):
-            object_id = row.integer("object_id")
+        object_id = row.integer("object_id") if row.has("object_id") else 0
         schema = self.schema(row.group.table.schema)
         tables = [schema.empty_table()]
         for touch, touches, images, columns in self._episodes(row):
