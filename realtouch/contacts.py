@@ -1,4 +1,4 @@
-"""What users of the touches do before training: backgrounds, and contact by the picture."""
+"""Preparation for training: backgrounds, and contact by the picture."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of data sets of touches."""
+"""What other packages need to know about data sets of touches."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RENDERED = tuple(
     for prefix, things in (("", "digits"), ("starstruck-", "scenes"))
     for width, height in ((320, 240), (64, 64))
 )
-# Patterns of what `verify` and `upload` take for the data set's own next to `data`.
+# Files next to `data` that belong to the data set, for `verify` and `upload`.
 _EXCHANGED = (
     "webdataset/*.tar",
     "lerobot/data/*/*.parquet",

@@ -92,7 +92,7 @@ def require_types(shard: read.Shard) -> None:
 
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
-    # Asked for only to have it fail here, by name, and not at the first label.
+    # Read here so that an error names the file, and not only at the first label.
     _ = shard.class_names
     problem = read.wrong_type(shard.types, KNOWN_COLUMNS)
     if problem:
@@ -157,7 +157,7 @@ def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Tabl
     columns = []
     for name in table.column_names:
         array = table.column(name).combine_chunks()
-        # A column of another length does not say which of its entries belongs to which touch: it stays whole.
+        # A column of another length has no entry per touch and is kept as a whole.
         if is_per_touch(name, array.type) and len(array.flatten()) == count:
             values = array.flatten().take(chosen)
             array = _outer_list(values, [len(touches)], pa.list_(array.type.value_type))

@@ -37,15 +37,15 @@ CELL_M = (0.12, 0.12)
 """Size of the cell along x and y, metres (package tactile-mnist 0.13.0)."""
 
 _AFFINE = Image.Transform.AFFINE
-# Share of a side over which a picture fades: no edges show where touches overlap.
+# Share of a side over which a picture fades, so that overlapping touches show no edges.
 _FEATHER = 0.06
-# A touch of bare plate counts a little, or nothing would be seen where only such are.
+# Touches of bare plate count a little, so that areas with no other touch show something.
 _PLAIN_WEIGHT = 0.02
 _MOST_THREADS = 4
 
 
 def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> pictures.PicturePlan:
-    """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
+    """Plan the pictures of a data set that :func:`realtouch.load` opens; draws none.
 
     Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
     it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
@@ -135,13 +135,13 @@ class CellMap:
     px_per_m: float
 
     def point_px(self, point_m: Sequence[float] | AnyArray) -> tuple[float, float]:
-        """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
+        """Return the column and row of a point of the cell; 0 is the outer edge of the first pixel."""
         x, y = float(point_m[0]), float(point_m[1])
         return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
 
 
 def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
-    """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
+    """Read the pictures of some touches and the positions of the gel; of clips, the last frame of contact.
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
@@ -166,7 +166,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
 def cell_map(
     touches: Sequence[PlacedTouch], px_per_mm: float, cell_m: tuple[float, float] = CELL_M
 ) -> CellMap:
-    """Return a map that holds the cell and every touch whole."""
+    """Return a map that shows the cell and every touch completely."""
     # Touches near the edge of the cell reach beyond it.
     reach = np.array(cell_m) / 2
     for touch in touches:
@@ -219,7 +219,7 @@ def _weight(pixels: UInt8, rest: Float64) -> Float32:
 
 
 def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slice], tuple[float, ...]]:
-    """Return the window of the map that a touch reaches, and the way from there to pixels of the touch."""
+    """Return the window of the map that a touch covers, and the affine map from there to its pixels."""
     height, width = touch.pixels.shape[:2]
     # Metres along columns and rows of the touch -> pixels of the map, whose rows grow along -y.
     to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])

@@ -31,7 +31,7 @@ else:
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 
-# Rounds that were met last; a batch of a training job holds a touch or two of each.
+# Least recently used rounds are evicted; a training batch holds a touch or two of each.
 _ROUNDS_KEPT = 1024
 
 Transform = Callable[[Any], Any]
@@ -169,9 +169,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
-        """Decode images of one size, shape (n, 3, H, W), next to their touches; None where they are not that.
+        """Decode images of one size, shape (n, 3, H, W), and their touches; None if sizes differ.
 
-        Where an image is damaged it is None, too: asking for the item by itself raises the error.
+        It is None for a damaged image as well; the error is raised when the item is requested.
         """
         if self.touches.dataset.kind != "single" or not len(indices):
             return None

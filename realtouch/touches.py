@@ -156,7 +156,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             A file is damaged, or a column has not one entry per touch.
         """
         places = self.round_positions
-        # Of no touches, the first round has the columns.
+        # Without touches, the first round defines the columns.
         rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
         rows = [self.dataset[place]._row for place in rounds]
         # The library's own fingerprint would be that of all bytes.
@@ -193,7 +193,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
     def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
-        """Return of each touch whether the gel stopped on an object, shape (len,).
+        """Return whether the gel stopped on an object in each touch, shape (len,).
 
         Parameters
         ----------
@@ -324,7 +324,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     @property
     def identity(self) -> str:
-        """What distinguishes these touches from all others, also from later ones of the same files."""
+        """Identifies these touches; differs if the files change."""
         rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {rounds}"
 
@@ -357,9 +357,9 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
 
 def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
-    """Return the places of all touches with contact, and of so many without that they are a share of both.
+    """Return the places of all touches with contact, and of a share without.
 
-    Raises InputError for a fraction, a seed or a mask that is none.
+    Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
         to_builtin_number(fraction, float),

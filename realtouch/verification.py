@@ -34,7 +34,7 @@ def check_index(
     *,
     decode: bool,
 ) -> tuple[int, int]:
-    """Add what is wrong with the files that an index names; return how many rounds and touches it has."""
+    """Add the damage of the files of an index; return its numbers of rounds and touches."""
     named = {finding.file for finding in findings}
     total = sum(record.rows for record in manifest.shards)
     rounds = set[str]()
@@ -62,7 +62,7 @@ def check_index(
 def _damage_in_file(
     folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
 ) -> Iterator[Damage]:
-    """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
+    """Compare a file with its checksum, if given, and check its images; yield the damage."""
     if sha256 is not None and not store.is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         if not folder.exists(path):
@@ -83,7 +83,7 @@ def _damage_in_file(
 
 
 def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
-    """Yield the images in a tar, in a column of a Parquet file that has one, or the one that a file is."""
+    """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
             for member in files_of_tar(stream, folder.size_bytes(path)):
@@ -133,7 +133,7 @@ def verify(
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> TouchVerification:
-    """Check every file, round, touch and frame of a data set, and list all that is wrong.
+    """Check every file, round, touch and frame of a data set, and list all damage.
 
     Parameters
     ----------
@@ -193,7 +193,7 @@ def _check_rounds(
     decode: bool,
     workers: int,
 ) -> tuple[int, int]:
-    """Add what is wrong with the rounds of all splits; return how many rounds and touches were read."""
+    """Add the damage of the rounds of all splits; return the numbers of rounds and touches read."""
     total = sum(len(shard) for files in splits for shard in files)
     rounds = touches = 0
     seen: dict[str, str] = {}
@@ -213,13 +213,13 @@ def _check_rounds(
 
 
 def check_folder(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
-    """List what is wrong with a folder before it is uploaded; decodes no picture."""
+    """List the problems of a folder before it is uploaded; decodes no picture."""
     found = verify(folder.address(), quick=True, workers=workers).findings
     return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[Damage]:
-    """List the columns that some files of a split have and others do not: they can be read of no row."""
+    """List the columns that some files of a split lack; they cannot be read of the split."""
     names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"

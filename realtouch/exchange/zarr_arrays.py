@@ -34,7 +34,7 @@ _MOST_METADATA_BYTES = 1 << 20
 _MOST_CHUNKS = 1 << 18
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
-# What the standard library, Arrow and numcodecs raise; MemoryError is what a damaged header asks for.
+# Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
 _LEVEL = 1
 
