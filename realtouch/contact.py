@@ -25,10 +25,10 @@ CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 """Names of the ways to choose one frame: see :meth:`realtouch.TouchClip.contact_index`."""
 
 CLOCK_TOLERANCE_S = 1e-4
-"""Times so close count as one, seconds: what single precision rounds off in a clock's first half hour."""
+"""Times within this tolerance are equal, seconds: rounding of single precision in the first half hour."""
 
 MIN_CONTACT_HEIGHT_M = 0.006
-"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
+"""Height of the gel above the plate from which a touch is a contact, metres: the publisher's threshold."""
 
 PLATE_COLUMN = "plate_z_m"
 """Height of the plate in a round from which `select` took touches, metres, cell frame."""

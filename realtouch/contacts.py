@@ -208,7 +208,7 @@ def contacts_by_image(
     given: object = touches
     if not isinstance(given, Touches):
         raise InputError(
-            f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
+            f"a {type(given).__name__} was given; expected touches, such as "
             "`realtouch.load(...).touches()`"
         )
     rule = rule or ContactRule()

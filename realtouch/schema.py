@@ -42,7 +42,7 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
     "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
     "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
 }
-"""What each column of a set of touches must be, where it is there."""
+"""Depth, types and description of the columns of a set of touches."""
 
 PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
 """Columns that hold one entry per touch."""

@@ -44,7 +44,7 @@ TARGETS: dict[str, Callable[[Touch], Any]] = {
     "gel_position": lambda touch: torch.tensor(touch.gel_pose.translation, dtype=torch.float32),
     "round_id": lambda touch: touch.round_id,
 }
-"""What may stand next to an image; positions are metres in the cell frame, float32.
+"""Targets of images; positions are in metres, cell frame, float32.
 
 ``"gel_position"`` is that of the frame which is given; next to a whole clip, of the last frame of contact.
 """

@@ -30,7 +30,7 @@ Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
 
 Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
-"""What makes files of all new rows of a shard, and an index of them, which the shard keeps; picklable."""
+"""Makes files of the new rows of a shard and an index, which the shard keeps; picklable."""
 
 WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 """Writes the files that follow from all rows, and returns their checksums by path."""

@@ -103,7 +103,7 @@ def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> 
 def _no_contact(source: Source, height_m: float) -> InputError:
     heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return InputError(
-        f"no touch that was chosen of {source.name!r} counts as contact (it does where "
+        f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
         next="a smaller --min-height-mm, or fewer filters",

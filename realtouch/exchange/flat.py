@@ -40,7 +40,7 @@ IMAGE = "image"
 _WHERE = {"seq": "frame {}: ", "single": ""}
 _GROUP_BYTES = 32 << 20
 FRAMES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}
-"""About how much smaller an image is than a clip, or an image."""
+"""Approximate ratio of the size of a clip or image to that of an image."""
 _MOST_ROWS_PER_GROUP = 1 << 14
 
 

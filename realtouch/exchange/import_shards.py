@@ -26,7 +26,7 @@ from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE, is_jpeg, with_features
 
 NOT_IMPORTED = "not_imported"
-"""What the statistics call the fields of the source that were not imported: touches that had one, by name."""
+"""Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")

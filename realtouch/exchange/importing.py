@@ -24,7 +24,7 @@ from tactile_toolkit.read import Shard
 from tactile_toolkit.touch import CLASS_NAMES
 
 CONVERSION = "images_were"
-"""What the options of an import say of images that were not taken as they are."""
+"""Key of the options of an import: how images were converted."""
 
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024

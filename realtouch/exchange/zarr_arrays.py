@@ -65,7 +65,7 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
     "zlib": _deflated,
     "zstd": _zstd,
 }
-"""What unpacks to a number of bytes: it gives that many, or another number, or raises."""
+"""Functions that unpack data to a given number of bytes; a result of another length means damage."""
 
 
 class ZarrGroup:
