@@ -52,12 +52,10 @@ class Benchmark(NamedTuple):
 _STORE = ("tactile_toolkit/store", "tactile_toolkit/run")
 _READ = ("tactile_toolkit/read", "tactile_toolkit/cache.py")
 _DIGIT = (
-    "mnist3d/solid.py",
-    "mnist3d/literal.py",
-    "mnist3d/surface.py",
-    "mnist3d/lattice.py",
-    "mnist3d/columns.py",
-    "mnist3d/make.py",
+    "mnist3d/solid",
+    "mnist3d/solid_spec.py",
+    "mnist3d/digit_rows.py",
+    "mnist3d/digit_generation.py",
 )
 BENCHMARKS = {
     "pipeline": Benchmark(
@@ -97,7 +95,7 @@ BENCHMARKS = {
     "native_environments": Benchmark(("tactile_envs",)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/environments.py")),
     "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
-    "scale": Benchmark((*_STORE, "mnist3d/make.py")),
+    "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }
 
 SHOWN = (

@@ -15,11 +15,10 @@ from cli.output import Sink
 from cli.previews import Pictures
 from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
-from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_options import SOURCES, DigitPreviewSpec, SourceOptions
 from mnist3d.kind import KIND
 from mnist3d.published_splits import SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.source_options import SOURCES, SourceOptions
 from tactile_toolkit import cards, catalog, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy

@@ -121,15 +121,14 @@ def verify(
     Example: realtouch verify real-single-64x64 --split test
     """
     place = opening.open(sink, name)
-    if place.folder is not None and place.unfinished:
-        place.require(KIND, "verify")
-        store.require_finished(place.folder)
     result = _verified(sink, place, split, workers, quick=quick)
     findings = list(map(asdict, result.findings))
     counts_of = {"rounds": result.rounds, "touches": result.touches}
     unprotected = list(result.unprotected)
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
-    _require_intact(sink, result, name)
+    if place.folder is not None and [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:
+        store.require_finished(place.folder)  # else damage is what counts
+    _require_intact(sink, result, name, unfinished=bool(place.unfinished))
     how = _DEPTHS[quick]
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
     sink.line(f"{name}: {counts}: nothing is wrong; {how}")
@@ -169,15 +168,17 @@ def _verified(
         return realtouch.verify(place, split, quick=quick, workers=count, on_progress=update)
 
 
-def _require_intact(sink: Sink, result: realtouch.TouchVerification, name: str) -> None:
+def _require_intact(
+    sink: Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
+) -> None:
     """Name all damage on stderr; IntegrityError where there is any."""
     for finding in result.findings:
         sink.warn(f"damaged: {finding}")
     if not result.ok:
-        raise IntegrityError(
-            f"{with_count(len(result.findings), 'problems')} in {name!r}",
-            next="download or convert it again",
-        )
+        again = "download or convert it again"
+        if unfinished:
+            again = "run the same command with --check, which makes damaged shards again"
+        raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=again)
 
 
 def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import asdict
 from functools import partial
 from typing import Any
 
@@ -70,7 +71,7 @@ def _print_made(
         for split, each in found.items()
     ]
     splits = [
-        {"split": split, **counts, "acceptance": found[split].to_dict()}
+        {"split": split, **counts, "acceptance": asdict(found[split])}
         for split, counts in manifest.split_table().items()
     ]
     header = ("split", "per class", "accepted", "started over")

@@ -1,21 +1,20 @@
-"""The loops of a digit that numpy would walk through many times, compiled by numba.
+"""Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.compiled`).
 
-As :mod:`tactile_toolkit.compiled` says of numba: imported by the functions that call it, and all
-in one file, with IEEE operations in the order in which they stand.
+IEEE operations run in the order in which they are written.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
 
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
 from tactile_toolkit.compiled import compiled
 
 
 @compiled
-def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
+def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float32:
     """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
 
     The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
@@ -28,8 +27,8 @@ def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
     height, width = mask.shape
     reaches = int(np.ceil(outside_px)), int(np.ceil(inside_px))
     far = max(reaches)
-    # Squared distances within each row: those of ink, 0 on paper, and the other way around. Below 128^2 they
-    # fit 16 bits, so that sixteen at a time are worked on.
+    # Squared distances within each row: of ink, 0 on paper, and the reverse. They are below 128^2 and fit
+    # into 16 bits, so that sixteen at a time are processed.
     along = np.zeros((2, height, width), np.int16)
     found = np.empty((height, width), np.float32)
     for row in range(height):
@@ -69,10 +68,10 @@ def signed_distance_px(mask: Any, inside_px: float, outside_px: float) -> Any:
 
 
 @compiled
-def narrow_pixels(distance: Any, wide_px: float, reach: int) -> Any:
-    """Return rows and columns, shape (2, N), of ink and paper that nothing wide of its kind is near.
+def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
+    """Return rows and columns, shape (2, N), of narrow ink and paper: necks, gaps, whiskers and notches.
 
-    These are necks, gaps, whiskers and notches. Near is within a square.
+    A pixel is narrow if nothing of its kind within a square around it is wide.
     """
     height, width = distance.shape
     found, count = np.empty((2, height * width), np.int64), 0
@@ -93,18 +92,20 @@ def narrow_pixels(distance: Any, wide_px: float, reach: int) -> Any:
 
 
 @compiled
-def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, grain: float) -> Any:
-    """Return what a blur as wide as nodes lie apart leaves at them of values, along the first axis.
+def blurred(
+    values: Floating, nodes: Float64, sigma_per_pitch: float, bell_reach: float, grain: float
+) -> Float64:
+    """Return values at nodes after a blur, as wide as the nodes are apart, along the first axis.
 
-    Weights are twice a bell less a wider one, rounded to a grain. They let the waves pass that a bell wears
-    down, so that tips, notches and ridges lose less than half as much, and still hold back what the lattice
-    cannot carry. A bell is near a Gaussian and made of products and sums alone; exponentials differ from
-    processor to processor. A node one pixel from the next is not blurred.
+    Weights are twice a bell less a wider one, rounded to a grain. They keep waves that a bell would damp, so
+    that tips, notches and ridges lose less than half as much, and still remove what the lattice cannot
+    represent. A bell is close to a Gaussian, but of products and sums only: exponentials differ between
+    processors. A node one pixel from the next is not blurred.
     """
     found = np.zeros((len(nodes), values.shape[1]))
     weights = np.empty((2, len(values)))
     for node in range(len(nodes)):
-        # Pitches differ along an axis: each node is blurred as the finer of its two sides needs.
+        # Pitches differ along an axis: each node is blurred for the finer of its two sides.
         before, after = max(node, 1), min(node + 1, len(nodes) - 1)
         pitch = min(nodes[before] - nodes[before - 1], nodes[after] - nodes[after - 1])
         sigma = sigma_per_pitch * pitch if pitch > 1 else 0.0
@@ -130,8 +131,8 @@ def blurred(values: Any, nodes: Any, sigma_per_pitch: float, bell_reach: float, 
 
 
 @compiled
-def runs_of(mask: Any) -> tuple[Any, Any]:
-    """Return the runs of marked pixels, (row, begin, end) each, and the pairs of them that touch."""
+def runs_of(mask: Bool) -> tuple[Int64, Int64]:
+    """Return the runs of marked pixels, (row, begin, end) each, and the pairs of runs that touch."""
     height, width = mask.shape
     found = np.empty((height * (width // 2 + 1), 3), np.int64)
     pairs = np.empty((2 * len(found), 2), np.int64)
@@ -150,7 +151,7 @@ def runs_of(mask: Any) -> tuple[Any, Any]:
                     pairs[touching, 0], pairs[touching, 1] = count, beside
                     touching += 1
                     beside += 1
-                # The last of them may touch the next run, too.
+                # The last one may touch the next run, too.
                 above = max(above, beside - 1)
                 count, begin = count + 1, -1
         above = first
@@ -158,11 +159,11 @@ def runs_of(mask: Any) -> tuple[Any, Any]:
 
 
 @compiled
-def smoothed(vertices: Any, faces: Any, flat: Any, shares: Any) -> Any:
-    """Move vertices by shares of the way to the middle of their neighbours, those of a flat rim in its plane.
+def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> Float32:
+    """Move vertices by shares of the way to the mean of their neighbours; those of a flat rim in its plane.
 
-    An edge counts once for each of its triangles. The order in which neighbours are added decides the last
-    bit: here it is from the last to the first.
+    An edge counts once for each of its triangles. Neighbours are added from the last to the first: the order
+    decides the last bit.
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
     for corner in faces.ravel():

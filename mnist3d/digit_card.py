@@ -1,4 +1,4 @@
-"""The data card of a data set of digits: its numbers, and what it says of the source of the images."""
+"""The data card of a data set of digits."""
 
 from __future__ import annotations
 
@@ -17,30 +17,30 @@ from tactile_toolkit.wording import with_count
 
 COLUMNS = meanings(DigitRow)
 
-# Two pixels of the published scale: a digit is some 150 pixels tall.
+# Two pixels of the published scale, so that a digit is about 150 pixels tall.
 _PITCH_M = 0.0004
-# Rows mix the classes: that 200 of them hold none of one has a chance of 1 in 10^8.
+# Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
 _ROWS_SEEN = 200
 
 
 def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
-    """Sum up each split of a data set from its manifest and its printability report.
+    """Summarise each split of a data set from its manifest and its printability report.
 
-    Raises IntegrityError when the report is missing or damaged.
+    Raises IntegrityError if the report is missing or damaged.
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
     return cards.summarise_columns(manifest, report, SUMMED_UP)
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
-    """Write ``README.md`` of a data set folder and the picture that it shows.
+    """Write ``README.md`` of a data set folder, and the picture in it.
 
-    Raises IntegrityError when a shard or the printability report is missing or damaged.
+    Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
     spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
     words = source_words("copy" if spec is None else str(spec["source"]["name"]))
-    # Those of a folder of pictures are not the digits of MNIST 3D.
+    # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
     if is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
@@ -78,7 +78,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
 
 
 def _sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first digit of each class in the first rows, as PNG at 0.4 mm per pixel; None without rows."""
+    """Draw the first digit of each class as PNG, at 0.4 mm per pixel; None without rows."""
     first: dict[int, read.Row] = {}
     for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
@@ -126,13 +126,13 @@ def _limits(
 
 
 def source_words(name: str) -> dict[str, str]:
-    """Return the words about a source of digits; those of one that a user brought along claim nothing."""
+    """Return the description of a source of digits; an unknown source has a neutral one."""
     known = cards.card_words("digit_words.toml")
     return {"name": name, **known.get(name, known["other"])}
 
 
 def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
-    """Write what a source is, with its fingerprint."""
+    """Describe a source with its fingerprint."""
     fields = dict(fingerprint)
     if words["name"] == "mnist":  # which comes in parts
         fields["images"] = sum(part["images"] for part in fields["parts"])
@@ -141,7 +141,7 @@ def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any])
 
 
 def _terms(words: Mapping[str, str]) -> dict[str, str]:
-    """Return whose the meshes are."""
+    """Return licence and citation of the meshes."""
     citation = (
         "Algorithm and splits: Schneider et al. 2025. The published MNIST 3D was made from the "
         f"handwriting of HWD+ (Beaulac and Rosenthal 2022){words['citation_end']}."

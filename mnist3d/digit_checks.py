@@ -1,4 +1,4 @@
-"""Checking meshes as they are read back from disk, whoever wrote them."""
+"""Checks of stored meshes, of data sets and of single files."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class CheckedMesh:
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         values = {"name": self.name, **self.report.to_row()}
-        # JSON has no NaN: what is unknown of a broken mesh is null.
+        # JSON has no NaN: unknown values of a broken mesh are null.
         return {
             name: None if isinstance(value, float) and math.isnan(value) else value
             for name, value in values.items()
@@ -60,21 +60,21 @@ class CheckedMeshes:
 
     @property
     def checked(self) -> int:
-        """How many meshes were checked."""
+        """Number of checked meshes."""
         return len(self.items)
 
     @property
     def failed(self) -> int:
-        """How many of them do not bound a solid."""
+        """Number of meshes that do not bound a solid."""
         return sum(not item.report.is_solid for item in self.items)
 
     @property
     def unreadable(self) -> list[str]:
-        """Why no mesh could be read from files, or rows."""
+        """Reasons why files or rows could not be read."""
         return [item.report.detail or "" for item in self.items if item.report.problem == mesh.UNREADABLE]
 
     def warnings(self) -> dict[str, int]:
-        """Count the meshes that carry each print warning."""
+        """Count the meshes with each print warning."""
         return dict(sorted(Counter(word for item in self.items for word in item.report.warnings).items()))
 
     def to_dict(self) -> dict[str, Any]:
@@ -88,7 +88,7 @@ class CheckedMeshes:
         }
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
-        """Return header, rows and title of a table of the meshes that fail or, of a few, all."""
+        """Return header, rows and title of a table of failed meshes, or of all if there are few."""
         header = ("mesh", "solid", "size, mm", *(each.heading for each in _SHOWN), "findings")
         worth = [item for item in self.items if not item.report.is_solid]
         shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
@@ -116,34 +116,34 @@ def validate_paths(
     opened: Callable[[str], places.Place] = places.open_place,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[CheckedMeshes]:
-    """Check data set folders and mesh files.
+    """Check data sets and mesh files.
 
     Parameters
     ----------
     paths : sequence of str
-        Data sets by their names, and STL, 3MF, PLY, OBJ or GLB files; one that cannot be read is reported so.
+        Names of data sets, and STL, 3MF, PLY, OBJ or GLB files. Unreadable files are reported as such.
     split, limit : optional
-        Of folders only this split, and only the first so many rows of each.
+        Of data sets, only this split and only the first rows of each split.
     workers : int
-        Processes that check rows of folders.
+        Processes that check rows of data sets.
     profile : PrintProfile, optional
         Printer and material.
     unit : str, optional
-        Of mesh files, as :func:`mnist3d.read_mesh` takes it.
+        Unit of mesh files, as in :func:`mnist3d.read_mesh`.
     opened : callable
-        Says what the name of a data set stands for.
+        Opens the name of a data set.
     on_progress : callable
-        Called with meshes done and in all.
+        Called with the numbers of meshes done and in total.
 
     Raises
     ------
     InputError
         A path does not exist, or is not a data set of digits or other meshes.
     IntegrityError
-        A shard is damaged, or the run that makes a data set is not finished.
+        A shard is damaged, or the run that makes the data set is not finished.
     """
     profile = profile or mesh.PrintProfile()
-    # All names are looked at first: a typing error should not show after an hour of checking.
+    # All names are opened first, so that a typing error shows at once.
     files = [path for path in paths if _is_single_file(path)]
     for name in paths:
         if name not in files:
@@ -187,7 +187,7 @@ def _check_data_set(
 
 
 def _is_single_file(path: str) -> bool:
-    """Return whether a path is a file of this machine that is not Parquet: it is read as a mesh."""
+    """Return whether a path is a local file that is not Parquet, and so is read as a mesh."""
     if store.is_remote(path):
         return False
     place = Path(store.normalize_uri(path))

@@ -23,12 +23,12 @@ class DigitRecord(mesh.SolidRecord):
 
     @property
     def writer(self) -> int:
-        """Number of the writer in the source, -1 where it is unknown."""
+        """Number of the writer in the source, -1 if it is unknown."""
         return self._row.integer("writer") if self._row.has("writer") else NO_WRITER
 
     @property
     def source(self) -> str:
-        """Name of the source of the digit; empty where it is unknown."""
+        """Name of the source of the digit; empty if it is unknown."""
         return str(self._row.required("source")) if self._row.has("source") else ""
 
     def __repr__(self) -> str:
@@ -47,7 +47,6 @@ class DigitRecord(mesh.SolidRecord):
         return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), caption)
 
     def _tile_html(self) -> str:
-
         return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 
 
@@ -59,14 +58,14 @@ class DigitDataset(mesh.SolidDataset[DigitRecord]):
 
     @property
     def writers(self) -> Int64:
-        """Writer of each row, shape (len,), int64, -1 where unknown; loads no mesh."""
+        """Writer of each row, shape (len,), int64, -1 if unknown; loads no mesh."""
         return self._integers(
             "writer", lambda: np.full(len(self), NO_WRITER, np.int64), lambda digit: digit.writer
         )
 
 
 class DigitStream(mesh.RecordStream[DigitRecord]):
-    """Digits one after another, read as they are asked for.
+    """Digits one after another, read on demand.
 
     See :class:`~tactile_toolkit.mesh.RecordStream`.
     """
@@ -121,24 +120,24 @@ def load(
         A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
         of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
     split : str, optional
-        Split to open; only its shards are fetched. May be left out where there is only one.
+        Split to open; only its shards are downloaded. Optional if there is only one.
     streaming : bool
         Return an iterable that reads one shard after another and stores nothing, instead of a data set with
         random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
     config : str, optional
-        Configuration, of a data set whose card has several.
+        Configuration, if the card of the data set has several.
 
     Returns
     -------
     DigitDataset or DigitStream
-        No row is read until it is asked for.
+        Rows are read on demand.
 
     Raises
     ------
     InputError
-        No such folder or split, several splits and none named, another kind, or no columns of MNIST 3D.
+        No such folder or split, several splits and no name, another kind, or no columns of MNIST 3D.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

@@ -1,4 +1,4 @@
-"""Digits as a gallery: a static page of thumbnails, filters and meshes to turn around."""
+"""Gallery of digits: a static page of thumbnails, filters and meshes."""
 
 from __future__ import annotations
 

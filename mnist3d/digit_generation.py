@@ -24,7 +24,7 @@ from tactile_toolkit.mesh import PrintProfile, inspect
 
 @dataclass(frozen=True)
 class DigitSetSpec:
-    """Everything that decides which rows a data set holds.
+    """Everything that decides the rows of a data set.
 
     Attributes
     ----------
@@ -39,12 +39,12 @@ class DigitSetSpec:
     per_class : int or None
         Make only the first ``per_class`` digits of each class of a split.
     limit : int or None
-        Then make only the first ``limit`` rows of a split.
+        Of these, make only the first ``limit`` rows of a split.
 
     Notes
     -----
-    The splits made in one call and the number of workers are not part of it: a folder can be filled split by
-    split, on any machine.
+    The splits of a call and the number of workers are not part of it: a folder can be filled split by split,
+    on any machine.
     """
 
     source: DigitSource
@@ -71,21 +71,21 @@ class DigitSetSpec:
 
 @dataclass(frozen=True)
 class DigitMaking(generation.Generator):
-    """How digits are made: the source is divided into splits, and each image becomes a proved solid."""
+    """How digits are made: the source is divided into splits, and each image becomes a checked solid."""
 
     spec: DigitSetSpec
     kind = KIND
 
     @classmethod
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
-        """Leave pictures of one's own undivided unless the specification or the splits ask for it."""
+        """Leave a folder of pictures undivided, unless the specification or ``splits`` ask for a division."""
         is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
         if is_asked_for or not isinstance(spec.source, FolderSource):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
     def items(self) -> Mapping[str, Any]:
-        """Return the ids of each split; reads only the source's catalog."""
+        """Return the ids of each split; reads the catalog of the source only."""
         plan = plan_splits(self.spec.source.catalog(), self.spec.split)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}
 
@@ -95,7 +95,7 @@ class DigitMaking(generation.Generator):
             PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
-            largest=128,  # at 52.6 kB a mesh 7 MB: what a kill loses is seconds of work
+            largest=128,  # 7 MB at 52.6 kB per mesh: a kill loses seconds of work
             wanted=16,
             sampled=8,
             report_file=REPORT_FILE,
@@ -106,7 +106,7 @@ class DigitMaking(generation.Generator):
         return digit_schema()
 
     def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
-        """Yield the row of each digit, or why it gives no solid."""
+        """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:
                 yield make_row(digit_id, self.spec)
@@ -114,7 +114,7 @@ class DigitMaking(generation.Generator):
                 yield store.Skipped(digit_id, error.reason, error.message)
 
     def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
-        """Return what was found about each mesh."""
+        """Return the printability report of the meshes."""
         return report_table(shard, rows)
 
 
@@ -130,7 +130,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     except ItemError as error:
         raise ItemError(error.reason, f"{where}: {error.message}") from error
     report = inspect(mesh, spec.profile)
-    # An image gives no row unless its mesh was proved: what is stored are solids.
+    # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
     return DigitRow(
@@ -153,9 +153,8 @@ def generate(
 ) -> store.Manifest:
     """Make a data set of printable 3D digits.
 
-    A folder that holds a finished or interrupted run of the same specification is completed: finished shards
-    are kept. The same specification gives byte-identical Parquet whatever the number of workers and however
-    often the run was interrupted.
+    A folder with an interrupted run of the same specification is completed, and its finished shards are kept.
+    The same specification gives byte-identical Parquet for any number of workers and interruptions.
 
     Parameters
     ----------
@@ -164,7 +163,7 @@ def generate(
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional
-        Splits to make; others that the folder holds already stay. By default all; for a folder of images only
+        Splits to make; other splits in the folder stay. By default all; for a folder of images only
         ``train``, unless ``spec.split`` divides them.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
@@ -172,16 +171,16 @@ def generate(
     Returns
     -------
     Manifest
-        What the folder holds now.
+        Content of the folder.
 
     Raises
     ------
     InputError
         The source or an option cannot be used.
     SpecMismatchError
-        The folder holds a data set of another specification.
+        The folder has a data set of another specification.
     StorageError
-        The folder cannot be written. What was finished stays.
+        The folder cannot be written. Finished shards stay.
     """
     return generation.generate(DigitMaking.of(spec, splits), out, splits, **run)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mnist3d import ink, solid
 from mnist3d.digit_dataset import DigitDataset, DigitRecord
-from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.picture_files import ENDINGS, pages_of
@@ -60,9 +60,8 @@ def is_picture_or_mesh(name: str) -> bool:
 
 def _plan_file(name: str, spec: DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a single file; InputError for options that need a data set."""
-    path, kind = store.expanded(name), "steps"
-    if path.suffix.lower() in mesh.FORMATS:
-        kind = "sheet"
+    path = store.expanded(name)
+    kind = "sheet" if path.suffix.lower() in mesh.FORMATS else "steps"
     rows = {"--split": spec.split, "--ids": spec.ids, "--labels": spec.labels, "--limit": spec.limit}
     asked = [f"--kind {each}" for each in spec.kinds if each not in (kind, "all")]
     asked += [option for option, value in rows.items() if value]
@@ -150,7 +149,5 @@ def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
     found = mesh.check_manifold(part)
     if found.problem is not None:
         return f"{size}; {parts}", f"not a solid: {found.detail}"
-    bodies = "one body"
-    if found.bodies != 1:
-        bodies = f"{found.bodies} bodies"
+    bodies = "one body" if found.bodies == 1 else f"{found.bodies} bodies"
     return (f"{size}; volume {found.volume_mm3:,.0f} mm³; {parts}; {bodies}",)

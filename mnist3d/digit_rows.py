@@ -24,14 +24,13 @@ PARQUET_STYLE = store.ParquetStyle(
 )
 """32 meshes are about 6 MB unpacked: small enough to unpack for one row, large enough to compress well.
 
-Level 3 of zstd takes 1.0 ms and 52.6 kB a mesh, level 9 takes 1.7 ms and 51.1 kB; without the encodings
-level 3 would give 65.8 kB. Pages cut by content make it 1.6 % more; of a set with other meshes in 1 % of its
-rows 89 % of the bytes then stand in the former set, instead of 81 %. Fewer rows in a group would do as much,
-but are slower to read.
+Level 3 of zstd takes 1.0 ms and 52.6 kB per mesh, level 9 takes 1.7 ms and 51.1 kB. Without the encodings,
+level 3 takes 65.8 kB. Pages cut by content add 1.6 %; a set with other meshes in 1 % of its rows then shares
+89 % of its bytes with the former set, instead of 81 %.
 """
 
 REPORT_FILE = "reports/printability.parquet"
-"""What was found about each mesh, one row per digit."""
+"""Printability report, one row per digit."""
 
 
 @row

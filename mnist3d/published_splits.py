@@ -1,4 +1,4 @@
-"""The table of the MNIST 3D splits, and how digits are divided."""
+"""The table of the MNIST 3D splits, and the specification of a division into splits."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_toolkit.checked_fields import (
 from tactile_toolkit.errors import InputError
 
 SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
-"""The five splits in canonical order, which is also the order in which scarce digits are handed out."""
+"""The five splits in canonical order, in which also scarce digits are assigned."""
 
 PUBLISHED_SIZES: dict[str, int] = {
     "train": 1148,
@@ -26,7 +26,7 @@ PUBLISHED_SIZES: dict[str, int] = {
     "printed_train": 50,
     "printed_test": 10,
 }
-"""Digits per class in each published split; 1,358 in all."""
+"""Digits per class in each published split, 1,358 in total."""
 
 MOST_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
@@ -41,13 +41,13 @@ class SplitSpec:
     seed : int
         Seed of the division.
     by : {"digit", "writer", "none"}, or None
-        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` gives whole writers to
-        splits, so that no writer is in two of them; sizes are then as near as that allows. ``"none"``
-        divides nothing: all digits are in ``train``. None means ``"none"`` for a folder of images when
-        neither splits nor sizes are given, otherwise ``"digit"``.
+        ``"digit"`` draws single digits, with exact sizes per class. ``"writer"`` assigns whole writers to
+        splits, with sizes as near as that allows. ``"none"`` divides nothing: all digits are in ``train``.
+        None means ``"none"`` for a folder of images if neither splits nor sizes are given, otherwise
+        ``"digit"``.
     sizes : tuple of (str, int), or None
-        Digits per class of each split; a mapping is taken too. None means the published sizes, or their
-        proportions where a class has fewer than 1,358 digits.
+        Digits per class of each split, also as a mapping. None means the published sizes, or their
+        proportions for a class of fewer than 1,358 digits.
     """
 
     seed: int = integer(0, help="Random seed.")
@@ -80,8 +80,5 @@ class SplitSpec:
 
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
-        return {
-            "seed": self.seed,
-            "by": self.by or "digit",
-            "sizes": dict(self.sizes) if self.sizes else None,
-        }
+        sizes = dict(self.sizes or ())
+        return {"seed": self.seed, "by": self.by or "digit", "sizes": sizes or None}

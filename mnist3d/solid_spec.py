@@ -1,4 +1,4 @@
-"""The numbers of Algorithm 1 of the Tactile MNIST paper: how an image becomes a solid."""
+"""The parameters of Algorithm 1 of the Tactile MNIST paper."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ PROFILES = ("round", "linear", "flat")
 EROSIONS = ("outline", "disc")
 
 LARGEST_HALF_THICKNESS_PX = 100
-"""Squares of distances in pixels have to fit 16 bits (:func:`mnist3d.solid.lattice.signed_distance_px`)."""
+"""Squares of distances in pixels have to fit into 16 bits (:mod:`mnist3d.compiled_loops`)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,42 +31,42 @@ class SolidSpec:
         Side of a pixel. 0.2 is the published scale, five pixels to a millimetre (Tactile MNIST paper,
         appendix on MNIST 3D).
     half_thickness_mm : float
-        Half of the thickness of a digit, where its strokes are wide enough. 4.0 gives the heights of the
+        Half of the thickness of a digit where its strokes are wide enough. 4.0 gives the heights of the
         published meshes.
     profile : {"round", "linear", "flat"}
         How the erosion radius grows with the height: along a quarter circle, along a slope of 45 degrees, or
         not at all.
     erosion : {"outline", "disc"}
-        What a radius is measured from. ``"outline"`` draws the outline of the ink in by the radius: a pixel
-        stays whose centre is the radius and half a pixel or more from the next pixel of paper. ``"disc"``
-        erodes with a disc of pixels, as image libraries do: a pixel stays that is further than the radius
-        from paper, so every layer is half a pixel (0.1 mm) wider on each side. Nothing published states
-        which one was used: on 473 pen digits both give a height of 8.0 mm before smoothing (published: 6.5 to
-        8.2 mm), and volumes with a median of 5,422 and of 5,564 mm^3 (1.9 to 3.3 % more, none is published).
-        The outline is the default because its solids do not depend on how finely the image is sampled.
+        How a radius is measured. ``"outline"`` moves the outline of the ink inwards by the radius: a pixel
+        stays if its centre is at least the radius and half a pixel from the next pixel of paper. ``"disc"``
+        erodes with a disc of pixels, as image libraries do: a pixel stays if it is farther than the radius
+        from paper, so every layer is half a pixel (0.1 mm) wider on each side. The paper does not state which
+        one was used. On 473 pen digits both give a height of 8.0 mm before smoothing (published: 6.5 to
+        8.2 mm), and median volumes of 5,422 and 5,564 mm^3 (1.9 to 3.3 % more, not published). The outline
+        is the default because its solids do not depend on the sampling of the image.
     threshold : float or None
         Grey level up to which a pixel is ink; None takes Otsu's threshold of each image.
     min_speck_mm2, min_pinhole_mm2 : float
-        Smaller pieces of ink are removed, also where they touch a stroke by at most three pixels; smaller
-        spots of paper inside the ink are filled.
+        Smaller pieces of ink are removed, even if they touch a stroke by up to three pixels; smaller spots of
+        paper inside the ink are filled.
     join_bodies : bool
         Bridge separate pieces of ink, so that every digit prints in one piece.
     bridge_width_mm : float
         Width of these bridges.
     lattice_pitch_mm : float or None
-        Distance of the nodes at which the fast method evaluates the solid, which then decides how many
-        vertices there are; None takes the pitch that the vertex budget needs.
+        Distance of the nodes at which the fast method evaluates the solid, which then decides the number of
+        vertices; None takes the pitch for the vertex budget.
     target_vertices : int
-        Vertex budget of a mesh. None has more than 1.5 times as many; a digit that needs more is refused.
+        Vertex budget of a mesh. A digit that needs more than 1.5 times as many is refused.
     smoothing_iterations : int
         Rounds of smoothing of the fast mesh.
     literal_smoothing_iterations : int
-        Rounds of smoothing of the literal mesh, whose triangles are some four times shorter.
+        Rounds of smoothing of the literal mesh, whose triangles are about four times shorter.
     smoothing_factor : float
-        Share of the way that a vertex goes to the middle of its neighbours in one round.
+        Share of the way from a vertex to the mean of its neighbours in one round.
     vertex_quantum_mm : float
-        Stored vertices lie on a grid of this pitch; 0 leaves them where they are. The default is 2**-18 m,
-        which ends the binary fraction of each coordinate early and so lets Parquet pack it.
+        Pitch of the grid on which vertices are stored; 0 for no grid. The default is 2**-18 m, which shortens
+        the binary fraction of each coordinate, so that Parquet compresses it.
     """
 
     pixel_pitch_mm: float = real(0.2, above=0)
@@ -97,10 +97,9 @@ class SolidSpec:
     vertex_quantum_mm: float = real(1000.0 / 2**18, 0)
 
     def __post_init__(self) -> None:
-        """Refuse numbers that describe no solid."""
+        """Check the parameters."""
         check_fields(self, "the solid's specification")
-        # Less than a pixel thick there is no layer; a storage grid beyond a tenth of a pixel would show as
-        # steps.
+        # Below a pixel of thickness there is no layer; a storage grid above 1/10 pixel would show as steps.
         thinnest_mm, coarsest_mm = self.pixel_pitch_mm, self.pixel_pitch_mm / 10
         thickest_mm = thinnest_mm * LARGEST_HALF_THICKNESS_PX
         if not 1 <= self.half_thickness_px <= LARGEST_HALF_THICKNESS_PX:
@@ -120,31 +119,17 @@ class SolidSpec:
         return self.half_thickness_mm / self.pixel_pitch_mm
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the numbers as plain values for a manifest.
-
-        Returns
-        -------
-        dict
-        """
+        """Return JSON values."""
         return asdict(self)
 
     @classmethod
     def from_dict(cls, values: dict[str, Any]) -> SolidSpec:
-        """Rebuild a specification from :meth:`to_dict`.
-
-        Parameters
-        ----------
-        values : dict
-            Fields by name; those left out take their defaults.
-
-        Returns
-        -------
-        SolidSpec
+        """Rebuild a specification from :meth:`to_dict`; missing fields take their defaults.
 
         Raises
         ------
         InputError
-            An unknown name or a value that describes no solid.
+            A field is unknown, or a value cannot be used.
         """
         unknown = sorted(set(values) - {field.name for field in fields(cls)})
         if unknown:

@@ -1,4 +1,4 @@
-"""Which digit goes into which split: a pure function of seed and ids.
+"""The split of each digit: a pure function of seed and ids.
 
 The five splits and their sizes are those of MNIST 3D (Tactile MNIST paper, table of the MNIST 3D splits; the
 table prints the name of the last one as ``printed_train`` a second time).
@@ -22,7 +22,7 @@ _CLASSES = 10
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SplitPlan:
-    """The division of a source's digits: ids and labels of each split, shape (n,).
+    """The division of the digits of a source: ids and labels of each split, shape (n,).
 
     They are in row order, a seeded shuffle that mixes the classes.
     """
@@ -38,20 +38,20 @@ class SplitPlan:
             for label in range(_CLASSES):
                 kept[np.flatnonzero(labels == label)[:per_class]] = True
             ids = ids[kept]
-        return ids if limit is None else ids[:limit]
+        return ids[:limit]
 
 
 def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     """Divide the digits of a source into the five splits.
 
-    No digit is in two splits, and where a digit goes depends on the seed and the ids of its source alone.
+    No digit is in two splits. The split of a digit depends only on the seed and the ids of its source.
 
     Parameters
     ----------
     catalog : DigitCatalog
-        What the source holds.
+        Content of the source.
     spec : SplitSpec
-        How it is divided.
+        How to divide it.
 
     Returns
     -------
@@ -61,26 +61,29 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     Raises
     ------
     InputError
-        When a class has fewer digits than ``spec.sizes`` asks for, or writers are asked for and unknown.
+        A class has fewer digits than ``spec.sizes`` asks for, or writers are needed and unknown.
     """
-    split_of = np.full(len(catalog), SPLITS.index("train"))
-    if spec.by != "none":
-        split_of = _by_writer(catalog, spec) if spec.by == "writer" else _by_digit(catalog, spec)
+    if spec.by == "none":
+        split_of = np.full(len(catalog), SPLITS.index("train"))
+    elif spec.by == "writer":
+        split_of = _by_writer(catalog, spec)
+    else:
+        split_of = _by_digit(catalog, spec)
     plan = SplitPlan({}, {})
     for number, split in enumerate(SPLITS):
         chosen = np.flatnonzero(split_of == number)
-        # A key of its own orders the rows, so that the rank that chose the split does not show in them.
+        # Rows are ordered by another key than the one that chose the split.
         order = chosen[np.argsort(_keys(catalog.ids[chosen], spec.seed, stream=1))]
         plan.ids[split], plan.labels[split] = catalog.ids[order], catalog.labels[order]
     return plan
 
 
 def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
-    """Return the index of each digit's split, -1 where it is in none."""
+    """Return the index of the split of each digit, -1 for none."""
     split_of = np.full(len(catalog), -1)
     for label in range(_CLASSES):
         members = np.flatnonzero(catalog.labels == label)
-        # The first of each class by their keys go to the first split, the next to the second.
+        # By their keys, the first digits of a class go to the first split, the next to the second.
         order = members[np.argsort(_keys(catalog.ids[members], spec.seed, stream=0))]
         sizes = _sizes_of(label, len(members), spec)
         home = np.repeat(np.arange(len(SPLITS)), [sizes[split] for split in SPLITS])
@@ -90,7 +93,7 @@ def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
 
 def _sizes_of(label: int, available: int, spec: SplitSpec) -> dict[str, int]:
     """Return how many digits of a class go into each split."""
-    if spec.sizes is None or not available:  # a class that the source does not have is in no split
+    if spec.sizes is None or not available:  # a class that the source lacks is in no split
         return _published_sizes(available)
     sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
     wanted = sum(sizes.values())
@@ -103,7 +106,7 @@ def _sizes_of(label: int, available: int, spec: SplitSpec) -> dict[str, int]:
 
 
 def _published_sizes(available: int) -> dict[str, int]:
-    """Return the published sizes, or for a smaller class their proportions by largest remainder."""
+    """Return the published sizes, or for a smaller class their proportions (largest remainders)."""
     if available >= _PER_CLASS:
         return dict(PUBLISHED_SIZES)
     quotas = {split: available * size / _PER_CLASS for split, size in PUBLISHED_SIZES.items()}
@@ -111,7 +114,7 @@ def _published_sizes(available: int) -> dict[str, int]:
     by_remainder = sorted(SPLITS, key=lambda split: sizes[split] - quotas[split])
     for split in by_remainder[: available - sum(sizes.values())]:
         sizes[split] += 1
-    # A split of a tiny source is empty only when there are fewer digits than splits: then the later ones are.
+    # A split is empty only if there are fewer digits than splits; then the later ones are.
     for split in SPLITS:
         largest = max(SPLITS, key=lambda name: sizes[name])
         if sizes[split] == 0 and sizes[largest] > 1:
@@ -121,7 +124,10 @@ def _published_sizes(available: int) -> dict[str, int]:
 
 
 def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
-    """Return the index of each digit's split, all digits of a writer in the same; sizes are then near."""
+    """Return the index of the split of each digit, the same for all digits of a writer.
+
+    Sizes are as near to those of the specification as whole writers allow.
+    """
     sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
@@ -134,7 +140,7 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
         raise InputError("all split sizes are 0; expected at least one split with digits")
     wanted, given = shares / shares.sum() * counts.sum(), np.zeros(len(SPLITS))
     split_of = np.full(len(writers), -1, dtype=np.int64)
-    # Every split first gets a writer: by shares alone, small ones of few writers would stay empty.
+    # Every split first gets a writer; by shares only, small splits of few writers would stay empty.
     unserved = [int(split) for split in np.flatnonzero(shares)]
     for writer in np.argsort(_keys(writers, spec.seed, stream=2)):
         split = unserved.pop(0) if unserved else int(np.argmax(wanted - given))
@@ -146,8 +152,8 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
 def _keys(ids: Integers, seed: int, stream: int) -> NDArray[np.uint64]:
     """Return a pseudo-random sort key per id.
 
-    A bijective mixer of 64 bits (SplitMix64's finaliser) has no collisions between ids, so the order never
-    depends on the sorting algorithm, and the key of an id never on which other ids there are.
+    The finaliser of SplitMix64 is bijective, so ids have no collisions and the order does not depend on the
+    sorting algorithm. The key of an id does not depend on other ids.
     """
     offset = np.random.SeedSequence([seed, stream]).generate_state(1, np.uint64)[0]
     with np.errstate(over="ignore"):

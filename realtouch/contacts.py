@@ -208,8 +208,7 @@ def contacts_by_image(
     given: object = touches
     if not isinstance(given, Touches):
         raise InputError(
-            f"a {type(given).__name__} was given; expected touches, such as "
-            "`realtouch.load(...).touches()`"
+            f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
     rule = rule or ContactRule()
     frame, area = np.zeros((2, len(touches)), np.int64)

@@ -6,7 +6,7 @@ import re
 import tarfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from realtouch.convert.conversion import files_of, parts_of
 from realtouch.integrity import agreeing_files, checked_rows, modal_touch_count, stated_class_names
@@ -135,6 +135,8 @@ def verify(
 ) -> TouchVerification:
     """Check every file, round, touch and frame of a data set, and list all damage.
 
+    Of an unfinished set, all finished shards are checked.
+
     Parameters
     ----------
     name : str, path, or sequence of them
@@ -153,25 +155,14 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    place = places.open_place(name).require(KIND, "verify")
-    folder, manifest = place.folder, place.manifest
+    place = replace(places.open_place(name), allow_incomplete=True).require(KIND, "verify")
     findings: list[Damage] = []
-    has_checksums = False
-    if folder is not None:
-        has_checksums = manifest is not None or store.read_record(folder) is not None
-    if folder is not None and has_checksums:
-        listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
-        findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
-    if folder is not None and manifest is not None:
-        operation = manifest.spec.get("operation")
-        if operation in INDEXED:
-            counts = check_index(folder, manifest, findings, on_progress, decode=not quick)
-            return TouchVerification(*counts, tuple(findings))
-        try:
-            store.convert_json(operation, str, store.MANIFEST_FILE, "spec.operation")
-        except IntegrityError as error:
-            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
-    place.require_complete(split)
+    has_checksums = _compare_files(place, findings, workers)
+    if place.folder is not None and place.manifest is not None and place.spec.get("operation") in INDEXED:
+        counts = (0, 0)
+        if place.manifest.complete:  # the index is written last
+            counts = check_index(place.folder, place.manifest, findings, on_progress, decode=not quick)
+        return TouchVerification(*counts, tuple(findings))
     splits = []
     for part in parts_of(place, split):
         splits.append(agreeing_files(place.shards(part), place.name, findings))
@@ -183,6 +174,21 @@ def verify(
         paths = [shard.path for files in splits for shard in files if shard.path not in fetched]
         unprotected = [path for path in paths if not has_page_checksums(*store.split_uri(path))]
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
+
+
+def _compare_files(place: places.Place, findings: list[Damage], workers: int) -> bool:
+    """Compare the files of a folder with its manifest or download record; return whether it has one."""
+    folder, manifest = place.folder, place.manifest
+    if folder is None or (manifest is None and store.read_record(folder) is None):
+        return False
+    listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
+    findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
+    if manifest is not None:
+        try:
+            store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
+        except IntegrityError as error:
+            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
+    return True
 
 
 def _check_rounds(

@@ -1,6 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .outlines import (
+from .shape_kinds import (
     Crescent as Crescent,
     Cross as Cross,
     Disc as Disc,
@@ -8,7 +8,7 @@ from .outlines import (
     Star as Star,
 )
 from .placement import Placement as Placement
-from .proportions import Proportions as Proportions
+from .shape_kinds import Proportions as Proportions
 from .rejection import (
     SamplingExhausted as SamplingExhausted,
     sample_scene as sample_scene,

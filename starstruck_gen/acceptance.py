@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 from starstruck_gen.scene import Scene
 from starstruck_gen.scene_rows import SceneRow
@@ -14,12 +13,12 @@ from starstruck_gen.scene_spec import SceneSpec
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """Acceptance statistics of scenes, counted so that shards add up."""
+    """Counts of scenes, which add up over shards."""
 
-    classes: tuple[int, ...]  # scenes of each class
-    distractors: tuple[int, ...]  # scenes with 0, 1, 2, ... distractors
-    objects: tuple[int, ...]  # scenes that have a first object, a second one, ...
-    attempts: tuple[int, ...]  # positions drawn for the first objects, the second ones, ..., in all layouts
+    classes: list[int]  # scenes of each class
+    distractors: list[int]  # scenes with 0, 1, 2, ... distractors
+    objects: list[int]  # scenes that have a first object, a second one, ...
+    attempts: list[int]  # positions drawn for the first objects, the second ones, ..., in all layouts
     restarts: int  # how often scenes were started over
 
     @property
@@ -29,18 +28,8 @@ class Acceptance:
 
     @property
     def accepted(self) -> float:
-        """Share of all positions drawn at which an object was left standing."""
+        """Share of all drawn positions at which an object was left standing."""
         return sum(self.objects) / max(1, sum(self.attempts))
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values that add up over shards."""
-        return {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
-
-    @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Acceptance:
-        """Rebuild counts from :meth:`to_dict`, as they were written."""
-        plain: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in values.items()}
-        return cls(**plain)
 
 
 def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Acceptance:
@@ -53,12 +42,12 @@ def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Accepta
         for number, tried in enumerate(scene.attempts):
             attempts[number] += tried
     return Acceptance(
-        classes=tuple(classes[stars] for stars in spec.stars),
-        distractors=tuple(distractors[count] for count in range(spec.distractors[1] + 1)),
-        objects=tuple(
+        classes=[classes[stars] for stars in spec.stars],
+        distractors=[distractors[count] for count in range(spec.distractors[1] + 1)],
+        objects=[
             sum(count for size, count in sizes.items() if size > number)
             for number in range(spec.most_objects)
-        ),
-        attempts=tuple(attempts),
+        ],
+        attempts=attempts,
         restarts=sum(scene.restarts for scene in scenes),
     )

@@ -1,23 +1,22 @@
-"""What is compiled of the making of scenes; numba takes half a second to import, so functions import this."""
+"""Vertices of placed objects, compiled by numba."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
 _cosine_sine = compiled(cosine_sine)
 
 
 @compiled
-def standing_vertices(poses: Any, corners: Any, corner_counts: Any) -> Any:
-    """Turn, scale and move the corners of objects, each standing twice: on the plate and above it.
+def standing_vertices(poses: Float64, corners: Float64, corner_counts: Int64) -> Float32:
+    """Turn, scale and move the corners of objects; each gives two vertices, on the plate and above it.
 
-    Each row of ``poses`` is what a placement holds after its shape; ``corners`` are those of all objects one
-    after another. In double precision, and rounded once: shape (2 corners, 3), float32, metres.
+    Each row of ``poses`` is a placement without its shape; ``corners`` are those of all objects one after
+    another. Computed in double precision and rounded once: shape (2 corners, 3), float32, metres.
     """
     vertices, vertex = np.zeros((2 * len(corners), 3), np.float32), 0
     for number in range(len(poses)):

@@ -1,4 +1,4 @@
-"""Shapes as solids, proved once."""
+"""Shapes as solids, each of which is checked once."""
 
 from __future__ import annotations
 
@@ -11,18 +11,19 @@ from itertools import pairwise
 import manifold3d
 import numpy as np
 
-from starstruck_gen.proportions import Outline
+from starstruck_gen.shape_kinds import Outline
 from starstruck_gen.shapes import PUBLISHED_RADIUS_M, Shape, outline
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
-_MOST_KEPT = 1_024
+MOST_KEPT = 1_024
+"""Solids of shapes in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prism:
-    """The solid of a shape, up to its size; lengths in units of the circumscribed radius.
+    """The solid of a shape without its size; lengths in units of the circumscribed radius.
 
     Vertex 2i of the solid is corner i on the plate, vertex 2i + 1 the one above it. Arrays are read-only.
     """
@@ -31,41 +32,35 @@ class Prism:
     cap: Int32  # (T, 3): triangles over all corners, counter-clockwise, none on another's edge
     faces: Int32  # (F, 3): triangles of the solid, outward
     area: float  # of the outline
-    thinnest: float  # least height of a triangle of the cap: moves below half of it turn no triangle over
-
-    @property
-    def vertex_count(self) -> int:
-        """Vertices of the solid."""
-        return 2 * len(self.corners)
+    thinnest: float  # least height of a triangle of the cap; moves below half of it invert no triangle
 
     def vertices(self, height: float) -> Float64:
         """Return the vertices of an unturned prism of radius 1, shape (V, 3)."""
-        standing = np.zeros((self.vertex_count, 3))
+        standing = np.zeros((2 * len(self.corners), 3))
         standing[:, :2] = np.repeat(self.corners, 2, axis=0)
         standing[1::2, 2] = height
         return standing
 
 
-@lru_cache(_MOST_KEPT)
+@lru_cache(MOST_KEPT)
 def prism(key: str) -> Prism:
-    """Return the solid of the shape that a key names, made and proved on first use.
+    """Return the solid of the shape that a key names, made and checked on first use.
 
-    Raises InputError for an unknown shape, and as :func:`proved_prism`.
+    Raises InputError for an unknown shape, and as :func:`checked_prism`.
     """
-    return proved_prism(key, outline(key))
+    return checked_prism(key, outline(key))
 
 
-def proved_prism(key: str, rings: Outline) -> Prism:
-    """Make the solid of an outline and prove it.
+def checked_prism(key: str, rings: Outline) -> Prism:
+    """Make the solid of an outline and check it.
 
-    Raises InputError for one that bounds no area (turned the wrong way, or crossing itself).
+    Raises InputError for an outline that bounds no area (inside out, or crossing itself).
     """
     corners = np.concatenate(rings)
-    # Triangulated once for a shape: 3,300 scenes hold some 15,000 objects of three shapes.
     cap = np.asarray(manifold3d.triangulate(list(rings)), dtype=np.int32)
     a, b, c = (corners[cap[:, index]] for index in range(3))
     doubled_areas = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
-    # A triangle's least height is twice its area over its longest side.
+    # The least height of a triangle is twice its area over its longest side.
     sides = np.linalg.norm(corners[cap] - corners[np.roll(cap, 1, axis=1)], axis=2)
     made = Prism(
         corners,
@@ -77,13 +72,15 @@ def proved_prism(key: str, rings: Outline) -> Prism:
     for array in (made.corners, made.cap, made.faces):
         array.setflags(write=False)
     verdict = mesh.check_manifold(mesh.Mesh(made.vertices(0.5) * PUBLISHED_RADIUS_M, made.faces))
-    wrong = verdict.problem or ("in pieces" if verdict.bodies != 1 else None)
-    # A figure of eight can pass for a solid: only its cap shows triangles that are turned over.
-    if wrong is None and (doubled_areas <= 0).any():
-        wrong = "crossing itself"
-    if wrong is not None:
+    problem = verdict.problem
+    if problem is None and verdict.bodies != 1:
+        problem = "in pieces"
+    # A figure of eight can pass for a solid, but triangles of its cap are inverted.
+    if problem is None and (doubled_areas <= 0).any():
+        problem = "crossing itself"
+    if problem is not None:
         raise InputError(
-            f"the outline of shape {key!r} bounds no area ({wrong}); expected one outer ring "
+            f"the outline of shape {key!r} bounds no area ({problem}); expected one outer ring "
             "counter-clockwise, then holes clockwise, none touching another"
         )
     return made
@@ -91,26 +88,26 @@ def proved_prism(key: str, rings: Outline) -> Prism:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prisms:
-    """The solids of several shapes one after another: a scene before anything is placed; all read-only."""
+    """The solids of several shapes one after another, before they are placed; read-only arrays."""
 
-    corners: Float64  # (n, 2), as of the prisms
+    corners: Float64  # (n, 2), of all prisms
     corner_counts: Int64  # of each prism
     faces: Int32  # (F, 3), numbered through all prisms
 
 
-@lru_cache(_MOST_KEPT)
+@lru_cache(MOST_KEPT)
 def prisms(keys: tuple[str, ...]) -> Prisms:
-    """Return the solids of the shapes that some keys name, in their order.
+    """Return the solids of the shapes that keys name, in their order.
 
-    Kept, as scenes hold the same few shapes in the same few orders: of the published ones there are 189.
+    They are kept, as scenes have few shapes in few orders; the published specification has 189.
     """
     each = [prism(key) for key in keys]
-    # Empty arrays first, since a layout may be empty.
+    # Begins with empty arrays, since a layout may be empty.
     corners, faces, vertices = [np.zeros((0, 2))], [np.zeros((0, 3), np.int32)], 0
     for one in each:
         corners.append(one.corners)
         faces.append(one.faces + np.int32(vertices))
-        vertices += one.vertex_count
+        vertices += 2 * len(one.corners)
     counts = np.array([len(one.corners) for one in each], dtype=np.int64)
     made = Prisms(np.concatenate(corners), counts, np.concatenate(faces))
     for array in (made.corners, made.corner_counts, made.faces):
@@ -119,7 +116,7 @@ def prisms(keys: tuple[str, ...]) -> Prisms:
 
 
 def _faces(ring_sizes: list[int], cap: Int32) -> Int32:
-    """Join the two caps by walls that follow each ring; a hole runs clockwise, so its walls face inwards."""
+    """Join the two caps by walls along each ring; holes are clockwise, so their walls face inwards."""
     starts = np.cumsum([0, *ring_sizes])
     here = np.arange(starts[-1])
     following = np.concatenate([np.roll(here[a:b], -1) for a, b in pairwise(starts)])
@@ -133,9 +130,9 @@ def _faces(ring_sizes: list[int], cap: Int32) -> Int32:
 def require_fine_steps(
     shapes: Sequence[Shape], half_area_m: tuple[float, float], cell_m: tuple[float, float]
 ) -> None:
-    """Refuse shapes so small, in a cell so large, that float32 coordinates could turn a triangle over.
+    """Refuse shapes so small, in a cell so large, that float32 coordinates could invert a triangle.
 
-    Three corners that move by up to e each stay in their order while the triangle is thicker than 2 e.
+    Three corners that each move by up to e keep their orientation if the triangle is thicker than 2 e.
     """
     for shape in shapes:
         thinnest_m = prism(shape.key).thinnest * shape.radius_m

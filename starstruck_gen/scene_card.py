@@ -1,4 +1,4 @@
-"""The data card of a data set of scenes, and its numbers: how hard it was to place the objects."""
+"""The data card of a data set of scenes."""
 
 from __future__ import annotations
 
@@ -32,19 +32,19 @@ COLUMNS = meanings(SceneRow)
 
 
 def summarise(manifest: store.Manifest) -> dict[str, Acceptance]:
-    """Return the acceptance of the scenes of each split; splits of an unfinished run as far as they got."""
-    return {split: Acceptance.from_dict(counts) for split, counts in manifest.statistics().items()}
+    """Return the acceptance of each split; of an unfinished run, that of its finished shards."""
+    return {split: Acceptance(**counts) for split, counts in manifest.statistics().items()}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
-    """Write ``README.md`` of a data set folder and the picture that it shows; scenes have no report.
+    """Write ``README.md`` of a data set folder, and the picture in it.
 
     Raises IntegrityError when a shard is missing or damaged.
     """
     if is_copy(manifest):
-        is_ours = manifest.spec["source_spec"] is not None
-        text = "MIT, as the toolkit." if is_ours else "The terms of the data set that these rows come from."
-        licence = "mit" if is_ours else "other"
+        licence, text = "mit", "MIT, as the toolkit."
+        if manifest.spec["source_spec"] is None:
+            licence, text = "other", "The terms of the data set that these rows come from."
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
         cards.write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
         return
@@ -68,36 +68,41 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
 
 
 def _placement_values(spec: SceneSpec) -> dict[str, str]:
-    """Write the specification in words; sizes as a printer needs them, in millimetres."""
+    """Describe the specification in words, with sizes in millimetres."""
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
     radii = sorted({shape.radius_m for shape in (spec.star, *spec.distractor_shapes)})
     widths = " to ".join(dict.fromkeys(f"{2e3 * radius:g}" for radius in (radii[0], radii[-1])))
-    kept = f" and keep {1e3 * spec.clearance_m:g} mm" if spec.clearance_m else ""
+    rule, rotation = _RULES[spec.collision], " by 0 degrees"
+    if spec.clearance_m:
+        rule = f"{rule} and keep {1e3 * spec.clearance_m:g} mm"
+    if turned:
+        rotation = f" by 0 to {turned:g} degrees about z"
+    distractors = with_count(most, "objects")
+    if least < most:
+        distractors = f"{cards.between(least, most)} objects"
     return {
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
         "classes": ", ".join(map(markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
-        "distractors": with_count(most, "objects")
-        if least == most
-        else f"{cards.between(least, most)} objects",
+        "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
-        "rotation": f" by 0 to {turned:g} degrees about z" if turned else " by 0 degrees",
+        "rotation": rotation,
         "heights": " or ".join(f"{1e3 * height:g}" for height in spec.heights_m) + " mm",
-        "rule": _RULES[spec.collision] + kept,
+        "rule": rule,
         "attempts": f"{spec.attempts:,}",
         "print_text": f"The circles around them are {widths} mm wide; a scene prints as loose objects.",
     }
 
 
 def _sheet(cell_m: tuple[float, float], facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first scenes as PNG, the longer side of each 140 pixels; None without rows."""
+    """Draw the first scenes as PNG, 140 pixels on the longer side of each; None without rows."""
     px_per_mm = _TILE_PX / (1e3 * max(cell_m))
     tiles = []
     for row in islice(cards.rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
-        # As Python objects: numpy's way of lists of structs imports pandas, which takes a second.
+        # As Python objects: numpy arrays of structs need pandas, whose import takes a second.
         (stored,) = row.group.table.slice(row.index, 1).to_pylist()
         placements = [Placement(**entry) for entry in stored["placements"]]
         tiles.append(pictures.Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))

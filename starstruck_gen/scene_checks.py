@@ -1,4 +1,4 @@
-"""Proving the stored scenes of a whole data set, with manifold3d."""
+"""Checks of the stored scenes of a data set."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import Any, ClassVar
 import numpy as np
 
 from starstruck_gen.kind import KIND
-from starstruck_gen.proportions import KINDS, Proportions
 from starstruck_gen.scene_dataset import SceneRecord
 from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen.shape_kinds import KINDS, Proportions
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
@@ -22,16 +22,16 @@ _COLUMNS = (
     *("id", "label", VERTICES, FACES),
     *("star_count", "distractor_count", "placements", "seed", "attempts", "restarts"),
 )
-# Rows whose id is null: JSON and tables want a number.
+# Id of rows whose id is null, as JSON and tables need a number.
 _NO_ID = -1
 _SHOWN = 20
-# How far a stored corner may lie from the declared object: other processors round in other ways.
+# Largest distance of a stored corner from the declared object: processors round differently.
 _PLACE_TOLERANCE_M = 1e-7
 
 
 @dataclass(frozen=True, slots=True)
 class InvalidScene:
-    """A scene that is invalid: where it is, and what was found and what was expected."""
+    """An invalid scene: where it is, what was found and what was expected."""
 
     split: str
     id: int
@@ -40,10 +40,10 @@ class InvalidScene:
 
 @dataclass(frozen=True, slots=True)
 class CheckedScenes:
-    """Everything found in one data set: how many scenes were checked, and those that are invalid.
+    """Results for one data set: the number of checked scenes, and the invalid ones.
 
-    ``bodies`` stand in the valid scenes; ``stars`` of them are declared stars. The published data set is not
-    ``declared``: it does not state what stands where.
+    The valid scenes have ``bodies`` solids, ``stars`` of which are declared stars. The published data set is
+    not ``declared``: it does not store placements.
     """
 
     path: str
@@ -56,7 +56,7 @@ class CheckedScenes:
 
     @property
     def failed(self) -> int:
-        """How many scenes are invalid."""
+        """Number of invalid scenes."""
         return len(self.failures)
 
     def to_dict(self) -> dict[str, Any]:
@@ -65,12 +65,11 @@ class CheckedScenes:
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of the scenes that fail."""
-        which = (
-            f", {self.stars:,} of them stars"
-            if self.declared
-            else "; which of them are stars is not declared"
-        )
-        solids = f"{with_count(self.bodies, 'solids')}{which}"
+        solids = with_count(self.bodies, "solids")
+        if self.declared:
+            solids = f"{solids}, {self.stars:,} of them stars"
+        else:
+            solids = f"{solids}; which of them are stars is not declared"
         title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; {solids}"
         shown = [(failure.split, failure.id, failure.problem) for failure in self.failures[:_SHOWN]]
         return ("split", "scene", "finding"), shown, title
@@ -84,10 +83,10 @@ def validate_folder(
     *,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> CheckedScenes:
-    """Prove the scenes of a data set, or of a Parquet file, as they are read back from disk.
+    """Check the scenes of a data set, or of a Parquet file, as they are read back from disk.
 
-    Only one split, and only the first ``limit`` rows of each, where asked for; ``on_progress`` is called with
-    scenes done and in all. Raises InputError where there is no data set of scenes, and IntegrityError where a
+    ``split`` selects one split, ``limit`` the first rows of each; ``on_progress`` is called with the numbers
+    of scenes done and in total. Raises InputError if there is no data set of scenes, and IntegrityError if a
     shard is damaged or the run that makes the data set is not finished.
     """
     place = places.open_place(name)
@@ -108,7 +107,8 @@ def validate_folder(
         if problem is None:
             bodies, stars = bodies + standing, stars + declared
         else:
-            failures.append(InvalidScene(row.split, _NO_ID if row.id is None else row.id, problem))
+            number = _NO_ID if row.id is None else row.id
+            failures.append(InvalidScene(row.split, number, problem))
     declares = any("placements" in read.column_names(shard.schema) for _, shard in shards)
     return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
@@ -116,21 +116,23 @@ def validate_folder(
 def _prove(
     row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
 ) -> tuple[str | None, int, int]:
-    """Return what is wrong with a scene, the number of bodies, and that of declared stars.
+    """Return what is wrong with a scene, its number of bodies, and that of its declared stars.
 
-    ``shapes`` are of all kinds: a new process knows those of the user once it has unpickled these.
+    ``shapes`` has one shape of each kind: unpickling it registers the kinds of the user in a new process.
     """
-    record = SceneRecord(row)
+    record, stars = SceneRecord(row), 0
     try:
         problem, bodies = check_scene(record, names[row.path])
-        return problem, bodies, record.star_count if record.has_placements else 0
+        if record.has_placements:
+            stars = record.star_count
+        return problem, bodies, stars
     except (ToolkitError, TypeError, ValueError, OverflowError) as error:
-        # Columns of other types than those of a data set of scenes, and shapes that are not known.
+        # Columns of other types, and unknown shapes.
         return f"cannot be read as a scene: {error}", 0, 0
 
 
 def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> tuple[str | None, int]:
-    """Prove one stored scene from its triangles: return what is wrong, None if nothing is, and its bodies.
+    """Check a stored scene from its triangles; return what is wrong (or None) and the number of its bodies.
 
     The triangles bound solids that do not overlap (:mod:`tactile_toolkit.mesh.solid_check`) and stand on
     z = 0. Each declared object has one solid, which is that object. There are as many stars as the class
@@ -147,12 +149,14 @@ def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) ->
 
 
 def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
-    lowest_m = [float(mesh.bounds_m[0, 2])]
-    # Bodies of negative volume are hollows inside the others.
-    lowest_m += [body.bounding_box()[2] / MM_PER_M for body in bodies if body.volume() > 0]
-    for number, each_m in enumerate(lowest_m):
-        if each_m != 0.0 if number == 0 else each_m > _PLACE_TOLERANCE_M:
-            what = f"body {number} of {len(lowest_m) - 1}" if number else "the mesh"
+    mesh_m = float(mesh.bounds_m[0, 2])
+    if mesh_m != 0.0:
+        return f"the lowest point of the mesh is at z = {mesh_m:g} m; expected 0"
+    # Bodies of negative volume are voids inside of others.
+    lowest_m = [body.bounding_box()[2] / MM_PER_M for body in bodies if body.volume() > 0]
+    for number, each_m in enumerate(lowest_m, 1):
+        if each_m > _PLACE_TOLERANCE_M:
+            what = f"body {number} of {len(lowest_m)}"
             return f"the lowest point of {what} is at z = {each_m:g} m; expected 0"
     return None
 
@@ -164,13 +168,15 @@ def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | Non
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
     if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return "the mesh is not that of the declared objects"
-    # Caps that face into their prism, which a solid of many triangles can hide from the check of its whole.
+    # Caps may face into their prism, which the check of the whole can miss in a solid of many triangles.
     corners = mesh.vertices_m.astype(np.float64)[mesh.faces]
     level = (corners[:, :, 2] == corners[:, :1, 2]).all(axis=1)
     a, b, c = np.moveaxis(corners[level], 1, 0)
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
-    return f"{wrong} triangles of flat faces are turned over or have no area" if wrong else None
+    if wrong:
+        return f"{with_count(wrong, 'triangles')} of flat faces are turned over or have no area"
+    return None
 
 
 def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:

@@ -19,31 +19,31 @@ from tactile_toolkit.wording import with_count
 class SceneRecord(mesh.SolidRecord):
     """One scene; fields are loaded on first use.
 
-    Frame of the mesh: origin at the cell's centre, x right, y away from the robot, z up, objects standing on
-    z = 0; metres. Data sets without our columns (the published one) give ``id``, ``label``, ``star_count``
-    and the mesh; what is not stored raises :class:`~tactile_toolkit.errors.InputError`.
+    Frame of the mesh: origin at the centre of the cell, x right, y away from the robot, z up, objects on
+    z = 0; metres. Data sets without our columns (the published one) have ``id``, ``label``, ``star_count``
+    and the mesh; other fields raise :class:`~tactile_toolkit.errors.InputError`.
     """
 
     __slots__ = ()
 
     @property
     def star_count(self) -> int:
-        """Number of stars; in data sets that do not store it, that of the published class."""
+        """Number of stars; that of the published class if it is not stored."""
         return self._row.integer("star_count") if self._row.has("star_count") else self.label + 1
 
     @property
     def distractor_count(self) -> int:
-        """Number of objects that are not stars; InputError where it is not stored."""
+        """Number of objects that are not stars; InputError if it is not stored."""
         return self._stated("distractor_count").integer("distractor_count")
 
     @property
     def has_placements(self) -> bool:
-        """Whether the data set stores the placements; the published one does not."""
+        """Whether the data set stores placements; the published one does not."""
         return self._row.has("placements")
 
     @property
     def placements(self) -> tuple[Placement, ...]:
-        """Objects in the order of placing, stars first; InputError where they are not stored."""
+        """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
             lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
@@ -51,17 +51,17 @@ class SceneRecord(mesh.SolidRecord):
 
     @property
     def seed(self) -> int:
-        """Seed of the scene: with the specification and the star count it makes the scene again."""
+        """Seed of the scene: specification, star count and seed make the scene again."""
         return self._stated("seed").integer("seed")
 
     @property
     def scene(self) -> Scene:
-        """The scene: its placements, and statistics of how they were found."""
+        """The scene: its placements, and statistics of sampling."""
         attempts = tuple(int(count) for count in self._stated("attempts").required("attempts"))
         return Scene(self.star_count, self.placements, attempts, self._stated("restarts").integer("restarts"))
 
     def _stated(self, name: str) -> read.Row:
-        """Return the row; InputError where the data set has no such column."""
+        """Return the row; InputError if the data set has no such column."""
         if not self._row.has(name):
             raise InputError(
                 f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
@@ -79,14 +79,13 @@ class SceneRecord(mesh.SolidRecord):
         return pictures.figure_html(self._drawn(2.0), caption)
 
     def _tile_html(self) -> str:
-
         caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:
             return pictures.relief_tile_html(self.vertices_m, self.faces, caption)
         return pictures.figure_html(self._drawn(0.8), caption, pictures.TILE_STYLE)
 
     def _drawn(self, px_per_mm: float) -> UInt8:
-        # A record does not know its specification; the published cell is what most were made for.
+        # A record does not know its specification; most scenes have the published cell.
         return np.asarray(draw_scene(self.placements, (0.12, 0.12), px_per_mm))
 
 
@@ -151,24 +150,24 @@ def load(
         A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
         columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
     split : str, optional
-        Split to open; only its shards are fetched. May be left out where there is only one.
+        Split to open; only its shards are downloaded. Optional if there is only one.
     streaming : bool
         Return an iterable that reads one shard after another and stores nothing, instead of a data set with
         random access.
     revision : str, optional
         Branch, tag or commit of a Hub repository.
     config : str, optional
-        Configuration, of a data set whose card has several.
+        Configuration, if the card of the data set has several.
 
     Returns
     -------
     SceneMeshDataset or RecordStream
-        No row is read until it is asked for.
+        Rows are read on demand.
 
     Raises
     ------
     InputError
-        No such folder or split, several splits and none named, another kind, or no columns of Starstruck.
+        No such folder or split, several splits and no name, another kind, or no columns of Starstruck.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

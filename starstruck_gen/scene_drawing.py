@@ -1,4 +1,4 @@
-"""Scenes from above."""
+"""Pictures of scenes from above."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ from tactile_toolkit.errors import InputError
 
 STAR_COLOUR = (214, 140, 20)
 DISTRACTOR_COLOUR = (92, 110, 132)
-# Scenes are drawn so many times larger and averaged: smooth edges.
+# Scenes are drawn so many times larger, then reduced, for smooth edges.
 _SUPERSAMPLING = 4
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)
-# 300 MB at three bytes each.
-_MOST_PIXELS = 100_000_000  # while drawing, so larger than the picture by _SUPERSAMPLING**2
+# Of the enlarged drawing: 300 MB at three bytes each.
+_MOST_PIXELS = 100_000_000
 
 
 def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_per_mm: float) -> Image.Image:
-    """Draw what stands on a plate; InputError where the picture would have no pixel, or too many.
+    """Draw objects on a plate, as :meth:`starstruck_gen.Scene.draw` does.
 
-    See :meth:`starstruck_gen.scene.Scene.draw`.
+    Raises InputError if the picture would have no pixel, or too many.
     """
     sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
     most = _MOST_PIXELS // _SUPERSAMPLING**2
@@ -39,20 +39,21 @@ def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_
 
 
 def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -> None:
-    """Paint an object where it stands, with its edge; ``px_per_m`` is the scale of the larger picture."""
+    """Paint an object and its edge in its place; ``px_per_m`` is the scale of the enlarged drawing."""
     c, s = cosine_sine(placement.angle_rad)
     rings = []
     for ring in outline(placement.shape):
         turned = moved(ring, np.array([[c, s], [-s, c]]))
         standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
         rings.append(standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2)
-    # A mask keeps holes open: what stands inside one must stay visible. It is as large as the object.
+    # A mask of the size of the object keeps its holes open, so that objects inside of them stay visible.
     low, high = (
         np.clip((rings[0].min(axis=0), rings[0].max(axis=0) + 2), 0, picture.size).astype(int).tolist()
     )
-    mask = Image.new("L", (high[0] - low[0], high[1] - low[1]))
-    for number, edge_px in enumerate(rings):
-        ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=0 if number else 255)
+    mask, fill = Image.new("L", (high[0] - low[0], high[1] - low[1])), 255
+    for edge_px in rings:
+        ImageDraw.Draw(mask).polygon((edge_px - low).ravel().tolist(), fill=fill)
+        fill = 0  # rings after the first are holes
     colour = STAR_COLOUR if placement.is_star else DISTRACTOR_COLOUR
     picture.paste(colour, (*low, *high), mask)
     for edge_px in rings:

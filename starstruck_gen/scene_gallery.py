@@ -1,4 +1,4 @@
-"""Scenes as a gallery: a static page of top views, filters and meshes to turn around."""
+"""Gallery of scenes: a static page of top views, filters and meshes."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tactile_toolkit.rows import Column, columns, with_role
 from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
-_OPAQUE_FROM = 150  # levels darker than the plate, as the fill of every object is
+_OPAQUE_FROM = 150  # the fill of every object is so many levels darker than the plate
 _PUBLISHED_CELL_M = SceneSpec.cell_m
 
 _SHOWN = (
@@ -34,7 +34,7 @@ _SHOWN = (
 def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
-    """State what a gallery of scenes shows; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    """Plan a gallery of scenes; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     return gallery.gallery_of_rows(KIND, name, chosen, "Starstruck scenes", _SHOWN, _item, _ROWS_PER_TASK)
 
 
@@ -72,9 +72,9 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
 
 
 def _parts(record: SceneRecord) -> list[tuple[int, str]]:
-    """Separate stars from other objects; nothing where the triangles are not those of the declared objects.
+    """Return runs of triangles of stars and of other objects.
 
-    Where it is not stored which objects are stars, none is painted as one.
+    Without placements, all objects are others. Empty if the triangles are not those of the declared objects.
     """
     if not record.has_placements:
         return [(len(record.faces), "other")]
@@ -82,14 +82,16 @@ def _parts(record: SceneRecord) -> list[tuple[int, str]]:
         (len(prism(placement.shape).faces), "main" if placement.is_star else "other")
         for placement in record.placements
     ]
-    return runs if sum(count for count, _ in runs) == len(record.faces) else []
+    if sum(count for count, _ in runs) != len(record.faces):
+        return []
+    return runs
 
 
 def _thumbnail(record: SceneRecord) -> bytes:
-    """Show the scene from above, in the published cell or a larger one where it reaches beyond that."""
+    """Draw the scene from above, in the published cell or in a larger one if it reaches beyond."""
     if not record.has_placements:
         return gallery.relief_thumbnail(record.vertices_m, record.faces)
-    # Twice the farthest corner, and a little room.
+    # Twice the distance of the farthest corner, and a margin.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
     width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
     px_per_mm = gallery.THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Unpack
 
@@ -24,9 +24,9 @@ PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 
 
 def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
-    """Make rows ``start`` to ``start + count - 1`` of a split; each depends on nothing but its number.
+    """Make rows ``start`` to ``start + count - 1`` of a split; each depends on its number only.
 
-    Raises SamplingExhausted when a scene cannot be made.
+    Raises SamplingExhausted if a scene cannot be made.
     """
     scenes = sample_scenes(spec, split, seed, start, count)
     meshes = build_meshes([scene.placements for scene in scenes])
@@ -49,14 +49,14 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
 
 @dataclass(frozen=True)
 class SceneSetSpec:
-    """Everything that decides which rows a data set holds.
+    """Everything that decides the rows of a data set.
 
     Attributes
     ----------
     scene : SceneSpec
         How scenes are made.
     scenes : tuple of (str, int)
-        Number of scenes of each split; a mapping is taken too.
+        Number of scenes of each split, also as a mapping.
     seed : int
         Random seed.
     limit : int or None
@@ -64,8 +64,8 @@ class SceneSetSpec:
 
     Notes
     -----
-    The splits made in one call and the number of workers are not part of it: a folder can be filled split by
-    split, on any machine.
+    The splits of a call and the number of workers are not part of it: a folder can be filled split by split,
+    on any machine.
     """
 
     scene: SceneSpec = field(default_factory=SceneSpec)
@@ -97,7 +97,7 @@ class SceneSetSpec:
 
 @dataclass(frozen=True)
 class SceneMaking(generation.Generator):
-    """How scenes are made: drawn by rejection, then made solids."""
+    """How scenes are made: by rejection sampling, then as solids."""
 
     spec: SceneSetSpec
     kind = KIND
@@ -114,7 +114,7 @@ class SceneMaking(generation.Generator):
             smallest=1_000,
             largest=10_000,
             wanted=48,
-            sampled=200,  # a scene takes tens of microseconds: fewer would measure the clock
+            sampled=200,  # a scene takes tens of microseconds; fewer would measure the clock
         )
 
     def schema(self, split: str) -> Any:
@@ -127,8 +127,8 @@ class SceneMaking(generation.Generator):
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
     def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
-        """Count what it took."""
-        return count_scenes(self.spec.scene, rows).to_dict()
+        """Count positions drawn and scenes started over."""
+        return asdict(count_scenes(self.spec.scene, rows))
 
 
 def generate(
@@ -141,8 +141,8 @@ def generate(
 ) -> store.Manifest:
     """Make a data set of scenes.
 
-    A folder that holds a run of the same specification is completed. The same specification gives
-    byte-identical Parquet whatever the number of workers and however often the run was interrupted.
+    A folder with an interrupted run of the same specification is completed. The same specification gives
+    byte-identical Parquet for any number of workers and interruptions.
 
     Parameters
     ----------
@@ -151,9 +151,9 @@ def generate(
     out : str or path-like
         Folder to write.
     splits : sequence of str
-        Splits to make; others that the folder holds already stay.
+        Splits to make; other splits in the folder stay.
     on_failure : callable
-        Called after each layout that failed while it is tried whether the fullest scene has room.
+        Called after each failed layout while the fullest scene is tried.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
@@ -162,9 +162,9 @@ def generate(
     InputError
         An option cannot be used.
     SamplingExhausted
-        The specification cannot be satisfied. Shards that were finished before stay.
+        The specification cannot be satisfied. Finished shards stay.
     SpecMismatchError, StorageError
-        The folder holds a data set of another specification, or cannot be written. What was finished stays.
+        The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
     require = partial(require_feasible, spec.scene, spec.seed, on_failure)
     return generation.generate(SceneMaking(spec), out, splits, require=require, **run)
@@ -172,8 +172,10 @@ def generate(
 
 def scene_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how scenes are made without any input: as published, or with fewer scenes."""
-    most = MOST_SCENES if per_class is None else per_class * len(KIND.class_names)
-    scenes = {split: min(size, most) for split, size in PUBLISHED_SIZES}
-    sizes = None if per_class is None else ",".join(f"{split}={size}" for split, size in scenes.items())
+    scenes, sizes = dict(PUBLISHED_SIZES), None
+    if per_class is not None:
+        most = per_class * len(KIND.class_names)
+        scenes = {split: min(size, most) for split, size in scenes.items()}
+        sizes = ",".join(f"{split}={size}" for split, size in scenes.items())
     spec = SceneSetSpec(scenes=tuple(scenes.items()), seed=seed)
     return generation.Recipe(SceneMaking(spec), {"scenes": sizes, "seed": seed})

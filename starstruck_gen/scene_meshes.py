@@ -1,4 +1,4 @@
-"""The meshes of many scenes at once."""
+"""The meshes of a batch of scenes."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ class SceneMeshes:
 def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """Make the meshes of a batch of scenes.
 
-    Each object is one solid of its own, in order of the placements, standing on z = 0; see
-    :class:`starstruck_gen.Placement` for the frame. A scene's mesh does not depend on what else is
-    in the batch.
+    Each object is a solid of its own on z = 0, in the order of the placements; see
+    :class:`starstruck_gen.Placement` for the frame. The mesh of a scene does not depend on the other scenes
+    of the batch.
 
     Parameters
     ----------
@@ -53,7 +53,7 @@ def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     -------
     SceneMeshes
     """
-    from starstruck_gen.compiled_vertices import standing_vertices
+    from starstruck_gen.compiled_vertices import standing_vertices  # numba takes 0.5 s to import
 
     outlines = [prisms(tuple([placement.shape for placement in layout])) for layout in layouts]
     poses = np.array([placement[1:] for layout in layouts for placement in layout], np.float64)

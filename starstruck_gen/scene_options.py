@@ -1,4 +1,4 @@
-"""Scenes as commands have options of them: numbers in words, lengths in millimetres."""
+"""Options of commands for scenes: lists of numbers as text, lengths in millimetres."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated, is_count
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
-# Notches at half the radius, as published, are not notches any more between 3 tips.
+# Between 3 tips, notches at half the radius, as published, lie on straight sides.
 _FEWEST_POINTS, _RATIO_OF_FEWEST = 3, 0.25
 
 
 def _counts(option: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
-    # Bounded here, before a tuple of the range is made; what a cell has room for `SceneSpec` checks.
+    # Bounded before a tuple of the range is made; `SceneSpec` checks the rest.
     if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
     if not all(map(is_count, comma_separated(words))) or not comma_separated(words):
@@ -47,7 +47,7 @@ def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
-    """What stands in a scene, and how close; lengths are of metres in :class:`SceneSpec`."""
+    """Objects of a scene, and how close they are; :class:`SceneSpec` has lengths in metres."""
 
     stars: str = text("1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class.")
     distractors: str = text(
@@ -76,7 +76,7 @@ class SceneOptions:
     clearance_mm: float = real(0.0, help="Minimum distance between them.")
 
     def spec(self) -> starstruck_gen.SceneSpec:
-        """Return the specification of scenes. Raises InputError for what cannot be read or made."""
+        """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("--distractors", self.distractors)
         if len(comma_separated(self.distractors)) > 2:
             raise InputError(
@@ -98,9 +98,11 @@ class SceneOptions:
         )
 
     def _star(self) -> starstruck_gen.Shape:
-        # A radius that cannot be is refused first, not a ratio that follows from it.
+        # An impossible radius is refused before a ratio that follows from it.
         plain = starstruck_gen.Shape("star", self.radius_mm / 1e3)
-        numbers: dict[str, float] = {} if self.star_points is None else {"points": self.star_points}
+        numbers: dict[str, float] = {}
+        if self.star_points is not None:
+            numbers["points"] = self.star_points
         if self.star_inner_mm is not None:
             numbers["inner_ratio"] = self.star_inner_mm / self.radius_mm
         elif self.star_points == _FEWEST_POINTS:

@@ -20,19 +20,19 @@ _TILE_PX = 150
 def plan_previews(name: places.Name | places.Place, spec: catalog.PreviewSpec) -> pictures.PicturePlan:
     """Decide which pictures of a folder or Parquet file of scenes to draw; draws none.
 
-    Raises InputError where there is nothing to draw, or an option does not fit what is there.
+    Raises InputError if there is nothing to draw, or an option does not fit the data.
     """
     opened: pictures.MeshPreviews[SceneMeshDataset] = pictures.MeshPreviews(KIND, name, spec)
     with catalog.specification_read(opened.name):
         made_by = SceneSpec.from_dict(opened.made_by["scene"]) if opened.made_by else SceneSpec()
 
     def sheet_of(rows: SceneMeshDataset, title: str) -> UInt8:
-        return draw_sheet(list(rows), made_by, spec.per_class, title)
+        return draw_scene_sheet(list(rows), made_by, spec.per_class, title)
 
     return pictures.plan_kinds(spec.kinds, {"sheet": lambda: opened.plan_sheets(sheet_of)})
 
 
-def draw_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> UInt8:
+def draw_scene_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: int, title: str) -> UInt8:
     """Draw scenes from above at one scale; ``spec`` states the size of the cell."""
     px_per_mm = _TILE_PX / (max(spec.cell_m) * mesh.MM_PER_M)
 

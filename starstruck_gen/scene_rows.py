@@ -16,16 +16,16 @@ from tactile_toolkit.rows import column, row
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=1_000,
     compression="zstd",
-    # Level 9: scenes are few bytes, and repeat the triangles of their shapes.
+    # Level 9: scenes are small and repeat the triangles of their shapes.
     compression_level=9,
     encodings=(
-        # A corner stands twice, on the plate and above it: zstd finds the pair in plain bytes, where any
-        # encoding that takes numbers apart hides it.
+        # Each corner occurs twice, on the plate and above it. zstd finds the pair in plain bytes; encodings
+        # that split numbers hide it.
         (f"{mesh.VERTICES}.list.element.list.element", "PLAIN"),
         (f"{mesh.FACES}.list.element.list.element", "DELTA_BINARY_PACKED"),
     ),
 )
-"""1,000 scenes are about 5 MB unpacked: enough for the codec to meet the triangles of each shape again."""
+"""1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
 
 _NUMBERS = [(name, pa.float64()) for name in Placement._fields if name != "shape"]
 _PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))

@@ -16,15 +16,15 @@ SPLITS = ("train", "test")
 """Splits of Starstruck (Tactile MNIST paper, section Starstruck)."""
 
 MOST_SCENES = 10**9
-"""Scenes that a split can hold; ids of a split begin at its index in :data:`SPLITS` times this number."""
+"""Largest number of scenes in a split; ids of a split begin at its index in :data:`SPLITS` times this."""
 
-_BLOCK = 48  # numbers drawn at once: nine published scenes of ten need no more
+_BLOCK = 48  # numbers drawn at once, which is enough for nine of ten published scenes
 _WORD = (1 << 64) - 1
 _GOLDEN = 0x9E3779B97F4A7C15  # 2**64 over the golden ratio: the step of SplitMix64
 
 
 def scene_seed(seed: int, split: str, index: int) -> int:
-    """Return the seed of one scene: 63 bits, well mixed.
+    """Return the seed of one scene, 63 well-mixed bits.
 
     Parameters
     ----------
@@ -42,8 +42,8 @@ def scene_seed(seed: int, split: str, index: int) -> int:
 
     Notes
     -----
-    SplitMix64 (Steele, Lea and Flood 2014) over a start that `numpy.random.SeedSequence` derives from the
-    seed and the split: one microsecond, where a `SeedSequence` for each scene would cost twenty.
+    SplitMix64 (Steele, Lea and Flood 2014) from a start that `numpy.random.SeedSequence` derives from seed
+    and split. It takes one microsecond; a `SeedSequence` for each scene would take twenty.
     """
     mixed = (_split_start(seed, split) + (index + 1) * _GOLDEN) & _WORD
     mixed = ((mixed ^ (mixed >> 30)) * 0xBF58476D1CE4E5B9) & _WORD
@@ -57,20 +57,20 @@ def scene_id(split: str, index: int) -> int:
 
 
 def scene_rng(seed: int) -> np.random.Generator:
-    """Return the generator of one scene, from its own seed (:func:`scene_seed`), which is checked."""
+    """Return the generator of one scene from the seed of the scene (:func:`scene_seed`)."""
     return np.random.Generator(np.random.Philox(key=checked_integer(seed, "the seed of a scene")))
 
 
 class SceneStreams:
     """The numbers of one scene after another, from a single generator.
 
-    Making a generator costs more than a scene; setting a counter-based one to a new key does not. The numbers
-    are those of :func:`scene_rng`. An object of this class belongs to one thread.
+    Making a generator takes longer than making a scene; setting the key of a counter-based one does not. The
+    numbers are those of :func:`scene_rng`. An object of this class belongs to one thread.
     """
 
     def __init__(self) -> None:
         self._bits = np.random.Philox(key=0)
-        # Lists, of whose numbers the generator reads each faster than of an array.
+        # Lists, as the generator reads their numbers faster than those of arrays.
         state: Any = self._bits.state
         self._key = [0, 0]
         start = {"counter": state["state"]["counter"].tolist(), "key": self._key}
@@ -78,9 +78,9 @@ class SceneStreams:
         self._random = np.random.Generator(self._bits).random
 
     def uniform(self, seed: int) -> Callable[[], float]:
-        """Return a function that gives the scene's numbers, uniform in [0, 1), one after another.
+        """Return a function that gives the numbers of a scene, uniform in [0, 1), one after another.
 
-        It ends with the next call of this method: there is one generator behind all scenes.
+        It is valid until the next call of this method, as all scenes share one generator.
         """
         self._key[0] = seed
         self._bits.state = self._start

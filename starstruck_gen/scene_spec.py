@@ -1,4 +1,4 @@
-"""Every number that decides how scenes are made."""
+"""The specification of scenes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from functools import cached_property
 from itertools import pairwise
 from typing import Any
 
-from starstruck_gen.outlines import STAR
 from starstruck_gen.prisms import require_fine_steps
+from starstruck_gen.shape_kinds import STAR
 from starstruck_gen.shapes import Shape
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
@@ -23,9 +23,9 @@ COLLISION_RULES = ("circles", "exact")
 _PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
 _PUBLISHED_STAR = Shape(STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
-# Coordinates stay below 1 m, where float32 moves them by 0.03 um: a third of STORAGE_MARGIN_M.
+# Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
-# Each is held against all others of its scene: the work grows with the square.
+# Each is compared with all others of its scene, so the work grows with the square.
 _MOST_OBJECTS = 1_000
 
 
@@ -38,34 +38,34 @@ class SceneSpec:
     cell_m : tuple of float
         Size of the cell along x and y, metres (package tactile-mnist 0.13.0).
     padding_m : tuple of float
-        What the cell loses along x and y before objects are placed, metres: 3 mm, half the outer size of the
-        sensor and half the border of the grid (package tactile-mnist 0.13.0).
+        Margin of the cell along x and y, metres: 3 mm, half the outer size of the sensor and half the border
+        of the grid (package tactile-mnist 0.13.0).
     stars : tuple of int
         Number of stars of each class (Tactile MNIST paper, section Starstruck: 1 to 3).
     distractors : tuple of int
         Minimum and maximum number of distractors of a scene (Tactile MNIST paper, section Starstruck: 0 to
         5).
     star : Shape
-        What is counted; its name is always ``"star"``. Size and proportions are part of a shape.
+        Shape that is counted; its name is ``"star"``. Size and proportions are part of a shape.
     distractor_shapes : tuple of Shape
         Shapes of distractors, each with equal chance (Tactile MNIST paper, section Starstruck).
     heights_m : tuple of float
         Heights of objects, each with equal chance, metres (package tactile-mnist 0.13.0: 5 mm).
     rotation_rad : float
-        Objects are turned about z by an angle uniform between 0 and this; 0 turns none.
+        Objects are turned about z by a uniform angle between 0 and this.
     collision : str
         One of :data:`COLLISION_RULES`.
     clearance_m : float
         Least distance between circles (or outlines) of two objects, metres.
     attempts : int
-        Failed positions of one object after which a scene starts over (Tactile MNIST paper: 100).
+        Failed positions of an object after which a scene starts over (Tactile MNIST paper: 100).
     restarts : int
-        How often a scene starts over before sampling gives up.
+        Number of times that a scene starts over before sampling gives up.
 
     Raises
     ------
     InputError
-        When a value cannot be used; the message names the field, what was found and what was expected.
+        A value cannot be used; the message names the field, what was found and what was expected.
     """
 
     cell_m: tuple[float, float] = real((0.12, 0.12), 0, _LARGEST_CELL_M, many=2)
@@ -83,7 +83,7 @@ class SceneSpec:
 
     def __post_init__(self) -> None:
         check_fields(self, "the scene specification")
-        # One spelling of each value, so that equal specifications have equal JSON.
+        # One type for each value, so that equal specifications have equal JSON.
         for name, kind in (
             ("stars", int),
             ("distractors", int),
@@ -120,9 +120,9 @@ class SceneSpec:
 
     @cached_property
     def half_area_m(self) -> tuple[float, float]:
-        """Farthest a centre may lie from the middle along x and y, metres.
+        """Largest distance of a centre from the middle along x and y, metres.
 
-        Objects in any rotation then stay inside the padded cell.
+        Objects in any rotation then stay inside of the padded cell.
         """
         widest_m = 2 * max(shape.radius_m for shape in (self.star, *self.distractor_shapes))
         return (
@@ -137,7 +137,7 @@ class SceneSpec:
 
     @property
     def most_objects(self) -> int:
-        """Objects of the fullest scene."""
+        """Number of objects in the fullest scene."""
         return max(self.stars) + self.distractors[1]
 
     def to_dict(self) -> dict[str, Any]:

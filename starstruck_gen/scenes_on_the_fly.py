@@ -1,4 +1,4 @@
-"""Scenes made from a seed when they are asked for."""
+"""Scenes on the fly: made from a seed when they are requested."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.rows import table_of
 
 DEFAULT_SIZE = 300_000
-"""Scenes of a split on the fly, where no size is given (package tactile-mnist 0.13.0)."""
+"""Default number of scenes of a split on the fly (package tactile-mnist 0.13.0)."""
 
-_MADE_TOGETHER = 4096  # rows that training mixes as those of a shard
+_MADE_TOGETHER = 4096  # rows that training shuffles as it does those of a shard
 # Columns that follow from the number of a scene.
 _KNOWN = ("id", "label", "star_count", "seed")
 
 
 class MadeScenes:
-    """The rows of a split, each made when it is asked for: a source of rows without a file."""
+    """A source of rows without a file: each scene of a split is made when it is requested."""
 
     path = ""
 
@@ -62,15 +62,15 @@ class MadeScenes:
         return self.size
 
     def unpack(self, _index: int) -> int:
-        """Return that nothing is unpacked."""
+        """Return 0: nothing is unpacked."""
         return 0
 
     def locate(self, row: int) -> tuple[read.Rows, int]:
-        """Return a row alone; nothing of it is made yet."""
+        """Return a single row, which is not made yet."""
         return MadeScene(self, row), 0
 
     def blocks(self, _index: int, columns: Sequence[str] | None = None) -> Iterator[read.RowGroup]:
-        """Make all rows, which are one row group, some at once."""
+        """Make all rows, which form one row group, in blocks."""
         start = 0
         for count in self.part_sizes:
             table = self.made(start, count)
@@ -78,15 +78,15 @@ class MadeScenes:
             start += count
 
     def made(self, start: int, count: int) -> Any:
-        """Make some rows at once, as an Arrow table."""
+        """Make a block of rows as an Arrow table."""
         return table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
 
     def column(self, name: str) -> Any:
-        """Return one column of all rows, of those that need no scene."""
+        """Return one column of all rows, which must be known without the scenes."""
         return pa.array(self.known(name, range(self.size)))
 
     def known(self, name: str, rows: range) -> Int64:
-        """Return what follows from the number of each of some rows; KeyError for any other column."""
+        """Return a column that follows from row numbers; KeyError for any other column."""
         numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
         classes = numbers % len(self.spec.stars)
         if name == "id":
@@ -101,7 +101,7 @@ class MadeScenes:
 
 
 class MadeScene(read.Rows):
-    """One row, of which scene and mesh are made on first use."""
+    """One row, whose scene and mesh are made on first use."""
 
     def __init__(self, source: MadeScenes, row: int) -> None:
         super().__init__("", row)
@@ -117,7 +117,7 @@ class MadeScene(read.Rows):
         """Columns by dotted name."""
         return read.column_names(self._source.schema)
 
-    # Not cached properties, whose locks would cost a twentieth of a scene and its mesh.
+    # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
     @property
     def _scene(self) -> Scene:
         source, row = self._source, self.first_row
@@ -140,7 +140,7 @@ class MadeScene(read.Rows):
         """Return a plain column of one value."""
         if name in _KNOWN:
             return self._source.known(name, range(self.first_row, self.first_row + 1))
-        # Filled by index: numpy would spread a list over an array of its own.
+        # Assigned by index: numpy would convert a list to an array.
         values = np.empty(1, dtype=object)
         values[0] = getattr(self._scene, name)
         if name == "placements":
@@ -149,7 +149,7 @@ class MadeScene(read.Rows):
 
 
 class SceneDataset(SceneMeshDataset):
-    """Scenes on the fly: the records that ``starstruck generate`` writes, index by index, without any files.
+    """Scenes on the fly: the records that ``starstruck generate`` writes, without files.
 
     Parameters
     ----------
@@ -158,7 +158,7 @@ class SceneDataset(SceneMeshDataset):
     split : str
         One of :data:`starstruck_gen.SPLITS`. Splits never share a scene.
     size : int
-        Number of scenes; scene i does not depend on it.
+        Number of scenes; a scene does not depend on it.
     seed : int
         Seed of the data set.
 
@@ -188,12 +188,12 @@ class SceneDataset(SceneMeshDataset):
         )
 
     def column(self, name: str) -> AnyArray:
-        """Return one plain column, shape (len,); all but id, label, star count and seed make the scenes.
+        """Return one plain column, shape (len,); all but id, label, star_count and seed need the scenes.
 
         Raises
         ------
         InputError
-            When the records have no such column.
+            The records have no such column.
         """
         if name in _KNOWN or name not in self._plain_columns:
             return super().column(name)

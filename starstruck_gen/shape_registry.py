@@ -1,4 +1,4 @@
-"""Further kinds of shapes."""
+"""Registration of further kinds of shapes."""
 
 from __future__ import annotations
 
@@ -8,10 +8,9 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.collisions import prism_solid
-from starstruck_gen.outlines import TOOLKIT_KINDS
-from starstruck_gen.prisms import prism, prisms, proved_prism
-from starstruck_gen.proportions import KINDS, Proportions
+from starstruck_gen.placement import prism_solid
+from starstruck_gen.prisms import checked_prism, prism, prisms
+from starstruck_gen.shape_kinds import KINDS, TOOLKIT_KINDS, Proportions
 from starstruck_gen.shapes import outline, read_only
 from tactile_toolkit.errors import InputError
 
@@ -20,7 +19,7 @@ _REACH_TOLERANCE = 1e-9
 
 
 def register_shape(kind: K) -> K:
-    """Make a kind of shape known, so that :class:`starstruck_gen.Shape` and all that follows take it.
+    """Register a kind of shape, so that :class:`starstruck_gen.Shape` accepts its name.
 
     Parameters
     ----------
@@ -31,7 +30,8 @@ def register_shape(kind: K) -> K:
 
     Returns
     -------
-    type : the same, so that this serves as a decorator
+    type
+        The same class, so that this function is a decorator.
 
     Raises
     ------
@@ -41,8 +41,8 @@ def register_shape(kind: K) -> K:
 
     Notes
     -----
-    Specifications and shapes carry the class with them when they are pickled. Reading JSON or a stored data
-    set needs the kind registered first. The command line has the toolkit's own shapes alone.
+    Pickled specifications and shapes register the class in the process that unpickles them. Before JSON or a
+    stored data set is read, the kind must be registered. The command line has the shapes of the toolkit only.
 
     Examples
     --------
@@ -64,10 +64,10 @@ def register_shape(kind: K) -> K:
     former = KINDS.get(kind.name)
     if former is kind:
         return kind
-    # A cell of a notebook that is run again defines its class once more; that class replaces its former.
+    # A notebook cell that is run again defines its class again; the new class replaces the former one.
     if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
         raise InputError(f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name")
-    made = proved_prism(kind.name, read_only(kind().rings()))
+    made = checked_prism(kind.name, read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
         raise InputError(
@@ -75,7 +75,7 @@ def register_shape(kind: K) -> K:
             "the circumscribed radius"
         )
     KINDS[kind.name] = kind
-    # What is kept by key may belong to a former kind of the same name.
+    # Caches by key may hold shapes of a former kind of the same name.
     for kept in (outline, prism, prisms, prism_solid):
         kept.cache_clear()
     return kind

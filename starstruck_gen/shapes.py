@@ -16,8 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from starstruck_gen.outlines import kind_named
-from starstruck_gen.proportions import Outline, Proportions
+from starstruck_gen.shape_kinds import Outline, Proportions, kind_named
 from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
 
@@ -27,7 +26,7 @@ PUBLISHED_RADIUS_M = 0.010
 _LEAST_RADIUS_M = 1e-4
 _MOST_RADIUS_M = 1.0
 _KEY = re.compile(r"(?P<name>\w+)(\((?P<numbers>[^()]*)\))?")
-# Stands for those of the kind, which is known only when its name is looked up.
+# Placeholder for the default proportions of the kind, which is known once its name is looked up.
 _OF_THE_KIND = Proportions()
 
 
@@ -42,12 +41,12 @@ class Shape:
     radius_m : float
         Circumscribed radius, metres.
     proportions : Proportions
-        What it looks like, such as ``Star(points=6)``; those of the kind when not given.
+        Proportions such as ``Star(points=6)``; by default those of the kind.
 
     Attributes
     ----------
     key : str
-        What names its outline in a placement, such as ``star`` or ``star(points=6)``.
+        Name of its outline in a placement, such as ``star`` or ``star(points=6)``.
 
     Raises
     ------
@@ -90,7 +89,7 @@ class Shape:
         Raises
         ------
         InputError
-            When the text is not such a key.
+            The text is not such a key.
         """
         proportions = _parse_key(text)
         return cls(proportions.name, radius_m, proportions)
@@ -103,14 +102,14 @@ class Shape:
 
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Shape:
-        """Rebuild a shape from :meth:`to_dict`; proportions that are not given are those of the kind.
+        """Rebuild a shape from :meth:`to_dict`; missing proportions are those of the kind.
 
         Raises
         ------
         InputError
-            When a value cannot be used.
+            A value cannot be used.
         TypeError
-            When a field is missing or unknown.
+            A field is missing or unknown.
         """
         plain = dict(values)
         numbers = plain.pop("proportions", {})
@@ -119,27 +118,29 @@ class Shape:
 
 
 def shape_key(proportions: Proportions) -> str:
-    """Return what names an outline in a placement: ``star``, or ``star(points=6)`` for one of its own.
+    """Return the name of an outline in a placement, such as ``star`` or ``star(points=6)``.
 
-    Only numbers that differ from those of the kind are written, exactly; equal proportions have equal keys.
+    It holds the numbers that differ from those of the kind, exactly. Equal proportions have equal keys.
     """
     given = ((entry, getattr(proportions, entry.name)) for entry in fields(proportions))
     numbers = ",".join(f"{entry.name}={value!r}" for entry, value in given if value != entry.default)
-    return f"{proportions.name}({numbers})" if numbers else proportions.name
+    if not numbers:
+        return proportions.name
+    return f"{proportions.name}({numbers})"
 
 
 @lru_cache(1_024)
 def outline(key: str) -> Outline:
-    """Return the rings that a :func:`shape_key` names, read-only; unit: the circumscribed radius.
+    """Return the rings that a :func:`shape_key` names, read-only, in circumscribed radii.
 
     Frame: origin at the centre of the circumscribed circle, first corner of a star on +x. Raises InputError
-    when the shape is unknown, or its proportions cannot be used.
+    if the shape is unknown or its proportions cannot be used.
     """
     return read_only(_parse_key(key).rings())
 
 
 def read_only(rings: Outline) -> Outline:
-    """Return rings that cannot be changed: the class of a user may hand out its own arrays."""
+    """Return read-only rings; the class of a user may return its own arrays."""
     rings = tuple(np.asarray(ring, dtype=np.float64) for ring in rings)
     for ring in rings:
         ring.setflags(write=False)
@@ -147,7 +148,7 @@ def read_only(rings: Outline) -> Outline:
 
 
 def _parse_key(key: str) -> Proportions:
-    """Read what :func:`shape_key` writes; people write it too, so spaces and repeated numbers are met."""
+    """Read a :func:`shape_key`, which may be written by people, with spaces or repeated numbers."""
     match = _KEY.fullmatch(key.strip())
     if match is None:
         raise InputError(f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)")

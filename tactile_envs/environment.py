@@ -27,7 +27,10 @@ _TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed i
 _NO_DRIFT = np.zeros(3)
 _PARTS_A_THREAD = 8
 _PLACE = "initial_sensor_target_pose"
+_RESET_MASK = "reset_mask"
+_OPTIONS = ("datapoint_idx", "initial_object_pose", _PLACE, _RESET_MASK)
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
+_CLOSED = "the environment was closed; next: make another one"
 Observation = dict[str, AnyArray]
 
 
@@ -169,10 +172,17 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
             ``initial_object_pose``: for each an array of its position (x, y), metres, and turn, radians, or
             None. ``initial_sensor_target_pose``: for each an array of the position (x, y) of the first touch,
-            metres, or None.
+            metres, or None. ``reset_mask``: which environments begin anew, which can only be all.
+
+        Raises
+        ------
+        InputError
+            An option is unknown or cannot be fulfilled.
         """
-        super().reset(seed=seed)
+        self._require_open()
         options = {} if options is None else options
+        _require_options(options)
+        super().reset(seed=seed)
         for i, wanted in enumerate(self._given(options, "datapoint_idx")):
             number = int(self.np_random.integers(0, len(self._pool)) if wanted is None else wanted)
             if not 0 <= number < len(self._pool):
@@ -189,6 +199,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
         """Take one touch in every environment; see gymnasium for what is returned."""
+        self._require_open()
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
             raise InputError(
@@ -292,7 +303,9 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         if config.timeout_behavior == "terminate":
             progress = np.float32(self._step_number / config.step_limit * 2 - 1)
             observation["time_step"] = np.full(count, progress)
-        info: dict[str, Any] = {"sensor_pose": Poses(self._sensors.copy(), self._upright)}
+        poses = np.tile(np.eye(4), (count, 1, 1))
+        poses[:, :3, 3] = self._sensors
+        info: dict[str, Any] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = depths_m
         return observation, info
@@ -321,6 +334,10 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         for helper in helpers:
             if not helper.cancel():  # one that did not start has nothing left to do
                 helper.result()
+
+    def _require_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError(_CLOSED)
 
     def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
         given = list(options.get(name, [None] * self.num_envs))
@@ -414,12 +431,24 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self._spec.max_episode_steps = self.config.step_limit
 
 
-class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]
-    """One environment: a vector of one, seen as a single one; ``info["sensor_pose"]`` is a matrix (4, 4)."""
+def _require_options(options: Mapping[str, Any]) -> None:
+    """Refuse options of a reset that are unknown, and a reset of some environments alone (InputError)."""
+    if unknown := [name for name in options if name not in _OPTIONS]:
+        raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
+    mask = options.get(_RESET_MASK)
+    if mask is not None and not np.all(mask):
+        raise InputError(
+            f"option {_RESET_MASK!r} leaves environments out; episodes of a vector begin and end together",
+            next="reset all of them, or make several vectors",
+        )
 
-    @classmethod
-    def _tree_map(cls, function: Any, data: Any) -> Any:
-        return super()._tree_map(function, data.matrix if isinstance(data, Poses) else data)
+
+class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]
+    """One environment: a vector of one, seen as a single one."""
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        # Without it, copies look for it in the vector that they have not got yet, without an end.
+        self.__dict__.update(state)
 
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Take one touch; see gymnasium for what is returned."""

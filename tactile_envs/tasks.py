@@ -228,10 +228,7 @@ class EpisodeLog:
         for name, values in self._values.items():
             for kind, reduced in (("avg", values.mean(axis=0)), ("final", values[-1].copy())):
                 scalar[f"{kind}_{name}"], scalar[f"_{kind}_{name}"] = reduced, done
-            # An array of lists: gymnasium does not stack those.
-            curves = np.empty(self._num_envs, object)
-            curves[:] = values.T.tolist()
-            vector[name], vector[f"_{name}"] = curves, done
+            vector[name], vector[f"_{name}"] = values.T.copy(), done
         if "accuracy" in self._values:
             scalar.update(_turning_points(self._values["accuracy"] > 0))
         return {"scalar": scalar, "_scalar": done, "vector": vector, "_vector": done}

@@ -18,13 +18,13 @@ from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.text_tables import table_text
+from tactile_toolkit.text_tables import TABLE_ENDINGS, table_text
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
 _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
 _POSES = ("object_x_m", "object_y_m", "object_turn_rad")
-_ENDINGS = (".csv", ".parquet", ".npz")
+_ENDINGS = (*TABLE_ENDINGS, ".parquet", ".npz")
 _COLUMNS = (*_POSITIONS, *_NUMBERS, *_POSES)
 _INDEX_NAMES = ("", "Unnamed: 0", "__index_level_0__")
 # Memory that reading takes for each row, in whatever columns, with the numbers of rounds and objects.
@@ -203,7 +203,7 @@ def _read_columns(file: Path) -> Mapping[str, Any]:
                 return {ours: _scaled(stored[name], divisor) for name, (ours, divisor) in meant.items()}
         from pyarrow import parquet
 
-        if file.suffix.lower() == ".csv":
+        if file.suffix.lower() in TABLE_ENDINGS:
             table = _read_csv(stream.read(), str(file))
             meant = _numbers_in(table.schema, len(table), size_bytes)
         else:
@@ -220,11 +220,12 @@ def _read_csv(content: bytes, path: str) -> Any:
     text, separator = table_text(content, path)
     # A comma that separates nothing is the decimal mark.
     mark = "," if separator != "," and "," in text else "."
-    return csv.read_csv(
+    table = csv.read_csv(
         io.BytesIO(text.encode()),
         parse_options=csv.ParseOptions(delimiter=separator),
         convert_options=csv.ConvertOptions(decimal_point=mark),
     )
+    return table.rename_columns([name.strip() for name in table.column_names])
 
 
 def _numbers_in(schema: Any, rows: int, size_bytes: int) -> dict[str, tuple[str, float]]:

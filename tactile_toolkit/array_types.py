@@ -1,4 +1,4 @@
-"""Types of arrays by their elements, for annotations; docstrings state shape, unit and frame."""
+"""Array types by element, for annotations; docstrings state shape, unit and frame."""
 
 from __future__ import annotations
 
@@ -20,4 +20,4 @@ Floating: TypeAlias = NDArray[np.floating[Any]]
 """Floating-point numbers of single or double precision."""
 
 AnyArray: TypeAlias = NDArray[Any]
-"""Elements of a type that the caller chooses."""
+"""Elements of any type."""

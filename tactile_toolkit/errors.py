@@ -159,7 +159,7 @@ class IntegrityError(ToolkitError):
     @classmethod
     def in_file(cls, path: str, found: str) -> IntegrityError:
         """Return the error for a file of a data set; ``found`` continues right behind the path, in quotes."""
-        again = "run `verify` on the data set, then generate, convert or download it again"
+        again = "make or fetch it again; `verify` names everything that is damaged in a data set"
         return cls(f"{path!r}{found}", next=again)
 
 

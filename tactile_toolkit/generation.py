@@ -11,8 +11,11 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Unpack
 
+import pyarrow as pa
+
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.system import usable_cores
@@ -62,9 +65,9 @@ class Generator(ABC):
     kind: DatasetKind
     spec: Any  # has `to_dict`
 
-    def manifest(self) -> Mapping[str, Any]:
+    def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
-        values: Mapping[str, Any] = self.spec.to_dict()
+        values: JsonObject = self.spec.to_dict()
         return values
 
     @abstractmethod
@@ -76,18 +79,18 @@ class Generator(ABC):
         """Return how rows are stored."""
 
     @abstractmethod
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of the shards of a split."""
 
     @abstractmethod
     def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
         """Yield the row of each item, or why it gives none; touches no file of the data set."""
 
-    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
+    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> pa.Table | None:
         """Return rows of the report about rows of a shard, an Arrow table; None without a report."""
         return None
 
-    def statistics(self, rows: Sequence[Any]) -> Mapping[str, Any] | None:
+    def statistics(self, rows: Sequence[Any]) -> JsonObject | None:
         """Return JSON values about rows, which add up over shards, for the manifest."""
         return None
 
@@ -135,7 +138,7 @@ def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> sto
 
 def _tasks(
     generator: Generator, items: Mapping[str, Any], layout: StorageLayout
-) -> tuple[store.ShardTask[Any], ...]:
+) -> tuple[store.AnyTask, ...]:
     return tuple(
         store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
         for split, each in items.items()
@@ -280,7 +283,7 @@ class Recipe:
     """
 
     generator: Generator
-    options: Mapping[str, Any] | None = None
+    options: JsonObject | None = None
 
     @property
     def splits(self) -> tuple[str, ...]:

@@ -12,7 +12,9 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
-from typing import Any
+from typing import Any, Protocol
+
+from tactile_toolkit.json_types import JsonObject
 
 EXPORT, MERGE, SPLIT = "export", "merge", "split"
 """Operations, in a manifest, that made a copy: for other libraries, of several data sets, of some rows."""
@@ -39,17 +41,25 @@ _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perceptio
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 
 
-def is_export(manifest: Any) -> bool:
+class Specified(Protocol):
+    """What has a specification, such as a manifest."""
+
+    @property
+    def spec(self) -> JsonObject:
+        """JSON values that all rows follow from."""
+
+
+def is_export(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of a copy for other libraries, with columns of their own."""
     return manifest is not None and manifest.spec.get("operation") == EXPORT
 
 
-def is_for_others(manifest: Any) -> bool:
+def is_for_others(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of files for other programs, without the rows of its kind."""
     return manifest is not None and manifest.spec.get("operation") in (EXPORT, "frames", "pairs")
 
 
-def is_copy(manifest: Any) -> bool:
+def is_copy(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of a copy: it states what that was made of, not how rows are made."""
     return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
 
@@ -193,7 +203,7 @@ class DatasetKind:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
 
-    def command_of(self, manifest: Any) -> str:
+    def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, unless it is a copy or converted."""
         operation = None if manifest is None else manifest.spec.get("operation")
         return f"{self.command} {operation}" if operation else self.made_by
@@ -202,12 +212,12 @@ class DatasetKind:
         """Return a command of this kind by its name, or the one that prints rows where it has none such."""
         return command if command in SHARED_COMMANDS and command not in self.missing_commands else "show"
 
-    def schema_of(self, manifest: Any) -> Any:
+    def schema_of(self, manifest: Specified | None) -> Any:
         """Return the Arrow schema of every shard of a data set; None where it follows from a source."""
         return None if self.schema is None or is_export(manifest) else self.schema()
 
     def loading_lines(
-        self, manifest: Any, name: str, split: str, revision: str | None = None
+        self, manifest: Specified | None, name: str, split: str, revision: str | None = None
     ) -> tuple[str, str]:
         """Return an import and a call that open a split of a data set of this kind in Python."""
         function = f"{self.package}.load" if self.loader is None else self.loader(manifest)

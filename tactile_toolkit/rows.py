@@ -1,7 +1,7 @@
 """Rows of data sets, each column declared once.
 
-From a class of rows follow the Arrow schema and table of a shard, the tables of fields in cards and
-documentation, the filters and measures of a gallery, and what cards and commands state of a split.
+The Arrow schema and table of a shard, the tables of fields in cards and documentation, the filters and
+measures of a gallery, and the figures of a split in cards and commands follow from a class of rows.
 """
 
 from __future__ import annotations
@@ -31,23 +31,23 @@ class Column:
     Attributes
     ----------
     data_type : pyarrow.DataType
-        How it is stored.
+        Type in files.
     unit : str
         Shape, unit and frame.
     meaning : str
-        What it holds, in a sentence.
+        What it holds, in a phrase.
     name : str
         Name of the stored column; that of the attribute by default.
     role : str
-        What the toolkit does with it. Objects are filtered and counted by the values of a ``"facet"``, which
-        may be a list. A ``"measure"`` is a number that is shown with each object; least, median and most are
-        stated of a split. A ``"sum"`` is a number whose total is stated. A ``"hidden"`` column is not stored.
+        Use of the column. Objects are filtered and counted by the values of a ``"facet"``, which may be
+        lists. A ``"measure"`` is a number of each object, with minimum, median and maximum of a split. A
+        ``"sum"`` is a number with a total of a split. A ``"hidden"`` column is not stored.
     title : str
         Heading in tables and galleries.
     decimals : int
-        Decimals that are shown of a number.
+        Number of decimals shown.
     values : tuple of str
-        Values of a facet in the order in which they are shown; others follow them.
+        Values of a facet in the order of display; others follow.
     """
 
     data_type: pa.DataType
@@ -61,20 +61,20 @@ class Column:
 
     @property
     def heading(self) -> str:
-        """Title and unit, for the head of a table."""
+        """Title and unit, for headers of tables."""
         return f"{self.title}, {self.unit}" if self.unit else self.title
 
     def text(self, number: float) -> str:
-        """Write a value with its decimals; NaN, which is unknown, as a dash."""
+        """Format a value with its decimals; an unknown value, NaN, is a dash."""
         return "-" if math.isnan(number) else f"{number:,.{self.decimals}f}"
 
 
 def column(
     data_type: pa.DataType, unit: str = "", meaning: str = "", *, default: object = MISSING, **facts: Any
 ) -> Any:
-    """Declare an attribute of a row as a column; ``facts`` are further ones of :class:`Column`.
+    """Declare an attribute of a row as a column; ``facts`` are further attributes of :class:`Column`.
 
-    ``name`` is needed where the attribute cannot be called so (``mesh.vertices``).
+    ``name`` is for columns whose name is not an identifier (``mesh.vertices``).
     """
     return field(default=default, metadata={_COLUMN: Column(data_type, unit, meaning, **facts)})
 
@@ -86,7 +86,7 @@ def row(declared: type[T]) -> type[T]:
 
 
 def columns(row_type: Any) -> dict[str, Column]:
-    """Return the columns of a class of rows by attribute, each with its name; others are not stored."""
+    """Return the columns of a class of rows by attribute, each with its name."""
     found = {each.name: each.metadata.get(_COLUMN) for each in fields(row_type)}
     return {
         attribute: replace(each, name=each.name or attribute)
@@ -106,7 +106,7 @@ def meanings(row_type: type) -> dict[str, tuple[str, str]]:
 
 
 def plain_schema(row_type: type) -> pa.Schema:
-    """Return the Arrow schema of such rows, without metadata."""
+    """Return the Arrow schema of a class of rows, without metadata."""
     return pa.schema(
         [(each.name, each.data_type) for each in columns(row_type).values() if each.role != "hidden"]
     )
@@ -131,7 +131,7 @@ def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
         vectors = read.RaggedColumn(np.concatenate(values), _offsets(values))
         return read.ragged_array(vectors, inner.value_type)
     if inner is not None and pa.types.is_struct(inner):
-        # Much faster than from a dict for each struct.
+        # Much faster than a dict for each struct.
         parts = list(zip(*chain.from_iterable(values), strict=True))
         arrays = [
             pa.array(part, each.type) for part, each in zip(parts or [()] * len(inner), inner, strict=True)

@@ -1,4 +1,4 @@
-"""Tables in text as programs write them: with commas, semicolons or tabs, in UTF-8 or marked UTF-16."""
+"""Tables in text files: separated by commas, semicolons or tabs, in UTF-8, or UTF-16 with a mark."""
 
 from __future__ import annotations
 
@@ -10,20 +10,20 @@ from typing import Any
 from tactile_toolkit.errors import InputError
 
 TABLE_ENDINGS = (".csv", ".tsv")
-"""How the names of such files end, in lower case."""
+"""Endings of such files, in lower case."""
 
 _QUOTED = re.compile(r'"[^"\n]*"')
 _SEPARATORS = (",", ";", "\t")
-# Spreadsheets write it before the header, and read it.
+# A line before the header, by which spreadsheets state the separator.
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
 _UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 def table_text(content: bytes, path: str) -> tuple[str, str]:
-    """Return the text of a table, and what separates its columns.
+    """Return the text of a table and its separator.
 
-    That is what a line ``sep=;`` before the header says, or else the most frequent in it of ``,``, ``;`` and
-    tab. Raises InputError, which names ``path``, for what is not text.
+    The separator is stated by a line ``sep=;`` before the header, or else the most frequent of ``,``, ``;``
+    and tab in the header. Raises InputError, which names ``path``, for content that is not text.
     """
     encoding = "utf-16" if content.startswith(_UTF16_MARKS) else "utf-8-sig"
     try:
@@ -42,16 +42,16 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
 
 
 def table_lines(content: bytes, path: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the columns and lines of a table; InputError, which names ``path``, where it cannot be read."""
+    """Return columns and lines of a table; InputError, which names ``path``, for an unreadable one."""
     text, separator = table_text(content, path)
-    # Blanks behind a separator are not of the value.
+    # Spaces after a separator are not part of the value.
     stream = io.StringIO(text, newline="")
     lines = csv.DictReader(stream, delimiter=separator, strict=True, skipinitialspace=True)
     try:
         lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
         return list(lines.fieldnames), list(lines)
     except csv.Error as error:
-        # Of a line that was not read it counts none; a quote that never ends reaches over all that follow.
+        # The reader does not count an unreadable line; an unclosed quote extends to the end.
         raise InputError(
             f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas, semicolons or tabs"
         ) from error

@@ -1,4 +1,4 @@
-"""Units of lengths and angles, and those that names of columns state: ``x_mm`` is in millimetres."""
+"""Units of length and angle, as numbers and as names of columns state them: ``x_mm`` is in millimetres."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from tactile_toolkit.errors import InputError
 MM_PER_UNIT = {"mm": 1.0, "cm": 10.0, "m": 1000.0, "in": 25.4, "ft": 304.8, "um": 1e-3}
 
 PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm", "m")}
-"""How many of each unit that columns may have make a metre."""
+"""Number of units in a metre, for units of columns."""
 
 PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
-"""How many of each unit make a radian."""
+"""Number of units in a radian."""
 
 
 def stated_unit(name: str) -> str | None:
@@ -23,7 +23,7 @@ def stated_unit(name: str) -> str | None:
 
 
 def length_per_metre(name: str, given: str | None = None) -> float:
-    """Return how many units of a column make a metre.
+    """Return the number of units of a column in a metre.
 
     The name of the column states the unit, or ``given`` does; the default is metres. InputError: both state
     one and differ, or the column states an angle.

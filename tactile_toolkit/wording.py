@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterable, Sequence
 
 # Touches, meshes, classes and boxes; in anything else the e belongs to the word.
@@ -24,6 +23,8 @@ def class_name(names: Sequence[str], label: int) -> str:
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Name what was probably meant, to stand behind a message: ``"; did you mean 'test'?"``, or ``""``."""
     # Here: it takes 3 ms, and few runs need it.
+
+    import difflib  # here: it takes 4 ms of every command, and few need it
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)

@@ -1,4 +1,4 @@
-"""How a few points become a smooth, evenly sampled path."""
+"""Pen paths as runs of points, and the smooth, evenly sampled curves through them."""
 
 from __future__ import annotations
 
@@ -13,18 +13,20 @@ Point = tuple[float, float]
 """x to the right, y down."""
 
 Vary = Callable[[float, float], float]
-"""(mean, spread) -> value."""
+"""(mean, spread) -> value for this writer and this digit."""
 
 Run = list[Point]
 Stroke = list[Run]
 Shape = Callable[[Vary, float], list[Stroke]]
 
+Allographs = tuple[tuple[tuple[Shape, float], ...], ...]
+"""For each digit its shapes, and the share of writers who prefer them."""
+
 Ring = tuple[Point, Point]
-"""Middle and half axes."""
+"""Centre and half axes."""
 
 CLEAR = 0.06
-"""Half width of the paper that a ring keeps free inside, as a share of the height: people with thick pens
-write larger rings."""
+"""Half width of the paper inside of a ring, as a share of the height: thick pens write larger rings."""
 
 # Samples of the curve between two points.
 _STEPS = 8
@@ -32,22 +34,22 @@ _TINY = 1e-9
 
 
 def lean(run: Run, slant: float, axis_y: float) -> Run:
-    """Return the run sheared sideways by `slant` per unit of height above `axis_y`."""
+    """Shear a run sideways by `slant` per unit of height above `axis_y`."""
     return [(x + slant * (axis_y - y), y) for x, y in run]
 
 
 def arc(
     centre: Point, radii: Point, start_deg: float, stop_deg: float, number: int, egg: float = 0.0
 ) -> list[Point]:
-    """Return `number` points on an ellipse, both ends included.
+    """Return `number` points on an ellipse, with both ends.
 
-    0 degrees is right, 90 is below, 180 left, 270 or -90 above; falling angles run anticlockwise on paper.
-    `egg` widens the lower half by this share and narrows the upper half as much.
+    0 degrees is right, 90 below, 180 left, 270 or -90 above; falling angles run anticlockwise on paper. `egg`
+    widens the lower half by this share and narrows the upper half by as much.
     """
     points = []
     for index in range(number):
         turn = math.radians(start_deg + (stop_deg - start_deg) * index / (number - 1))
-        # Rounded, because the last bit of a cosine is the platform's own.
+        # Rounded, because the last bit of a cosine depends on the platform.
         across, down = round(math.cos(turn), 9), round(math.sin(turn), 9)
         points.append((centre[0] + radii[0] * (1.0 + egg * down) * across, centre[1] + radii[1] * down))
     return points
@@ -56,8 +58,7 @@ def arc(
 def through(points: Sequence[Point]) -> Float64:
     """Return a centripetal Catmull-Rom curve, shape (N, 2), through at least two points.
 
-    Centripetal, because it neither loops nor overshoots when points lie unevenly (Yuksel, Schaefer and Keyser
-    2011).
+    A centripetal curve neither loops nor overshoots between uneven points (Yuksel, Schaefer and Keyser 2011).
     """
     inner = np.asarray(points, dtype=np.float64)
     if len(inner) == 2:
@@ -82,7 +83,7 @@ def through(points: Sequence[Point]) -> Float64:
 
 
 def resample(path: Float64, spacing: float) -> Float64:
-    """Return the path with samples about `spacing` (in its unit) apart, at least two, both ends kept."""
+    """Resample a path about every `spacing`, in its unit: at least two samples, both ends kept."""
     step = path[1:] - path[:-1]
     walked = np.concatenate([[0.0], np.cumsum(np.sqrt(step[:, 0] * step[:, 0] + step[:, 1] * step[:, 1]))])
     number = max(2, int(walked[-1] / spacing) + 1)
@@ -91,9 +92,9 @@ def resample(path: Float64, spacing: float) -> Float64:
 
 
 def smooth_path(path: Float64, rounds: int) -> Float64:
-    """Return an evenly sampled path with its corners rounded; both ends stay.
+    """Round the corners of an evenly sampled path; both ends stay.
 
-    Each round averages a sample with its neighbours once.
+    Each round averages every sample with its neighbours.
     """
     path = path.copy()
     for _ in range(rounds):

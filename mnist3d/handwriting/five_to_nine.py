@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mnist3d.handwriting.curves import CLEAR, Point, Ring, Run, Stroke, Vary, arc, lean
+from mnist3d.handwriting.curves import CLEAR, Allographs, Point, Ring, Run, Stroke, Vary, arc, lean
 
 
 def _belly(vary: Vary, neck: Point) -> Run:
@@ -225,3 +225,18 @@ def nine_open(vary: Vary, pen: float) -> list[Stroke]:
     foot = vary(-0.05, 0.06)
     stem = [top, (top[0] + 0.5 * foot + vary(-0.005, 0.015), 0.55), (top[0] + foot, 1.0)]
     return [[[*cup, top], stem]]
+
+
+FIVE_TO_NINE: Allographs = (
+    ((five_with_bar, 0.46), (five_one_stroke, 0.40), (five_round, 0.14)),
+    ((six_curved, 0.40), (six_straight, 0.25), (six_curled, 0.12), (six_low, 0.23)),
+    (
+        (seven_plain, 0.30),
+        (seven_crossed, 0.22),
+        (seven_serif, 0.18),
+        (seven_curved, 0.17),
+        (seven_hooked, 0.13),
+    ),
+    ((eight_s_first, 0.40), (eight_two_rings, 0.10), (eight_open, 0.28), (eight_unclosed, 0.22)),
+    ((nine_straight, 0.50), (nine_curved, 0.27), (nine_g_shaped, 0.08), (nine_open, 0.15)),
+)

@@ -1,4 +1,4 @@
-"""Pen paths inked with the pen of a writer."""
+"""From pen paths to ink on the page, with the pen of a writer."""
 
 from __future__ import annotations
 
@@ -15,27 +15,26 @@ _CELL_PX = 4
 _NODES = PAGE_PX // _CELL_PX + 1
 # Cells between the nodes of the wide grain of the edge noise.
 _COARSE = 4
-# How far outside the ink the distance is right; the edge noise must stay below it.
+# The distance is right up to so far outside the ink; the edge noise must stay below it.
 _BEYOND_PX = 7.0
 _FAR_PX = 50.0
-# Reach of a speckle.
+# Reach of a speckle, pixels.
 _DOT_PX = 4
-# White margin that no speck enters.
+# White margin without specks, pixels.
 _EDGE_PX = 10
 
 _DRY, _WIDE = 0.75, 1.25
-"""Bounds of the stroke width, relative to the pen's."""
+"""Bounds of the stroke width, relative to the width of the pen."""
 
 _PRESSURE_WAVE_PX = 70.0
 
 
 def ink_paths(paths: list[Float64], pen_px: float, style: WriterStyle, rng: KeyedRng) -> UInt8:
-    """Ink the paths with the writer's pen.
+    """Ink evenly sampled paths, in pixels, with the pen of a writer; return the page as grey levels.
 
-    The distance to the ink's edge is found on a grid of 4 px near the strokes only, roughened there and
-    then interpolated: a sixteenth of the work, and noise of that grain looks like a felt tip on paper.
-
-    Paths are in pixels, evenly sampled; `pen_px` is the mean width of a stroke.
+    The distance to the edge of the ink is computed on a grid of 4 px near the strokes, roughened there and
+    then interpolated. That is 1/16 of the work, and noise of that grain looks like a felt tip on paper.
+    `pen_px` is the mean width of a stroke.
     """
     radii = [_radii(path, 0.5 * pen_px, style, rng) for path in paths]
     field = np.full(_NODES * _NODES, _FAR_PX, dtype=np.float32)
@@ -101,7 +100,7 @@ def _enlarge(grid: Float32, factor: int) -> Float32:
 
 
 def _rasterise(field: Float32) -> UInt8:
-    """Turn the field into grey levels; the edge fades over one pixel."""
+    """Convert the field to grey levels; the edge fades over one pixel."""
     rows = np.flatnonzero((field < _CELL_PX).any(axis=1))
     columns = np.flatnonzero((field < _CELL_PX).any(axis=0))
     top, left = max(rows[0] - 1, 0), max(columns[0] - 1, 0)

@@ -1,4 +1,4 @@
-"""Streams of random numbers that are the same on every platform and in every version of numpy."""
+"""Streams of random numbers that are the same on every platform and with every version of numpy."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ _ROOT_3 = 1.7320508075688772
 
 
 class KeyedRng:
-    """A stream of numbers named by a key of non-negative integers; another key gives an independent one.
+    """A stream of numbers for a key of non-negative integers; streams of different keys are independent.
 
-    Only the raw words of PCG64 and :class:`numpy.random.SeedSequence` are used, whose streams numpy
-    promises to keep (NEP 19); the methods of ``Generator`` may change between versions. All that follows
-    is addition and multiplication, which IEEE 754 rounds the same way everywhere.
+    Only the raw words of PCG64 and :class:`numpy.random.SeedSequence` are used, whose streams numpy promises
+    to keep (NEP 19). The methods of ``Generator`` may change between versions. The rest is addition and
+    multiplication, which IEEE 754 rounds the same way everywhere.
     """
 
     __slots__ = ("_bits", "_left")
 
     def __init__(self, *key: int) -> None:
-        # The length goes in, because SeedSequence pads short keys with zeros.
+        # With the length of the key, because SeedSequence pads short keys with zeros.
         self._bits = np.random.PCG64(np.random.SeedSequence((len(key), *key)))
         self._left: list[float] = []
 
@@ -36,7 +36,7 @@ class KeyedRng:
         return self._left.pop()
 
     def units(self, number: int) -> Float64:
-        """Return `number` fresh numbers, uniform in [0, 1), shape (number,)."""
+        """Return new numbers, uniform in [0, 1), shape (number,)."""
         return (self._bits.random_raw(number) >> np.uint64(11)).astype(np.float64) * _UNIT
 
     def uniform(self, low: float, high: float) -> float:
@@ -44,25 +44,25 @@ class KeyedRng:
         return low + (high - low) * self.unit()
 
     def approx_normal(self) -> float:
-        """Return a number from nearly a normal distribution: mean 0, standard deviation 1, never beyond 3.5.
+        """Return a nearly normal number: mean 0, standard deviation 1, never beyond 3.5.
 
-        The sum of four uniform numbers: unlike a normal number it needs no logarithm, whose last bit
-        differs between platforms, and has no tail that would tear a glyph apart.
+        It is the sum of four uniform numbers. A normal number needs a logarithm, whose last bit differs
+        between platforms, and has a tail that would tear glyphs apart.
         """
         return (self.unit() + self.unit() + self.unit() + self.unit() - 2.0) * _ROOT_3
 
     def approx_normals(self, number: int) -> Float64:
-        """Return `number` of them, shape (number,)."""
+        """Return nearly normal numbers, shape (number,)."""
         units = self.units(4 * number)
         return (units[0::4] + units[1::4] + units[2::4] + units[3::4] - 2.0) * _ROOT_3
 
     def bytes(self, number: int) -> UInt8:
-        """Return `number` uniform bytes, shape (number,)."""
+        """Return uniform bytes, shape (number,)."""
         words = self._bits.random_raw(-(-number // 8)).astype("<u8")
         return words.view(np.uint8)[:number]
 
     def pick(self, weights: Sequence[float]) -> int:
-        """Return an index, each with a chance in proportion to its weight."""
+        """Return a random index, with chances in proportion to the weights."""
         return index_at(weights, self.unit())
 
 

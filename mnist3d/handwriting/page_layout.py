@@ -1,4 +1,4 @@
-"""Shapes bent, scaled and placed on the page as a writer would."""
+"""From the shape of a digit to pen paths on the page: bent, scaled and placed as its writer would."""
 
 from __future__ import annotations
 
@@ -13,18 +13,21 @@ PAGE_PX = 500
 """Side of the square page."""
 
 SPACING_PX = 7.0
-"""Distance of samples along a path."""
+"""Distance of samples along a path, pixels."""
 
 _WAIST, _LOPSIDE, _TAPER, _SWAY, _ARCH, _SAG = 0.03, 0.03, 0.08, 0.015, 0.015, 0.015
-"""How far a digit is bent, as shares of its height or width: where its waist and its middle line lie, how
-much its foot is wider than its top, how much its verticals wind and its horizontals bend and wind."""
+"""Spreads of how a digit is bent, as shares of its height or width.
 
-# Bound of waist and middle line: from 0.25 on, a digit would fold over itself.
+Shifts of its waist and of its middle line, widening of its foot, winding of its verticals, bending and
+winding of its horizontals.
+"""
+
+# Bound of both shifts: from 0.25 on, a digit would fold over itself.
 _MOST_SHIFT = 0.2
 _WIDEST_PX = 380.0
 _MARGIN_PX = 15.0
 _OFF_CENTRE_PX = 16.0
-# Wavelength of the tremor.
+# Wavelength of the tremor, pixels.
 _WAVE_PX = 45.0
 # Positions are multiples of 1/64 px.
 _GRID = 64.0
@@ -41,8 +44,8 @@ def on_page(
 ) -> Paths:
     """Bend, scale and place a shape as its writer would.
 
-    Ink height and pen width are those of this digit. Each path, one for each stroke, has shape (N, 2): x to
-    the right, y down, in pixels, samples about 7 px apart.
+    ``height_px`` is the height of the ink, ``pen_px`` the width of the pen. Each path, one for each stroke,
+    has shape (N, 2): x to the right, y down, pixels, with samples about 7 px apart.
     """
     joined = [np.concatenate([through(run) for run in stroke]) for stroke in strokes]
     bent = _bend(joined, style, vary)
@@ -53,14 +56,14 @@ def on_page(
     low, high = _bounds(paths)
     wish = 0.5 * PAGE_PX - 0.5 * (low + high) + _OFF_CENTRE_PX * rng.approx_normals(2)
     edge = 0.5 * pen_px + _MARGIN_PX
-    # People write off-centre, but not off the sheet.
+    # Off-centre, but not off the sheet.
     shift = np.clip(wish, edge - low, PAGE_PX - edge - high)
-    # Compiled interpolation may fuse multiply and add on some machines; a grid hides the last bit.
+    # Compiled interpolation may fuse multiply and add on some machines; the grid removes the last bit.
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
 
 def _bend(paths: Paths, style: WriterStyle, vary: Vary) -> Paths:
-    """Bend, stretch and slant the strokes like one sheet of rubber: what meets stays together."""
+    """Bend, stretch and slant the strokes like one sheet of rubber, so that joined strokes stay joined."""
     low, high = _bounds(paths)
     wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
     waist, lopside = (min(max(vary(0.0, spread), -_MOST_SHIFT), _MOST_SHIFT) for spread in (_WAIST, _LOPSIDE))

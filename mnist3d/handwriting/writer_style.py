@@ -21,14 +21,13 @@ DIGIT_STYLES = (
     (1.0, -0.03, 1.0),
     (1.02, 0.03, 0.95),
 )
-"""For each digit its width relative to the writer's, what it leans beyond the writer's slant, and how freely
-its shape is written."""
+"""For each digit: width relative to the writer's, lean beyond the writer's slant, freedom of its shape."""
 
 _ASPECT, _SLANT, _TILT, _BOW = 0.10, 0.10, 0.04, 0.02
-"""Spread of a writer's traits from digit to digit."""
+"""Spread of the traits of a writer from digit to digit."""
 
 _BETWEEN_WRITERS = 0.68
-# Fractions of the square roots of the first ten primes: no two digits repeat in step.
+# Fractions of the square roots of the first ten primes, so that no two digits repeat in step.
 _STRIDES = tuple(round(math.sqrt(prime) % 1.0, 8) for prime in (2, 3, 5, 7, 11, 13, 17, 19, 23, 29))
 
 
@@ -81,15 +80,15 @@ def draw_style(rng: KeyedRng) -> WriterStyle:
 
 
 def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> Vary:
-    """Return what gives every number of a shape its value for one writer and one digit.
+    """Return the function that gives each number of a shape its value for one writer and one digit.
 
-    `writer` is the stream of this writer and shape, the same in all the writer's digits of that shape;
-    `jitter` is the weight of the stream of this `digit`; `freedom` scales all spreads.
+    `writer` is the stream of this writer and shape, which all digits of this shape share. `jitter` is the
+    weight of the stream of this `digit`. `freedom` scales all spreads.
     """
     of_writer, of_digit = _BETWEEN_WRITERS * freedom, jitter * freedom
 
     def vary(mean: float, spread: float) -> float:
-        # Nearly normal deviations; each takes numbers from both streams, in this order.
+        # The order in which both streams are read is part of what a seed gives.
         writer_noise, digit_noise = writer.approx_normal(), digit.approx_normal()
         return mean + spread * (of_writer * writer_noise + of_digit * digit_noise)
 
@@ -97,7 +96,7 @@ def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float =
 
 
 def style_for_digit(style: WriterStyle, label: int, vary: Vary) -> WriterStyle:
-    """Return a style as it writes one digit: people write some digits wider or steeper than others."""
+    """Return a style for one digit: people write some digits wider or steeper than others."""
     width, lean, _ = DIGIT_STYLES[label]
     return replace(
         style,
@@ -109,10 +108,10 @@ def style_for_digit(style: WriterStyle, label: int, vary: Vary) -> WriterStyle:
 
 
 def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
-    """Return which shape of `label` to draw: with the chance `fidelity` the writer's own, else any.
+    """Return the shape of `label` to draw: the writer's own with chance `fidelity`, else any.
 
-    Writers take their shapes by turns along a low-discrepancy sequence, so that a few dozen writers already
-    show every shape in about its share, with any seed. `class_noise` is the stream of this seed and label.
+    Writers take their shapes along a low-discrepancy sequence, so that a few dozen writers show every shape
+    in about its share, with any seed. `class_noise` is the stream of this seed and label.
     """
     weights = [weight for _, weight in ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mnist3d.handwriting.curves import CLEAR, Point, Run, Stroke, Vary, arc
+from mnist3d.handwriting.curves import CLEAR, Allographs, Point, Run, Stroke, Vary, arc
 
 
 def _oval(vary: Vary, pen: float, half: float, start_deg: float, over_deg: float) -> list[Stroke]:
@@ -216,3 +216,12 @@ def four_low_stem(vary: Vary, pen: float) -> list[Stroke]:
     across = [corner, (stem + max(vary(0.112, 0.08), 0.02), bar - vary(0.078, 0.057))]
     upright = [(stem + vary(0.059, 0.034), vary(0.2, 0.061)), (stem, 0.6), (stem + vary(-0.02, 0.035), 1.0)]
     return [[down, across], [upright]]
+
+
+ZERO_TO_FOUR: Allographs = (
+    ((zero_narrow, 0.30), (zero_round, 0.30), (zero_overlapping, 0.22), (zero_open, 0.10), (zero_flat, 0.08)),
+    ((one_plain, 0.78), (one_with_flag, 0.10), (one_with_upstroke, 0.07), (one_with_foot, 0.05)),
+    ((two_round, 0.32), (two_looped, 0.30), (two_angular, 0.20), (two_swept, 0.18)),
+    ((three_round, 0.50), (three_looped, 0.30), (three_flat_topped, 0.20)),
+    ((four_open, 0.50), (four_closed, 0.10), (four_one_stroke, 0.26), (four_low_stem, 0.14)),
+)

@@ -49,10 +49,7 @@ def binarise(
         height_px, width_px = levels.shape
         size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
         refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
-    threshold = spec.threshold
-    if threshold is None:
-        threshold = otsu
-    mask = clean(ink_of_levels(levels, threshold), spec)
+    mask = clean(ink_of_levels(levels, otsu if spec.threshold is None else spec.threshold), spec)
     if spec.join_bodies:
         mask = join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
     return mask

@@ -9,7 +9,7 @@ from tactile_toolkit.errors import ItemError
 _SENTENCES = {
     "bad-shape": "the image has shape {}; expected (H, W) with sides of {} px or more",
     "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
-    "not-finite": "{}: found {} that are NaN or infinite, expected finite levels",
+    "not-finite": "{}: found NaN or infinity in {}, expected finite levels",
     "bad-pixels": "{}: found pixels from {:g} to {:g}, expected 0 to {:g}",
     "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more",
     "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "

@@ -26,8 +26,8 @@ BUDGET_SLACK = 1.5
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
     """Remove the vertices that matter least until the budget is met; a mesh within it is returned itself.
 
-    A mesh of 1.5 to 3 budgets keeps up to 1.5. Raises ItemError ``vertex-budget`` where even these are too
-    few for its bodies and holes.
+    A mesh of 1.5 to 3 budgets keeps up to 1.5. Raises ItemError ``vertex-budget`` where these are too few for
+    its bodies and holes.
     """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
@@ -47,7 +47,7 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
             break
         passes.append(simpler)
         tolerance_mm *= TOLERANCE_GROWTH
-    # A pass may fold a thin tip onto itself. The check is slow, so it starts at the last pass.
+    # A pass may fold a thin tip onto itself. That check is slow, so it starts at the last pass.
     while len(passes) > 1 and _crosses_itself(_mesh_of(passes[-1]), counts[0]):
         passes.pop()
     solid = passes[-1]

@@ -37,7 +37,7 @@ class DigitImage:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitCatalog:
-    """The content of a source without its pixels: three arrays of the same length.
+    """The content of a source without its pixels: three arrays of one length.
 
     Attributes
     ----------
@@ -54,15 +54,15 @@ class DigitCatalog:
     writers: Int64
 
     def __len__(self) -> int:
-        """Count the digits of the source."""
+        """Return the number of digits."""
         return len(self.ids)
 
 
 class DigitSource(Protocol):
     """A collection of labelled digit images.
 
-    Sources are small frozen dataclasses: they pickle in a few hundred bytes (paths, seeds, options), open
-    their files on first use in each process, and never hold all images in memory.
+    Sources are small frozen dataclasses of paths, seeds and options. They open their files on first use in
+    each process, and never hold all images in memory.
     """
 
     @property
@@ -71,9 +71,9 @@ class DigitSource(Protocol):
         ...
 
     def fingerprint(self) -> dict[str, object]:
-        """Return what identifies the content, as JSON values; equal content gives an equal value.
+        """Return JSON values that identify the content.
 
-        It holds no machine path: the same files in another folder are the same source.
+        They hold no path of the machine: the same files in another folder are the same source.
         """
         ...
 
@@ -87,13 +87,12 @@ class DigitSource(Protocol):
         Raises
         ------
         ItemError
-            When this one image cannot be used (unreadable, wrong shape, NaN pixels); a run lists it and
-            continues.
+            This image cannot be used (unreadable, wrong shape, NaN pixels). A run lists it and continues.
         """
         ...
 
 
 def require_known(digit_id: int, count: int, where: str) -> None:
-    """Refuse an id that a source of so many digits does not have, with an ItemError."""
+    """Raise ItemError for an id that a source of ``count`` digits does not have."""
     if not 0 <= digit_id < count:
         raise ItemError("unknown-id", f"{where}: found id {digit_id}, expected 0 to {count - 1}")

@@ -1,4 +1,4 @@
-"""HWD+ as its authors publish it: an array of images and an array about their writers, in ``.npy`` files."""
+"""HWD+ as published by its authors: ``.npy`` files of images and of their writers."""
 
 from __future__ import annotations
 
@@ -25,25 +25,24 @@ _FINGERPRINT_SAMPLE = 64
 class HwdPlusSource:
     """The two ``.npy`` files of HWD+ (Beaulac & Rosenthal 2022), or of anything in the same layout.
 
-    The image array is mapped for one image at a time, so memory does not grow with the file. Integers are
-    grey levels 0 to 255 whatever their width. Floats run from 0 to 1 or from 0 to 255: the file is taken to
-    be the first when the median of the largest values of 16 evenly spaced images (paper is the brightest
-    thing on each) is at most 1. That is decided once per file, never per image. Images of another size than
-    500 x 500 px are fitted into it.
+    The image array is mapped for one image at a time, so memory does not grow with the file. Integers of any
+    width are grey levels from 0 to 255. Floats run from 0 to 1 if the brightest pixels of 16 evenly spaced
+    images have a median of at most 1, and else from 0 to 255. The scale is decided once per file. Images of
+    another size are fitted into 500 x 500 px.
 
     Parameters
     ----------
     images : str
         ``Images(500x500).npy``: shape (N, 500, 500), dark ink on light paper, any integer or float dtype.
     writer_info : str
-        ``WriterInfo.npy``: one row per image, column 0 is the digit. Numbers, or strings of digits.
+        ``WriterInfo.npy``: one row per image, column 0 is the digit; numbers or strings of digits.
     writer_column : int, optional
         Column of `writer_info` that numbers the writer; by default the writer is unknown.
 
     Notes
     -----
-    The id of an image is its row. An array in Fortran order works but is slow to read, as the pixels of one
-    image lie all over the file.
+    The id of an image is its row. An array in Fortran order is slow to read, as the pixels of an image are
+    spread over the file.
     """
 
     name: ClassVar[str] = "hwdplus"
@@ -56,8 +55,8 @@ class HwdPlusSource:
     def catalog(self) -> DigitCatalog:
         """Check both files and return ids, labels and writers.
 
-        Raises InputError when a file is missing, damaged or of another shape or type, when the two differ in
-        rows, or when a label is not an integer from 0 to 9.
+        Raises InputError when a file is missing, damaged or of another shape or type, when the numbers of
+        rows differ, or when a label is not an integer from 0 to 9.
         """
         count, (labels, writers) = len(self._stack()), self._people()
         if len(labels) != count:
@@ -69,7 +68,7 @@ class HwdPlusSource:
         return DigitCatalog(np.arange(count), labels, writers)
 
     def image(self, digit_id: int) -> DigitImage:
-        """Read the image of row `digit_id`, and nothing else of the file.
+        """Read the image of row `digit_id` only.
 
         Raises ItemError ``"unknown-id"``, ``"not-finite"`` (NaN or infinite pixels) or ``"bad-pixels"``
         (values outside the grey scale of the file).
@@ -84,9 +83,8 @@ class HwdPlusSource:
     def fingerprint(self) -> dict[str, object]:
         """Return dtype and shape, and SHA-256 of labels, writers and 64 evenly spaced images.
 
-        A sample, because hashing gigabytes would take longer than the first shard.
-
-        Raises InputError when a file cannot be used; see :meth:`catalog`.
+        Only a sample, because hashing gigabytes would take longer than making the first shard. Raises
+        InputError as :meth:`catalog` does.
         """
         stack, (labels, writers) = self._stack(), self._people()
         sample = hashlib.sha256()
@@ -102,7 +100,7 @@ class HwdPlusSource:
         }
 
     def _stack(self) -> AnyArray:
-        # Mapped again for each image: pages of a mapping that stays count as memory of the process.
+        # Mapped again for each image: pages of a lasting mapping count as memory of the process.
         stack = open_npy(self.images)
         shape = stack.shape
         squarish = len(shape) == 3 and min(shape) > 0 and max(shape[1:]) <= 1.5 * min(shape[1:])
@@ -121,14 +119,18 @@ class HwdPlusSource:
 @lru_cache(maxsize=4)
 def _full_scale(path: str, stamp: tuple[int, int]) -> float:
     stack = open_npy(path)
-    if stack.dtype.kind in "iub":
-        return 1.0 if stack.dtype.kind == "b" else 255.0
-    # A median of several: a single image may be damaged, or hold no paper.
+    if stack.dtype.kind == "b":
+        return 1.0
+    if stack.dtype.kind in "iu":
+        return 255.0
+    # The median, as a single image may be damaged or hold no paper.
     values = (stack[row] for row in _evenly_spaced(len(stack), _SCALE_SAMPLE))
     brightest = [float(np.max(each, where=np.isfinite(each), initial=-np.inf)) for each in values]
     finite = [each for each in brightest if each > -np.inf]
     # Half a grey level of slack: rounding may have left white a little above 1.
-    return 1.0 if finite and float(np.median(finite)) <= 1 + 0.5 / 255 else 255.0
+    if finite and float(np.median(finite)) <= 1 + 0.5 / 255:
+        return 1.0
+    return 255.0
 
 
 def _evenly_spaced(count: int, wanted: int) -> list[int]:
@@ -160,7 +162,10 @@ def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | 
 
 
 def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -> Int64:
-    """Return a column of numbers, or strings of them, as integers; a digit is at most 9 and at least 0."""
+    """Return a column of numbers, or of strings of digits, as integers.
+
+    ``most`` is 9 for a column of digits, which are not negative.
+    """
     expected = "a digit from 0 to 9" if most == 9 else "an integer"
     next_step = "check that this file belongs to the images and is not damaged"
     try:
@@ -168,7 +173,7 @@ def _int_column(table: AnyArray, column: int, path: str, most: float = np.inf) -
     except ValueError as error:
         found = f"column {column} holds text that is not a number"
         raise InputError(f"{path}: {found}, expected {expected}", next=next_step) from error
-    # From 2**53 on floats are not distinct for all integers.
+    # From 2**53 on, floats cannot represent all integers.
     fits = (np.rint(numbers) == numbers) & (np.abs(numbers) < 2.0**53)
     fits &= (most > 9) | ((numbers >= 0) & (numbers <= most))
     if not fits.all():
@@ -188,10 +193,10 @@ def open_npy(path: str) -> AnyArray:
     """
     try:
         with warnings.catch_warnings():
-            # A file written by Python 2, or with an old name of a type, reads well: no news to its user.
+            # Files of Python 2, or with old names of types, can be read: no warning is needed.
             warnings.simplefilter("ignore")
             return np.lib.format.open_memmap(path, mode="r")
-    except Exception as error:  # numpy parses a damaged header, which is Python's text, into many kinds
+    except Exception as error:  # a damaged header, which numpy parses as Python, raises many types
         raise InputError(
             f"{path}: cannot be read ({error}), expected an intact .npy file of numbers or strings, as "
             "numpy.save writes them",
@@ -200,7 +205,7 @@ def open_npy(path: str) -> AnyArray:
 
 
 def _stamp(path: str) -> tuple[int, int]:
-    """Return size and time of change, by which caches recognise a replaced file; 0 of a missing one."""
+    """Return size and modification time, by which caches recognise a replaced file; 0 if it is missing."""
     try:
         status = Path(path).stat()
     except OSError:

@@ -1,4 +1,4 @@
-"""MNIST from its IDX files, drawn large enough to print."""
+"""MNIST from its IDX files, enlarged for printing."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 
 IMAGES_MAGIC = 0x803
-"""First number of a file of images: unsigned bytes (8) in three dimensions (3)."""
+"""Magic number of a file of images: unsigned bytes (8) in three dimensions (3)."""
 
 LABELS_MAGIC = 0x801
-"""First number of a file of labels: unsigned bytes (8) in one dimension (1)."""
+"""Magic number of a file of labels: unsigned bytes (8) in one dimension (1)."""
 
 _GZIP = b"\x1f\x8b"
 """First bytes of a gzipped file, whatever its name."""
@@ -45,10 +45,9 @@ Part = tuple[UInt8, UInt8]
 class MnistSource:
     """The IDX files of MNIST, plain or gzipped, as LeCun names them.
 
-    The files may lie in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``; a
-    dot instead of the hyphen before ``idx`` is fine. The 28 x 28 images are turned to dark ink on white paper
-    and enlarged to 500 x 500 px with smooth outlines. Ink comes out 44 px wide in the median, digits about
-    355 px tall.
+    The files may be in the folder itself, in ``MNIST/raw`` (where torchvision puts them) or in ``raw``, with
+    a dot or a hyphen before ``idx``. The 28 x 28 images are inverted to dark ink on white paper and enlarged
+    to 500 x 500 px with smooth outlines. The median width of ink is 44 px, digits are about 355 px tall.
 
     Parameters
     ----------
@@ -57,9 +56,9 @@ class MnistSource:
 
     Notes
     -----
-    Ids count from 0 in the order of the file. With both parts, the training digits come first (0 to 59,999)
-    and the test digits follow (60,000 to 69,999); with one part, its ids begin at 0. Writers are unknown.
-    Each process holds the small images it needs: 47 MB for training, 8 MB for test.
+    Ids count from 0 in the order of the files: 0 to 59,999 are the training digits, 60,000 to 69,999 the
+    test digits. If there is one part only, its ids begin at 0. Writers are unknown. Each process holds the
+    small images: 47 MB for training, 8 MB for test.
     """
 
     name: ClassVar[str] = "mnist"
@@ -105,7 +104,7 @@ class MnistSource:
 
     def _parts(self) -> list[Part]:
         parts = []
-        # One file of a pair is enough to choose the part: the missing one is then reported by its name.
+        # One file of a pair selects the part, so that an error names the missing one.
         known = list(_PREFIXES.values())
         there = [each for each in known if any(_find(self.root, each, kind) for kind in _KINDS)]
         for prefix in there or known:
@@ -128,7 +127,7 @@ class MnistSource:
 
 
 def download_mnist(root: str) -> None:
-    """Fetch the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
+    """Download the four files of MNIST into ``root/MNIST/raw`` with torchvision, unless they are in `root`.
 
     Raises MissingExtraError without torchvision, and HubError when the servers cannot be reached or send
     damaged files, or the folder cannot be written.
@@ -151,7 +150,7 @@ def download_mnist(root: str) -> None:
 
 def _find(root: str, prefix: str, kind: str) -> Path | None:
     names = [f"{prefix}-{kind}{mark}{_KINDS[kind]}{end}" for mark, end in product("-.", ("", ".gz"))]
-    # Some archives unpack each file into a folder of the file's own name.
+    # Some archives unpack each file into a folder of the same name.
     paths = [Path(root, folder, name) for name in names for folder in (".", "MNIST/raw", "raw", name)]
     return next((path for path in paths if path.is_file()), None)
 
@@ -174,8 +173,8 @@ def read_idx(path: Path, magic: int) -> UInt8:
     """Read a file of unsigned bytes, plain or (as its first bytes say) gzipped, read-only.
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
-    InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. No more
-    is unpacked than the header promises, and that is bounded, see :mod:`tactile_toolkit.bounds`.
+    InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. The size
+    in the header is bounded (:mod:`tactile_toolkit.bounds`), and no more is unpacked.
     """
     start = 4 + 4 * (magic & 0xFF)
     try:

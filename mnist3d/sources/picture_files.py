@@ -30,24 +30,24 @@ _ENDINGS = {
 }
 
 ENDINGS = tuple(ending for endings in _ENDINGS.values() for ending in endings)
-"""Endings of pictures, in lower case; what is in a file decides how it is read."""
+"""Endings of pictures, in lower case; the content of a file decides how it is read."""
 
-# Each picture of such a file is one of its pages. The further pictures of a JPEG (MPO) are other views.
+# Formats whose files can have pages. Further pictures of a JPEG (MPO) are other views, not pages.
 _PAGED = frozenset({"TIFF", "GIF", "WEBP", "PNG", "AVIF", "HEIF"})
 _MOST_PAGES = 1000
-# Kind of a picture in TIFF: smaller copies and masks are not pages.
+# TIFF tag for the kind of a picture, and the bits of smaller copies and masks, which are not pages.
 _SUBFILE, _COPY_OR_MASK = 254, 1 | 4
-# Memory that reading takes, by mode, as measured; 24 for transparency and for more than 8 bits.
+# Memory for reading, by mode, as measured; 24 for transparency and for more than 8 bits.
 _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
 
 
 def is_picture_name(name: str) -> bool:
-    """Return whether a name ends as those of pictures do, in upper or lower case."""
+    """Return whether a name has the ending of a picture, in upper or lower case."""
     return name.lower().endswith(ENDINGS)
 
 
 def pages_of(path: Path) -> tuple[int, ...]:
-    """Return the numbers of the pictures in a file that are pages, from 0.
+    """Return the numbers, from 0, of the pictures in a file that are pages.
 
     Raises ItemError ``"unreadable"``.
     """
@@ -74,7 +74,7 @@ def _formats() -> tuple[str, ...]:
         warnings.simplefilter("ignore")
         if not features.check("avif"):
             known.remove("AVIF")
-    try:
+    try:  # of the extra heic
         from pillow_heif import register_heif_opener
     except ImportError:
         return tuple(known)
@@ -84,9 +84,9 @@ def _formats() -> tuple[str, ...]:
 
 @contextmanager
 def _opened(path: Path) -> Iterator[Image.Image]:
-    """Open a picture by its content; what goes wrong is an ItemError."""
+    """Open a picture by its content; all errors become ItemError ``"unreadable"``."""
     ending = path.suffix.lower()
-    # Nearly anything can pass for TGA, which has no mark of its own.
+    # TGA has no mark of its own, so nearly anything can pass for it.
     formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
     try:
         with warnings.catch_warnings():
@@ -95,7 +95,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
             warnings.simplefilter("error", Image.DecompressionBombWarning)
             with store.open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
                 yield picture
-    # Decoders of broken files raise whatever comes: OSError, SyntaxError, ValueError, struct.error, ...
+    # Decoders raise many types for broken files: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
         next_step = "replace or remove it"
         if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
@@ -105,7 +105,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
 
 
 def _problem(error: Exception) -> str:
-    """Return what is wrong in words that do not depend on the versions of libraries."""
+    """Describe an error in words that do not depend on the versions of libraries."""
     if isinstance(error, ToolkitError):
         return error.message
     if isinstance(error, (Image.DecompressionBombWarning, Image.DecompressionBombError)):
@@ -117,7 +117,11 @@ def _problem(error: Exception) -> str:
     return "its content is damaged or cut off"
 
 
-def _decoded(path: Path, page: int) -> Image.Image:
+def decode_page(path: Path, page: int) -> Image.Image:
+    """Read a page of a file upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I).
+
+    Raises ItemError ``"unreadable"``.
+    """
     with _opened(path) as picture:
         if page:
             picture.seek(page)

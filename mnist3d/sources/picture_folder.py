@@ -1,4 +1,4 @@
-"""A folder of pictures of digits, whatever their mode, depth and polarity."""
+"""A folder of pictures of digits of any mode, depth and polarity."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tactile_toolkit.shown_text import printable
 _CHOICES = {"ink": ("auto", "dark", "light"), "threshold": ("auto", "local", "global")}
 _DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
-# At most 18 figures: the number fits 64 bits.
+# At most 18 digits, so that the number fits into 64 bits.
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 
 
@@ -32,26 +32,26 @@ _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 class FolderSource:
     """Pictures in ``ROOT/<label>/``, or in ``ROOT`` with the label in their names (``..._label7_...``).
 
-    Pictures may have any size, mode and polarity; they are turned to dark ink on white paper and fitted into
-    500 x 500 px. Each page of a TIFF, GIF or other file of several pictures is a digit. Hidden files are
-    passed over, and files of other types are left out; :meth:`fingerprint` names them. A name that
-    contains ``writer12`` says who wrote the digit; otherwise the writer is unknown.
+    Pictures may have any size, mode and polarity; they become dark ink on white paper, fitted into
+    500 x 500 px. Each page of a TIFF, GIF or other file with pages is a digit. Hidden files are ignored.
+    Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote
+    the digit; otherwise the writer is unknown.
 
     Parameters
     ----------
     root : str
         The folder.
     ink : str
-        ``"dark"`` or ``"light"``, or ``"auto"`` to find out for each picture.
+        ``"dark"`` or ``"light"``, or ``"auto"`` to decide for each picture.
     threshold : str
-        ``"local"`` evens out the light of each picture and looks for its page, ``"global"`` takes one
-        threshold for all of it, and ``"auto"`` decides by whether paper is clean.
+        ``"local"`` evens out the light of each picture and finds its page, ``"global"`` applies one
+        threshold, and ``"auto"`` takes ``"local"`` for pictures without clean paper.
 
     Notes
     -----
-    Ids count from 0 through the pictures sorted by label, then by name with numbers in their natural order
-    (``2.png`` before ``10.png``), then by page. So adding or removing a picture changes the ids of those
-    after it: leave the folder alone during a run.
+    Ids count from 0 through the pictures sorted by label, then by name with numbers in natural order
+    (``2.png`` before ``10.png``), then by page. Adding or removing a picture changes the ids of those after
+    it: do not change the folder during a run.
     """
 
     name: ClassVar[str] = "folder"
@@ -64,8 +64,8 @@ class FolderSource:
     def catalog(self) -> DigitCatalog:
         """List the folder and return ids, labels and writers.
 
-        Raises InputError when the folder is missing, holds no picture, has sub-folders that are not digits,
-        or pictures whose label is unknown; or when `ink` or `threshold` is not one of its words.
+        Raises InputError when the folder is missing or holds no picture, has sub-folders that are not digits
+        or pictures without a label, or when `ink` or `threshold` has an unknown value.
         """
         pictures = self._listing().pictures
         labels = np.array([picture.label for picture in pictures], np.int64)
@@ -87,9 +87,9 @@ class FolderSource:
         return DigitImage(digit_id, picture.label, pixels, picture.writer)
 
     def fingerprint(self) -> dict[str, object]:
-        """Return options, the count, files that are left out, and one SHA-256 of names, sizes and contents.
+        """Return options, count, files that are left out, and one SHA-256 of names, sizes and contents.
 
-        Raises InputError see :meth:`catalog`; also when a file cannot be opened.
+        Raises InputError as :meth:`catalog` does, and when a file cannot be opened.
         """
         listing, total = self._listing(), hashlib.sha256()
         for name in dict.fromkeys(picture.name for picture in listing.pictures):
@@ -104,20 +104,18 @@ class FolderSource:
                 ) from error
             total.update(b"%s\0%d\0%s" % (os.fsencode(name), size, content))
         found: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
-        # What most folders have not is not said of them.
-        further = {"threshold": self.threshold, "left_out": dict(listing.left_out)}
-        if self.threshold == "auto":
-            del further["threshold"]
-        if not listing.left_out:
-            del further["left_out"]
-        return {**found, **further, "sha256": total.hexdigest()}
+        if self.threshold != "auto":
+            found["threshold"] = self.threshold
+        if listing.left_out:
+            found["left_out"] = dict(listing.left_out)
+        return {**found, "sha256": total.hexdigest()}
 
     def _listing(self) -> _Listing:
         for option, words in _CHOICES.items():
             if getattr(self, option) not in words:
                 found = f"{option}: found {getattr(self, option)!r}, expected one of {', '.join(words)}"
                 raise InputError(found, next="choose one")
-        # Listed again when one of the folders has changed since.
+        # Listed again if one of the folders has changed.
         folders = [Path(self.root), *(Path(self.root, digit) for digit in sorted(_DIGITS))]
         stamps = tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
         return _list_folder(self.root, stamps)
@@ -190,7 +188,7 @@ def _problem_of(path: Path, base: Path) -> str:
 
 
 def _pages(path: Path) -> tuple[int, ...]:
-    """Return the pages of a picture, one of what should be a picture and cannot be read, none of the rest."""
+    """Return the pages of a picture; one for an unreadable picture, none for files of other types."""
     try:
         return pages_of(path)
     except ItemError:

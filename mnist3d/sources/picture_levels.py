@@ -1,4 +1,4 @@
-"""Grey levels of a picture of a digit, ink 0 and paper 255."""
+"""Pictures of digits as grey levels: 0 for ink, 255 for paper."""
 
 from __future__ import annotations
 
@@ -9,24 +9,24 @@ from PIL import Image
 
 import mnist3d.ink
 from mnist3d.ink.grey_levels import as_grey, margin, otsu_threshold, paper_is_dark, require_paper_around
-from mnist3d.sources.picture_files import _decoded
+from mnist3d.sources.picture_files import decode_page
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ItemError
 
-# White of integers of more than 8 bits: cameras and scanners store 10, 12 or 14 bits in 16.
-_WHITES = (255, 1023, 4095, 16_383, 65_535)
-# A picture whose grey levels span less shows nothing but paper.
+# Possible levels of white in integers: cameras and scanners store 10, 12 or 14 bits in 16.
+_WHITES: tuple[int, ...] = (255, 1023, 4095, 16_383, 65_535)
+# A picture with a smaller range of grey levels shows paper only.
 _CONTRAST = 24
 
 
 def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: int = 0) -> UInt8:
-    """Read a picture of a digit in its own size, ink 0 and paper 255.
+    """Read a picture of a digit in its own size, with ink 0 and paper 255.
 
-    Colours become grey, transparency shows paper, and the orientation in EXIF is followed. Photographs and
-    scans are evened out (``mnist3d.ink.even_out``). The grey levels of clean images are stretched
-    so that paper is white and ink black; a picture of black on white comes back unchanged, and one without
-    contrast (an empty page) is not stretched. With ``"auto"`` the margin of a clean image is paper, so the
-    ink is whatever the margin is not, on either side of Otsu's threshold.
+    Colours become grey, transparency shows paper, and the orientation in EXIF is followed. The light of
+    photographs and scans is evened out (``mnist3d.ink.even_out``). The grey levels of clean images are
+    stretched so that paper is white and ink black. Black on white stays unchanged, and a picture without
+    contrast (an empty page) is not stretched. With ``"auto"`` the margin of a clean image is paper, on
+    either side of Otsu's threshold.
 
     Parameters
     ----------
@@ -35,9 +35,9 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
     ink : {"auto", "dark", "light"}
         Which part is ink.
     threshold : {"auto", "local", "global"}
-        Even out all pictures, none, or those that are not clean.
+        Even out pictures that are not clean, all of them, or none.
     page : int
-        Number of the picture in a file of several, from 0.
+        Number of the page, from 0.
 
     Returns
     -------
@@ -48,10 +48,10 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
     ItemError
         ``"unreadable"``; ``"not-finite"`` or ``"bad-pixels"`` for floating-point pictures; ``"unclear-ink"``
         when less than three quarters of the margin are on one side of the threshold; ``"all-ink"`` or
-        ``"cut-off"`` when there is too much ink; and the reasons of ``mnist3d.ink.even_out``.
+        ``"cut-off"`` when there is too much ink; and those of ``mnist3d.ink.even_out``.
     """
     try:
-        return _read(_decoded(path, page), ink, threshold, path)
+        return _read(decode_page(path, page), ink, threshold, path)
     except ItemError as error:
         if str(path) in error.message:
             raise
@@ -66,14 +66,12 @@ def _read(picture: Image.Image, ink: str, threshold: str, path: Path) -> UInt8:
     is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
     if threshold == "local" or (threshold == "auto" and (is_coloured or not mnist3d.ink.is_clean(grey))):
         return mnist3d.ink.even_out(colours, ink)
-    if is_flat:
-        return 255 - grey if ink == "light" else grey
     level = otsu_threshold(grey)
-    if ink == "light" or (ink == "auto" and paper_is_dark(grey, level, str(path))):
+    if ink == "light" or (ink == "auto" and not is_flat and paper_is_dark(grey, level, str(path))):
         grey, level = 255 - grey, 254 - level
     dark = grey <= level
-    # Nothing to stretch by, and a division by nothing below.
-    if dark.all() or not dark.any():
+    # Without both ink and paper there is no contrast to stretch.
+    if is_flat or dark.all() or not dark.any():
         return grey
     require_paper_around(dark)
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
@@ -88,18 +86,17 @@ def _brightness(picture: Image.Image, ink: str, path: Path) -> UInt8:
         return _over_paper(picture, ink)
     if picture.mode in ("L", "RGB"):
         return np.asarray(picture.convert("L"))
-    values = np.asarray(picture)
+    values, whites = np.asarray(picture), (1, 255) if picture.mode == "F" else _WHITES
     largest = float(np.fmax.reduce(values, axis=None, initial=0))
-    # Floats end at 1 or 255.
-    whites = (1, 255) if picture.mode == "F" else _WHITES
     return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), str(path))
 
 
 def _over_paper(picture: Image.Image, ink: str) -> UInt8:
-    """Lay a transparent picture on white paper, or on black if light ink is all there is on it."""
+    """Lay a transparent picture on white paper, or on black if it has light ink only."""
     alpha = np.asarray(picture.getchannel("A"), np.float32) / 255
     light = np.asarray(picture.convert("RGB").convert("L"), np.float32)
     cut_out = ink == "auto" and margin(alpha).mean() < 0.5
-    bright_ink = cut_out and (light * alpha).sum() > 127.5 * alpha.sum()
-    paper = 0 if ink == "light" or bright_ink else 255
+    paper = 255
+    if ink == "light" or (cut_out and (light * alpha).sum() > 127.5 * alpha.sum()):
+        paper = 0
     return np.rint(light * alpha + paper * (1 - alpha)).astype(np.uint8)

@@ -1,4 +1,4 @@
-"""The embedded digit source: handwriting drawn by procedure, without any download."""
+"""The embedded digit source: procedural handwriting, without any download."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from mnist3d.sources.digit_source import DigitCatalog, DigitImage, require_known
 from tactile_toolkit.checked_fields import check_fields, integer
 
 DRAWING_VERSION = 2
-"""Raised whenever the same seed and id would give other pixels than before."""
+"""Increased whenever the same seed and id would give other pixels than before."""
 
 HWD_PLUS_COUNT = 13_580
 """Number of digits of HWD+: 97 writers with 140 digits each (Beaulac and Rosenthal 2022)."""
@@ -34,7 +34,7 @@ _PER_CLASS = 14
 _PER_WRITER = 10 * _PER_CLASS
 
 _HAND, _CLASS_NOISE, _WRITER_NOISE, _DIGIT, _INK = range(5)
-"""First words of the keys of the random streams."""
+"""First words of the keys of random streams."""
 
 # Relative deviation of height and pen width between the digits of a writer whose jitter is 1.
 _SIZE_JITTER = 0.06
@@ -44,15 +44,15 @@ _SIZE_JITTER = 0.06
 class SyntheticSource:
     """Digits in procedural handwriting, laid out like HWD+.
 
-    Every writer writes 140 digits in a row, 14 of each class, in one stable hand. An image is a pure
-    function of seed and id: the same bytes in any order, process or machine.
+    Every writer writes 140 digits in a row, 14 of each class, in one stable hand. An image is a pure function
+    of seed and id: its bytes do not depend on order, process or machine.
 
     Parameters
     ----------
     seed : int
         Non-negative; another seed gives other writers.
     count : int
-        Number of digits, at least 1. A larger count only adds writers; the first digits stay the same.
+        Number of digits, at least 1. A larger count adds writers; the first digits stay the same.
 
     Raises
     ------
@@ -96,7 +96,7 @@ class SyntheticSource:
         return DigitCatalog(ids, ids % _PER_WRITER // _PER_CLASS, ids // _PER_WRITER)
 
     def hand(self, writer: int) -> WriterStyle:
-        """Return the traits of a writer, counted from 0; they are the same in all the writer's digits."""
+        """Return the traits of a writer, counted from 0; all digits of the writer share them."""
         return draw_style(KeyedRng(_HAND, self.seed, writer))
 
     def image(self, digit_id: int) -> DigitImage:
@@ -121,9 +121,9 @@ class SyntheticSource:
         vary = variation(writer_noise, rng, style.jitter, DIGIT_STYLES[label][2])
         style = style_for_digit(style, label, vary)
         shape, _ = ALLOGRAPHS[label][choice]
-        # The pen's width as a share of the height between middle lines, larger in narrow hands.
+        # The width of the pen as a share of the height between middle lines, larger in narrow hands.
         strokes = shape(vary, pen_px / (height_px - pen_px) / min(style.aspect, 1.0))
         paths = on_page(strokes, style, height_px, pen_px, vary, rng)
-        # Ink has a stream of its own: how it flows does not depend on how many numbers the shape took.
+        # Ink has a stream of its own, so that it does not depend on how many numbers the shape took.
         pixels = ink_paths(paths, pen_px, style, KeyedRng(_INK, self.seed, digit_id))
         return DigitImage(digit_id, label, pixels, writer)

@@ -11,7 +11,7 @@ from .download import (
     plan_download as plan_download,
     run_download as run_download,
 )
-from .options import (
+from .upload_options import (
     MAIN_BRANCH as MAIN_BRANCH,
     UploadOptions as UploadOptions,
 )

@@ -1,4 +1,4 @@
-"""Data sets made of others: several as one, one as several, or tables that other libraries and pages read."""
+"""Data sets made of others: merged, divided, or as tables for other libraries and the Hub's page."""
 
 from __future__ import annotations
 
@@ -15,6 +15,7 @@ import numpy as np
 from tactile_toolkit import catalog, mesh, read, store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 from tactile_toolkit.run import in_threads
@@ -29,14 +30,14 @@ Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], 
 _ROWS_PER_FILE = 1000
 # 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
 _STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
-# Made once and read by many; at level 9 the meshes of digits take a fifth more.
+# Made once and read by many users; at level 9 the meshes of digits are a fifth larger.
 _VIEWER_STYLE = replace(_STYLE, compression_level=19)
-# Shards in memory at a time; packing them at level 19 takes some 100 MB more for each.
+# Shards in memory at a time; compression at level 19 takes about 100 MB more for each.
 _MOST_AT_ONCE = 8
 
 
 def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> store.ShardContent:
-    """Return a shard as it is; IntegrityError where a page or the footer does not match its checksum."""
+    """Return a shard unchanged; IntegrityError if a page or the footer does not match its checksum."""
     with source.stored() as stream:
         content = stream.read()
         table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
@@ -63,10 +64,10 @@ def _in_parts(rows: Int64, starts: Sequence[int]) -> list[Int64]:
 
 @dataclass(frozen=True)
 class _Source:
-    """A data set; ``spec`` is that of the data set that its rows were first made for, where it is known."""
+    """A data set; ``spec`` is the specification by which its rows were first made, if it is known."""
 
     name: str
-    spec: Mapping[str, Any] | None
+    spec: JsonObject | None
     is_imported: bool
     shards: Mapping[str, tuple[read.Shard, ...]]
     unfinished: str = ""
@@ -77,7 +78,7 @@ class _Source:
 
 
 def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
-    """List the kinds whose rows have the same columns: synthetic touches are opened as all touches are."""
+    """List the kinds whose rows have the same columns, as all touches do."""
     return [each for each in kinds() if each.package == kind.package]
 
 
@@ -96,9 +97,9 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 def merge_sets(
     kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[store.RunKeywords]
 ) -> store.Manifest:
-    """Make one data set of several, whose shards are copied byte for byte; ``run`` are options of ``build``.
+    """Merge data sets; shards are copied byte for byte. ``run`` are fields of ``store.RunOptions``.
 
-    Raises InputError where they are of another kind, have other columns or classes, or an id in common.
+    Raises InputError for data sets of another kind, with other columns or classes, or with an id in common.
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
     listed = ", ".join(source.name for source in sources)
@@ -118,12 +119,12 @@ def merge_sets(
 
 
 def divide(
-    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: Mapping[str, Any]
+    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: JsonObject
 ) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
-    At random by ``fractions`` of each split, which follows from the seed and the number of rows alone; or,
-    without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
+    Either at random by ``fractions`` of each split, which follows from the seed and the number of rows alone;
+    or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """
     place = open_place(name).require(kind, SPLIT).require_complete()
@@ -138,7 +139,7 @@ def divide(
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
     parts: list[dict[str, Int64]] = [{} for _ in fractions]
     for split, rows in datasets.items():
-        # Doubles of this generator are the same in every version of numpy; shuffles need not be.
+        # Doubles of this generator are the same in every version of numpy; shuffles may differ.
         order = np.random.Generator(np.random.PCG64(seed)).random(len(rows)).argsort(kind="stable")
         ends = [round(share * len(rows)) for share in accumulate(fractions, initial=0.0)]
         for part, (start, stop) in zip(parts, pairwise(ends), strict=True):
@@ -150,11 +151,11 @@ def write_part(
     kind: DatasetKind,
     name: Name | Place,
     rows: Mapping[str, Int64],
-    options: Mapping[str, Any],
+    options: JsonObject,
     out: str,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
-    """Write rows of a data set as one of the same kind; ``options`` are JSON values that say which."""
+    """Write rows of a data set as a data set of the same kind; ``options`` are JSON values that name them."""
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
 
 
@@ -163,7 +164,7 @@ def _build(
     sources: Sequence[_Source],
     rows: Mapping[str, Int64] | None,
     operation: str,
-    options: Mapping[str, Any],
+    options: JsonObject,
     out: str,
     run: store.RunKeywords,
 ) -> store.Manifest:
@@ -186,8 +187,8 @@ def _build(
     options = {**options, **_unfinished(sources)}
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
-        options = {**options, "touches": "imported"}  # whose terms are those of their source
-    # Several that were made in different ways have no specification in common.
+        options = {**options, "touches": "imported"}  # the terms of their source apply
+    # Data sets that were made in different ways have no common specification.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     style = _style([*shards, *chain.from_iterable(found.values())])
@@ -196,7 +197,7 @@ def _build(
 
 
 def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
-    """Return, for the specification of a copy, how much there was of the sources that were not finished."""
+    """Return for the specification of a copy how much of unfinished sources there was."""
     counts = [each.unfinished for each in sources if each.unfinished]
     return {"unfinished": ", ".join(counts)} if counts else {}
 
@@ -204,14 +205,14 @@ def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
 def _copy_plan(
     kind: DatasetKind,
     operation: str,
-    options: Mapping[str, Any],
+    options: JsonObject,
     shards: Mapping[str, Sequence[read.Shard]],
-    source_spec: Mapping[str, Any] | None,
-    tasks: Sequence[Any],
+    source_spec: JsonObject | None,
+    tasks: Sequence[store.AnyTask],
     style: store.ParquetStyle,
     *libraries: str,
 ) -> store.BuildPlan:
-    """Plan a copy; ``shards`` are those that it is made of, by split."""
+    """Plan a copy; ``shards`` are its sources by split."""
     spec = {
         "operation": operation,
         "options": options,
@@ -223,10 +224,7 @@ def _copy_plan(
 
 
 def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
-    """Return the layout of the first shard with rows, but for its compression.
-
-    Row groups, and columns without a dictionary.
-    """
+    """Return row groups and columns without a dictionary as the first shard with rows has them."""
     footers = (shard.metadata for shard in shards)
     groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
     group = next((each for each in groups if each.num_rows), None)
@@ -246,7 +244,7 @@ def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
 
 
 def plan_tables(
-    kind: DatasetKind, place: Place, choices: Choices, chosen: Mapping[str, Any], out: str
+    kind: DatasetKind, place: Place, choices: Choices, chosen: JsonObject, out: str
 ) -> store.BuildPlan:
     """Plan Parquet files of chosen rows of splits, which other libraries read.
 
@@ -276,9 +274,9 @@ def plan_tables(
 def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path) -> dict[str, str]:
     """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
 
-    Each row with its mesh as a GLB file: a second configuration of a repository. It repeats what the shards
-    hold, so it is made when a folder is sent, and nothing here reads it: loaders take the shards, and a
-    download leaves it where it is. Raises InputError where the rows have no mesh.
+    They hold each row with its mesh as a GLB file, as a second configuration of the repository. They repeat
+    the shards, so they are made for an upload only; loaders and downloads ignore them. Raises InputError if
+    the rows have no mesh.
     """
     (out / store.VIEWER_FOLDER).mkdir()
 

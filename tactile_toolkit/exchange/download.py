@@ -1,7 +1,6 @@
-"""Downloading data sets of the Hub: only the splits wanted, every file checked, into the cache or a folder.
+"""Downloading data sets from the Hub: chosen splits, every file checked, into the cache or a folder.
 
-First everything is compared and nothing is changed (:func:`plan_download`); then the plan is carried out
-(:func:`download`).
+:func:`plan_download` compares everything and changes nothing; :func:`run_download` carries out the plan.
 """
 
 from __future__ import annotations
@@ -20,13 +19,13 @@ from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
 from tactile_toolkit.kind import DatasetKind
 
-# What is fitted to the splits that a folder gets.
+# Files that are adapted to the splits of the folder.
 _METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
 
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
-# Where the Hub's client keeps what it has not fetched to the end, and the names that it gives there.
+# Folder in which the Hub's client keeps unfinished files, and the names of these files.
 _STAGE_FOLDER = ".cache/huggingface"
 _STAGED = re.compile(
     rf"{_STAGE_FOLDER}/(?:[.]gitignore(?:[.]lock)?|CACHEDIR[.]TAG|download/.*[.](?:metadata|lock|incomplete))"
@@ -36,29 +35,29 @@ _THREADS = 8
 
 @dataclass(frozen=True, slots=True)
 class DownloadPlan:
-    """What is wanted, what of it is here, and what must go.
+    """Files that a download fetches, keeps and removes.
 
     Attributes
     ----------
     repository : HubRepository
-        Where from.
+        Source.
     held : dict of str to tuple of str
         Files of each split of the repository.
     folder : DataFolder or None
-        Where to; None for the Hub's own cache.
+        Target; None for the Hub's own cache.
     splits : tuple of str
-        Splits that will be there.
+        Splits that the target will have.
     missing : tuple of HubFile
-        Files that are to be fetched.
+        Files to fetch.
     leftover : list of str
-        Files of an earlier download that the repository has no more; they are removed.
+        Files of an earlier download that the repository no longer has; they are removed.
     is_done : bool
-        Whether there is nothing to do at all.
+        Whether there is nothing to do.
     record : DownloadRecord
-        What a folder is to record when all is done. Its files are all that are wanted, but for cards and
-        manifest of a folder, which are fitted to its splits.
+        Record of the folder after the download. Its files are all wanted files, except card and manifest,
+        which are adapted to the splits of the folder.
     earlier : DownloadRecord or None
-        What the folder recorded when the plan was made.
+        Record of the folder when the plan was made.
     """
 
     repository: hub.HubRepository
@@ -73,7 +72,7 @@ class DownloadPlan:
 
     @property
     def missing_bytes(self) -> int:
-        """Size of the files to be fetched."""
+        """Size of the files to fetch."""
         return sum(file.size_bytes for file in self.missing)
 
 
@@ -89,13 +88,14 @@ def plan_download(
 ) -> DownloadPlan:
     """Find out what a download has to do; changes nothing in the target.
 
-    ``name`` is a short name of a published set, or ``USER/NAME``; ``out`` a folder to fill instead of the
-    Hub's cache; ``config`` a configuration, where the card has several; data of
-    another ``kind`` are refused, where that is known. No split named means all; splits that
-    are in the folder already stay in step with them. A
-    Hub in trouble is waited for; in place of one that stays silent the cache answers, but not for a folder.
-    Raises InputError (not a repository, no such split, a user's own files in the folder),
-    SpecMismatchError (the folder holds another data set) or HubError; then nothing in the folder was touched.
+    ``name`` is the short name of a published set, or ``USER/NAME``; ``out`` is a folder to fill instead of
+    the Hub's cache; ``config`` is a configuration, if the card has several. Data of another ``kind`` are
+    refused, if their kind is known. Without ``splits`` all are downloaded; splits that the folder has already
+    are brought to the same commit. After a transient failure the Hub is asked again; if it does not answer,
+    the cache does, but not for a folder.
+
+    Raises InputError (not a repository, no such split, a user's own files in the folder), SpecMismatchError
+    (the folder holds another data set) or HubError; then nothing in the folder was changed.
     """
     published = places.kind_of_published(name)
     if kind is not None and published is not None:
@@ -116,11 +116,11 @@ def _plan(
     splits: Sequence[str],
     folder: store.DataFolder | None,
 ) -> DownloadPlan:
-    """Compare a repository, with the files of each split that it holds, with what is here."""
+    """Compare the files of a repository (``held`` by split) with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
     recorded = earlier.files if earlier else {}
     manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
-    # Other tools write files of that name, too, which are not manifests.
+    # Other tools write files of that name, too.
     metadata = tuple(
         path
         for path in _METADATA_FILES
@@ -159,11 +159,11 @@ def _plan(
 
 
 def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, file: store.HubFile) -> bool:
-    """Return whether a file of a folder is intact; it is read, as a flipped bit changes no time."""
+    """Return whether a file of a folder is intact; it is read, because a flipped bit changes no time."""
     path, digest = file.path, file.digest
     if not folder.exists(path) or folder.size_bytes(path) != file.size_bytes:
         return False
-    # A store changes no bit by itself: what a finished download wrote there is known by its size.
+    # Stores do not flip bits: a file of a finished download there is known by its size.
     is_known = not folder.is_local and earlier and earlier.finished and earlier.files.get(path) == file
     if is_known or digest is None:
         return True
@@ -192,12 +192,12 @@ def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> 
 def _accompanying_files(
     repository: hub.HubRepository, splits: Sequence[str], metadata: Iterable[str]
 ) -> list[str]:
-    """Return what goes with the shards of some splits: small files, and pictures where the set has any.
+    """Return the paths of files that accompany the shards of some splits: reports, licences, pictures.
 
-    Of cards and manifest these ``metadata``, which are taken as they are.
+    ``metadata`` are card and manifest if they are downloaded unchanged.
     """
     manifest = repository.manifest
-    # Data sets of plain pictures name them in their rows: without the files, those are names of nothing.
+    # Rows of data sets of plain pictures name files, which are needed, too.
     pictures = [f"{_PICTURE_FOLDER}/{split}/" for split in splits if manifest is not None]
     folders = (*_EXTRA_FOLDERS, *pictures)
     listed = {*_EXTRA_FILES, *(manifest.files if manifest else ())} - {*_METADATA_FILES, *_shown(manifest)}
@@ -211,7 +211,7 @@ def _shown(manifest: store.Manifest | None) -> set[str]:
 
 
 def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
-    """Return whether a folder has its card, and a manifest that states that nothing is left to do."""
+    """Return whether a folder has its card and a complete manifest."""
     with contextlib.suppress(IntegrityError):
         manifest = store.read_manifest(folder)
         return all(map(folder.exists, metadata)) and (manifest is None or manifest.complete)
@@ -221,11 +221,11 @@ def _is_described(folder: store.DataFolder, metadata: Iterable[str]) -> bool:
 def run_download(
     plan: DownloadPlan, on_progress: Callable[[int, int], None] = lambda _done, _total: None
 ) -> str:
-    """Carry out a plan and return the folder that holds the files: that of a commit in the cache, or its own.
+    """Carry out a plan and return the folder with the files: that of the commit in the cache, or its own.
 
-    ``on_progress`` gets the bytes that have arrived and the bytes in all. Raises IntegrityError (a file
-    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues)
-    or StorageError.
+    ``on_progress`` gets the number of bytes that have arrived and the total. Raises IntegrityError (a file
+    arrived damaged twice; nothing of it is kept, intact files are), HubError (the same call continues) or
+    StorageError.
     """
     repository, folder = plan.repository, plan.folder
     if folder is None:
@@ -237,9 +237,9 @@ def run_download(
             try:
                 stack.enter_context(folder.locked(patience_s=0))
             except BusyError as error:
-                repository.on_wait(f"{error.what}; this download begins when that has ended")
+                repository.on_wait(f"{error.what}; this download begins when it has ended")
                 stack.enter_context(folder.locked(is_patient=True))
-            if store.read_record(folder) != plan.earlier:  # another download was here, maybe of other splits
+            if store.read_record(folder) != plan.earlier:  # another download has changed the folder
                 plan = _plan(repository, plan.held, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
@@ -247,20 +247,20 @@ def run_download(
 
 
 def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable[[int, int], None]) -> None:
-    """Bring a folder to the commit of the plan; a reader never takes a mixture for a finished data set."""
+    """Bring a folder to the commit of the plan; meanwhile readers see that it is not finished."""
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
     if isinstance(folder, store.LocalFolder):  # a link leads to what is not of this folder: refused first
         for path in (_STAGE_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
             folder.local_path(path)
     folder.remove_temporaries()
-    # What the folder is to become is written down first, so that a killed download is known for what it is.
+    # The record is written first, so that an interrupted download is recognised.
     earlier = plan.earlier.files if plan.earlier else {}
     begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
     store.write_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
         store.write_manifest(folder, replace(manifest, shards=(), complete=False))
-    # Before the first new file comes: old and new ones next to each other would pass for one set.
+    # Before the first new file arrives: old and new files together would look like one data set.
     for path in (*leftover, *(file.path for file in plan.missing)):
         folder.remove(path)
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
@@ -272,7 +272,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
 
 
 def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: store.Manifest | None) -> None:
-    """Write manifest and card, fitted to the splits of the folder."""
+    """Write manifest and card, adapted to the splits of the folder."""
     names = plan.record.metadata_files
     found = [place.read_bytes() for place in plan.repository.local_paths(names)]
     contents, shown = dict(zip(names, found, strict=True)), _shown(manifest)
@@ -284,20 +284,20 @@ def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: stor
         contents[store.MANIFEST_FILE] = (
             replace(manifest, shards=tuple(records), files=files).to_json().encode()
         )
-    # In this order: the card is fitted to what the manifest lists.
+    # In this order: the card follows from the manifest.
     if store.MANIFEST_FILE in contents:
         folder.write_bytes(store.MANIFEST_FILE, contents[store.MANIFEST_FILE])
     if cards.CARD_FILE in contents:
         card = contents[cards.CARD_FILE]
         if is_fitted:
-            # One that cannot be read stays as it is.
+            # An unreadable card stays unchanged.
             with contextlib.suppress(ToolkitError, ValueError, TypeError, RecursionError):
                 card = _fitted_card(plan, folder, is_part, card.decode()).encode()
         folder.write_bytes(cards.CARD_FILE, card)
 
 
 def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, card: str) -> str:
-    """Return a card whose YAML head names what is here, with a note in front of the text of a part.
+    """Return a card whose YAML head names the files of the folder; a part of a data set gets a note.
 
     Shards and manifest must be in place.
     """

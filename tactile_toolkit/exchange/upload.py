@@ -1,7 +1,7 @@
-"""Bringing a data set folder to the Hugging Face Hub.
+"""Uploading a data set folder to the Hugging Face Hub.
 
-First everything is compared and nothing is changed (:func:`prepare_upload`): is the folder intact, what has
-the Hub already. Then what is missing is sent (:func:`run_upload`), and what arrived is compared by checksum.
+:func:`prepare_upload` checks the folder and compares it with the repository, and changes nothing.
+:func:`run_upload` sends the missing files, and compares the checksums of the result.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.exchange.options import MAIN_BRANCH, UploadOptions
+from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
 
@@ -30,7 +30,7 @@ _THREADS = 8
 
 @dataclass(frozen=True, slots=True)
 class LocalFile:
-    """A file to be sent: its path on the Hub, its local path, and its checksum where it is known."""
+    """A file to send: its path on the Hub, its local path, and its checksum if it is known."""
 
     path: str
     place: Path
@@ -38,7 +38,7 @@ class LocalFile:
     sha256: str | None = None
 
     def has_content_of(self, remote: store.HubFile | None) -> bool:
-        """Return whether a file of a repository has its content."""
+        """Return whether a file of a repository has the same content."""
         if remote is None or remote.digest is None or remote.size_bytes != self.size:
             return False
         if self.sha256 is not None and len(remote.digest) == len(self.sha256):
@@ -50,7 +50,7 @@ class LocalFile:
 class UploadPlan:
     """The difference between a folder and a branch.
 
-    Of what is not in the folder, but for what the Hub writes itself, some is ``kept``, the rest ``removed``.
+    Files of the branch that are not in the folder are ``kept`` or ``removed``.
     """
 
     to_send: tuple[LocalFile, ...]
@@ -59,14 +59,14 @@ class UploadPlan:
 
     @property
     def is_done(self) -> bool:
-        """Whether the branch holds the folder already, and nothing that is to go."""
+        """Whether the branch holds the folder already, and nothing is to be removed."""
         return not (self.to_send or self.removed)
 
 
 def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
-    """Compare all that is to be in a repository with what a commit holds, by path and checksum."""
+    """Compare the files for a repository with those of a commit, by path and checksum."""
     local, remote = {file.path: file for file in files}, held.remote if held else {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
@@ -75,9 +75,9 @@ def compare(
 def _other_files(
     paths: Iterable[str], held: hub.HubRepository | None, delete: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """Return what a commit holds besides these files and stays, and what goes.
+    """Return which other files of a commit stay, and which are removed.
 
-    What former uploads made for the Hub's page goes, and all others with ``delete``.
+    Files that former uploads made for the Hub's page are removed, and with ``delete`` all others, too.
     """
     kept, removed = list[str](), list[str]()
     for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
@@ -88,11 +88,11 @@ def _other_files(
 
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
-    """List the paths of a verified folder that are sent: files of the manifest, card, pictures."""
+    """List the files of a verified folder that are sent: files of the manifest, card, pictures."""
     place, found = store.open_folder(str(root)), [cards.CARD_FILE, store.MANIFEST_FILE]
     for folder in (cards.PREVIEW_FOLDER, _PICTURE_FOLDER):
         paths = [path.relative_to(root).as_posix() for path in sorted((root / folder).rglob("*"))]
-        # Names with a dot in front are of writers that have not finished; links may lead to anything.
+        # Names with a leading dot are unfinished files; links may lead to any file.
         found += [
             path
             for path in paths
@@ -106,10 +106,10 @@ def collect(root: Path, manifest: store.Manifest) -> list[str]:
 class PreparedUpload:
     """An upload that has been planned but not begun.
 
-    ``held`` is what the branch holds, or what it will start at, the head of ``main``; None where there is no
-    repository. ``has_branch`` is whether the branch exists, ``plan`` the difference. ``left_out`` lies in the
-    folder and does not belong to the data set. ``scratch`` holds what was made for the upload as long as this
-    is kept. ``ask`` calls a function that asks the Hub, again where that may help.
+    ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
+    ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
+    folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
+    as this object lives. ``ask`` calls a function that asks the Hub, with retries.
     """
 
     repo_id: str
@@ -125,7 +125,7 @@ class PreparedUpload:
 
     @property
     def page(self) -> str:
-        """Address of the repository for people."""
+        """Address of the web page of the repository."""
         return hub.page_of(self.repo_id)
 
     @property
@@ -136,7 +136,7 @@ class PreparedUpload:
 
 @dataclass(frozen=True)
 class UploadResult:
-    """What an upload did: files sent and removed and a name set by this call, and where the folder is now.
+    """Result of an upload: the commit, the files that were sent and removed, and the tag that was set.
 
     ``pull`` is the pull request that holds the commit, if it is not on a branch.
     """
@@ -149,7 +149,7 @@ class UploadResult:
 
 
 def check_folder(kind: DatasetKind, folder: store.DataFolder, workers: int = 1) -> Iterable[store.Finding]:
-    """List what is wrong with a folder of a kind: files, rows, columns, ids, pictures, card."""
+    """List the problems of a folder of a kind: files, rows, columns, ids, pictures, card."""
     if kind.check is not None:
         found: Iterable[store.Finding] = kind.check(folder, workers)
         return found
@@ -166,11 +166,11 @@ def prepare_upload(
     dry_run: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> PreparedUpload:
-    """Verify a folder, render its card, and compare it with the repository; nothing is changed anywhere.
+    """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
-    ``check`` lists what is wrong with the folder: checksums and card by default. A dry run does without a
-    login where the repository can be seen without one. Raises InputError (not a finished data set, an option
-    that cannot be used), IntegrityError (damage, a card that does not fit the data) or HubError.
+    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs no login for a
+    public repository. Raises InputError (not a finished data set, an unusable option), IntegrityError
+    (damage, a card that does not match the data) or HubError.
     """
     from huggingface_hub import HfApi
 
@@ -209,7 +209,7 @@ def prepare_upload(
 
 
 def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:
-    """Refuse to show what is to be private."""
+    """Refuse to upload private data to a public repository."""
     if options.private and held is not None and not held.is_private:
         raise InputError(
             f"{repo_id!r} exists and everyone can see it, --private was asked for; nothing was sent",
@@ -218,30 +218,30 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
 
 
 def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[str, str], bool]:
-    """Return what a branch holds, the commits that tags name, and whether the branch exists.
+    """Return the head of a branch, the commits of the tags, and whether the branch exists.
 
-    A repository that does not exist is not an error.
+    A missing repository is not an error.
     """
     from huggingface_hub import HfApi, errors
 
     try:
         refs = HfApi().list_repo_refs(repo_id, repo_type="dataset")
     except errors.RepositoryNotFoundError as error:
-        # To the client it is a kind of that, but such a repository exists.
+        # The client derives it from the error for a missing repository, but a gated one exists.
         if isinstance(error, errors.GatedRepoError):
             raise
         return None, {}, False
     tags = {ref.name: str(ref.target_commit) for ref in refs.tags}
-    # A pull request that is written to is not listed.
+    # Pull requests are not listed.
     exists = branch.startswith("refs/") or branch in {ref.name for ref in refs.branches}
     return hub.listing(repo_id, branch if exists else MAIN_BRANCH), tags, exists
 
 
 def local_copy(folder: store.DataFolder, root: Path) -> store.DataFolder:
-    """Copy all files of a folder but hidden ones to this machine.
+    """Copy all visible files of a folder to this machine.
 
-    Raises IntegrityError for names that lead out of a folder, StorageError where the disk is full, and
-    RemoteError where the store fails.
+    Raises IntegrityError for names that lead out of a folder, StorageError if the disk is full, and
+    RemoteError if the store fails.
     """
     visible = [path for path in folder.walk() if not store.is_hidden(path)]
     paths = store.names_inside(visible, repr(folder.address()))
@@ -255,8 +255,8 @@ def _require_sound(findings: Iterable[store.Finding]) -> None:
     if found:
         more = f" and {len(found) - 3} more" if len(found) > 3 else ""
         raise IntegrityError(
-            f"the folder is not fit to be sent, nothing was: {'; '.join(found[:3])}{more}",
-            next="run the command that made it again, or the command `card` where only the card is wrong",
+            f"nothing was uploaded, because the folder has problems: {'; '.join(found[:3])}{more}",
+            next="run the command that made it again, or the command `card` if only the card is wrong",
         )
 
 
@@ -268,7 +268,7 @@ def _files_to_send(
     options: UploadOptions,
     scratch: Path,
 ) -> tuple[store.Manifest, tuple[LocalFile, ...]]:
-    """Collect the files, with the card as it is to be on the Hub, checked as such."""
+    """Collect the files to send, with the card for the Hub."""
     root, made = Path(place.address()), dict[str, str]()
     if options.viewer:
         from tactile_toolkit.exchange.copies import viewer_tables
@@ -276,13 +276,13 @@ def _files_to_send(
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
     paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
-    # Where the pattern of a split would take one of the others for its own, its files are named one by one.
+    # If the pattern of a split would match another file of the repository, its files are listed one by one.
     others, _ = _other_files(paths, held, options.delete)
     stored = cards.with_repo_name(place.read_bytes(cards.CARD_FILE).decode(), repo_id)
     card = cards.with_head(stored, lambda head: head.update(configs=cards.configs(facts, others)))
     there = {*paths, *others}
     _require_sound(
-        store.Finding(path, f"is shown by {cards.CARD_FILE} and is not part of what is sent (previews/ is)")
+        store.Finding(path, f"is shown by {cards.CARD_FILE} and is not uploaded (only previews/ is)")
         for path in cards.pictures_in(card)
         if normpath(path) not in there
     )
@@ -299,25 +299,25 @@ def _files_to_send(
 
 
 def run_upload(prepared: PreparedUpload) -> UploadResult:
-    """Send what is missing, compare what arrived, and name it.
+    """Send the missing files, compare the result, and set the tag.
 
-    What fails for the moment is done once more, with what is then missing: nothing, where only the answer was
-    lost. Raises HubError (what was sent stays on the Hub, and the same call continues from it) or
-    IntegrityError (what the Hub holds afterwards is not what the folder has).
+    After a transient failure the files are compared again and the missing ones sent, none if only the answer
+    was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
+    IntegrityError (afterwards the Hub does not hold what the folder has).
     """
     from huggingface_hub import HfApi
 
     api, ask, options, held = HfApi(), prepared.ask, prepared.options, prepared.held
     here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
-    # exist_ok: another upload may have made them since they were looked for, or an answer was lost.
+    # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
     if not prepared.has_branch and options.branch != MAIN_BRANCH:
         start = held.commit if held else None
         ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
-    # A second try would open a second pull request where only the answer to the first was lost.
+    # If only the answer was lost, a second attempt would open a second pull request.
     commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
-    # By the digests that are known: HfApi.verify_repo_checksums (from 1.1 on) reads all of one folder again.
+    # Not HfApi.verify_repo_checksums (from 1.1 on), which reads all files of one folder again.
     wrong = compare(
         prepared.files, ask(partial(hub.listing, prepared.repo_id, commit)), delete=options.delete
     )
@@ -335,22 +335,22 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
 
 
 def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
-    """Send what is missing by now as one commit; return that, and the pull request that it opened.
+    """Send the files that are missing now as one commit; return it, and the pull request that it opened.
 
-    Not by ``upload_folder``: where it sends compressed pieces it makes several commits, between which readers
-    would find a part of the files; and it takes all from one folder, while the cards lie in another.
+    Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
+    files; and it takes all files from one folder, while the card is in another.
     """
     from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
 
     options, manifest = prepared.options, prepared.manifest
     held = _state(prepared.repo_id, options.branch)[0]
-    _refuse_public(prepared.repo_id, options, held)  # another upload may have made it meanwhile
+    _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile
     plan = compare(prepared.files, held, delete=options.delete)
     if plan.is_done and held is not None:
         return held.commit, None
     message = f"Upload {manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the client library's own, which no user can heed
+        warnings.simplefilter("ignore")  # those of the client, that users cannot act on
         made = HfApi().create_commit(
             repo_id=prepared.repo_id,
             operations=[

@@ -1,4 +1,4 @@
-"""Galleries: static pages that show a data set and open from a plain file system."""
+"""Galleries: static pages that show a data set and open without a server."""
 
 from lazy_loader import attach_stub
 

@@ -1,6 +1,6 @@
-"""What a gallery shows: its items, and the tasks that make them.
+"""Items of a gallery, and the tasks that make them.
 
-Filters and measures of the page are the columns that rows declare as facets and measures.
+The page filters by columns that rows declare as facets, and sorts by those declared as measures.
 """
 
 from __future__ import annotations
@@ -17,18 +17,18 @@ from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import class_name
 
 SPLIT = "split"
-"""Name of the facet of splits, which every gallery of rows has."""
+"""Name of the facet of splits, which all galleries of rows have."""
 
 
 @dataclass(frozen=True, slots=True)
 class GalleryItem:
-    """One item as a worker hands it over.
+    """An item of the page.
 
-    ``values`` are those of the facets and measures by the name of the column. None is an unknown value, an
-    empty list stands for no value.
+    ``values`` are those of facets and measures by name of the column; None is an unknown value, an empty list
+    means no value.
     """
 
-    id: str  # what it is searched by
+    id: str  # searched for by users
     title: str
     values: Mapping[str, Any]
     thumbnail: bytes = field(repr=False)  # PNG
@@ -41,9 +41,9 @@ class GalleryItem:
 
 @dataclass(frozen=True)
 class RowsTask:
-    """Makes the items of some rows of a split, from each row and what was known of it beforehand.
+    """Makes the items of some rows of a split.
 
-    Pickles with what is known of these rows alone; ``item`` takes record, split, class names and the known.
+    ``item`` takes a record, the split, the class names, and the entry of ``known`` for the row.
     """
 
     dataset: read.RecordDataset[Any]
@@ -68,7 +68,7 @@ class RowsTask:
 
 @dataclass(frozen=True)
 class Gallery:
-    """What a site is to hold, and the tasks that make its items, in the order of the page."""
+    """Content of a site, and the tasks that make its items, in the order of the page."""
 
     kind: str  # of the data set, such as "mnist3d"
     title: str
@@ -93,13 +93,13 @@ def gallery_of_rows(
     rows_per_task: int,
     known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
 ) -> Gallery:
-    """Plan a gallery of the rows that are chosen of some splits; see :class:`RowsTask` for ``item``.
+    """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
 
-    ``columns`` are the facets and measures, that of the split excepted. ``known`` takes the chosen rows and
-    their split, and says what is known of each beforehand.
+    ``columns`` are the facets and measures, except the split. ``known`` takes the chosen rows and their
+    split, and returns an entry for each row, such as its report.
 
-    InputError: no such data set or split, or one of another kind. IntegrityError: it is damaged or
-    unfinished. HubError: the repository cannot be reached or does not exist.
+    Raises InputError for an unknown data set or split, or another kind; IntegrityError for a damaged or
+    unfinished one; HubError where the repository cannot be reached or does not exist.
     """
     among = chosen.given()
     only = among.pop("split")

@@ -1,4 +1,4 @@
-"""The page of a gallery: its own files, and the index of the items that it shows.
+"""The page of a gallery: its own files, and the index of its items.
 
 Pages opened from a file system may not fetch files, but they may load scripts. Data are therefore written as
 scripts that call a function of the page.
@@ -18,10 +18,10 @@ from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
 
 NONE, UNKNOWN = "none", "unknown"
-"""Values of a facet for items that have no value, and for those whose value is not known."""
+"""Values of a facet for items without a value, and for items with an unknown value."""
 
 FOLDER_MARK = "{{files}}"
-"""Stands in the page for the name of the folder of its files."""
+"""Placeholder in the page for the name of the folder of its files."""
 
 _SCRIPTS = ("state.js", "filters.js", "grid.js", "viewer.js", "film.js", "dialog.js", "page.js")
 
@@ -29,7 +29,7 @@ ASSETS = ("page.css", "theme.js", *_SCRIPTS)
 """Own files of the page, in the folder ``assets`` next to this module."""
 
 THREE = "three.js"
-"""The library that draws meshes, next to them; its licence states its version and digest."""
+"""The library that draws meshes; its licence file states version and digest."""
 
 
 def asset(name: str) -> str:
@@ -38,20 +38,20 @@ def asset(name: str) -> str:
 
 
 def page(title: str) -> str:
-    """Return the page, but for the name of the folder of its files."""
+    """Return the page, with a placeholder for the folder of its files."""
     scripts = "\n".join(f'<script src="{FOLDER_MARK}/assets/{name}" defer></script>' for name in _SCRIPTS)
     filled = asset("page.html").replace("<!-- scripts -->", scripts)
     return filled.replace("{{title}}", html.escape(title))
 
 
 def script_json(value: Any) -> str:
-    """Write JSON that is harmless in a script and in a page: no ``<``, ``>`` or ``&``, ASCII only."""
+    """Write JSON that is safe in scripts and pages: ASCII without ``<``, ``>`` and ``&``."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
 def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, Any]:
-    """Return what the page filters and sorts items by, as JSON values: columns, one entry per item."""
+    """Return the columns by which the page filters and sorts, as JSON values with one entry for each item."""
     return {
         "kind": gallery.kind,
         "title": gallery.title,
@@ -86,7 +86,7 @@ def _measure(column: Column, items: Sequence[GalleryItem]) -> dict[str, Any]:
 
 
 def _rounded(value: float | None, decimals: int) -> float | None:
-    # NaN stands for "not measured" in reports, and JSON has no NaN.
+    # NaN means "not measured" in reports; JSON has no NaN.
     if value is None or value != value:
         return None
     return round(float(value), decimals or None)

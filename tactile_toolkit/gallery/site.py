@@ -1,9 +1,8 @@
-"""Making the folder of a gallery: its page, and one folder of files that is named by all that it holds.
+"""Writing the site of a gallery: its page, and a folder of files whose name is a digest of its content.
 
-The files are made under a temporary name. The page, which names their folder, is replaced in one step: it
-shows one gallery at any moment. A folder whose name is true holds what a gallery wrote and nothing else; only
-such a one is ever removed. Pages opened from a file system may not fetch files; scripts they may load. So
-data is written as scripts that call a function of the page.
+The files are written under a temporary name. The page, which names their folder, is replaced atomically, so
+it shows one gallery at any time. A folder whose name matches its content was written by a gallery; no other
+folder is ever removed.
 """
 
 from __future__ import annotations
@@ -28,19 +27,19 @@ from tactile_toolkit.gallery.page import ASSETS, FOLDER_MARK, THREE, asset, inde
 PAGE_FILE = "index.html"
 
 MOST_ITEMS = 20_000
-"""The page keeps its index in memory and is tested up to this many items."""
+"""Largest number of items: the page keeps its index in memory."""
 
 MOST_BYTES = 2_000_000_000
-"""Larger sites are refused: they would not be copied to look at a data set."""
+"""Largest site; larger ones are impractical to copy."""
 
-# In a folder of files: the page, before it is known how that folder is called.
+# The page in its folder of files, before the name of that folder is known.
 _TEMPLATE_FILE = "page.template"
 _FOLDER_PREFIX = "files-"
 
 
 @dataclass(frozen=True, slots=True)
 class Site:
-    """A finished site: its folder, what it holds, and how many items of each split."""
+    """A finished site: its folder, sizes, and the number of items of each split."""
 
     path: str
     items: int
@@ -57,16 +56,16 @@ def build_site(
     overwrite: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Site:
-    """Make the site of a gallery, whose page appears when all is there; equal galleries, equal bytes.
+    """Write the site of a gallery; the page appears last. Equal galleries give equal bytes.
 
-    ``overwrite`` replaces a gallery that is there; anything else is never touched. A folder that is there
-    stays, and whoever is in it stays in it.
-    InputError: the folder holds something, another run makes a gallery there, there is nothing to show, or
-    the site would be too large. StorageError: it cannot be written, or the disk is full.
+    ``overwrite`` replaces an existing gallery and nothing else. An existing folder is kept, not replaced.
+
+    Raises InputError where the folder holds something else, another run writes a gallery there, there is
+    nothing to show, or the site would be too large; StorageError where it cannot be written.
     """
     path = site_folder(gallery, out, overwrite=overwrite)
     written, shown = Counter[str](), dict[int, GalleryItem]()
-    # Each with the number on the page of its first item.
+    # Each with the number of its first item on the page.
     firsts = accumulate((task.size for task in gallery.tasks), initial=0)
     tasks = list(zip(firsts, gallery.tasks, strict=False))
     with store.named_failures(str(path)), _unfinished_folder(path) as folder:
@@ -82,11 +81,11 @@ def build_site(
             write(folder / "assets" / name, asset(name))
         on_progress(0, gallery.size)
         made = cast("Generator[tuple[int, list[GalleryItem]]]", run.runner_for(runner).run(_make, tasks))
-        # Closed, so that the workers end when an item is refused.
+        # Closed, so that workers end when an item fails.
         with closing(made) as results:
             for first, items in results:
                 for number, item in enumerate(items, start=first):
-                    # What the page filters and sorts by.
+                    # Only what the page filters and sorts by.
                     shown[number] = replace(item, thumbnail=b"", content={}, media={})
                     content = f"gallery.receive({number},{script_json(item.content)});\n"
                     write(folder / f"thumbs/{number:06d}.png", item.thumbnail)
@@ -102,7 +101,7 @@ def build_site(
                 on_progress(len(shown), gallery.size)
         index = index_of(gallery, [shown[number] for number in sorted(shown)])
         write(folder / "items.js", f"gallery.start({script_json(index)});\n")
-        # Asked again: hours may have passed.
+        # Checked again, because hours may have passed.
         former, files = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
         if files not in former:
             folder.rename(files)
@@ -111,7 +110,7 @@ def build_site(
         draft.replace(path / PAGE_FILE)
         for each in set(former) - {files}:
             retired = each.rename(store.draft_of(each))
-            if _name_of(retired) != each.name:  # a file was put there in this moment
+            if _name_of(retired) != each.name:  # a file was added meanwhile
                 retired.rename(each)
     return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
 
@@ -123,10 +122,10 @@ def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[GalleryItem]]:
 
 @contextmanager
 def _unfinished_folder(path: Path) -> Iterator[Path]:
-    """Hold ``path``, which is made, and give a new folder in it.
+    """Create and lock ``path``, and yield a new folder in it.
 
-    What a killed run left there is removed first. In the end the folder is removed where it still has its
-    name, and so is ``path`` where it was made for it and is empty.
+    Remains of killed runs are removed first. At the end, the new folder is removed unless it was renamed, and
+    so is ``path`` if it was created here and is empty.
     """
     is_new = not path.is_dir()
     path.mkdir(parents=True, exist_ok=True)
@@ -141,7 +140,7 @@ def _unfinished_folder(path: Path) -> Iterator[Path]:
                 _remove_unfinished(path)
     finally:
         if is_new:
-            with suppress(OSError):  # where it holds the page
+            with suppress(OSError):  # unless it holds the page
                 path.rmdir()
 
 
@@ -153,7 +152,7 @@ def _remove_unfinished(path: Path) -> None:
 
 
 def _name_of(folder: Path) -> str:
-    """Return the name of a folder that holds what this one does: no file or link more, less or other."""
+    """Return the name that follows from the content of a folder: a digest of all files and links."""
     digest = hashlib.sha256()
     for path in sorted(folder.rglob("*")):
         is_file = path.is_file() and not path.is_symlink()
@@ -167,8 +166,8 @@ def _page_of(files: Path) -> bytes:
 
 
 def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
-    """Return where the site of a gallery may be made; InputError where :func:`build_site` would raise it."""
-    # Where a symbolic link leads: the link itself is not ours to replace.
+    """Return the folder of the site of a gallery; raises InputError as :func:`build_site` does."""
+    # The target of a symbolic link: the link itself is not replaced.
     path = Path(os.path.realpath(store.local_folder_path(out)))
     if path.is_dir():
         _former_folders(path, overwrite=overwrite)
@@ -187,9 +186,9 @@ def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
 
 
 def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
-    """Return the folders of files of the gallery that is in ``path``, complete or not.
+    """Return the folders of files of an existing gallery in ``path``, complete or not.
 
-    InputError where it holds anything else, or a gallery that is not to be overwritten.
+    Raises InputError where ``path`` holds anything else, or a gallery that must not be overwritten.
     """
     former: list[Path] = []
     for entry in sorted(path.iterdir()):
@@ -198,7 +197,7 @@ def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
             is_ours = entry.name == _name_of(entry)
             former += [entry] if is_ours else []
         elif entry.name == PAGE_FILE and entry.is_file() and not entry.is_symlink():
-            # Sorted behind the folders: one of them holds what it was made of.
+            # Sorted after the folders, one of which holds its template.
             is_ours = entry.read_bytes() in map(_page_of, former)
             if is_ours and not overwrite:
                 raise InputError(

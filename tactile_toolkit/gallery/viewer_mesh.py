@@ -1,7 +1,7 @@
-"""Meshes as the viewer of a gallery reads them, and what the page says of their size.
+"""Meshes for the viewer of a gallery.
 
-A mesh is packed in integer steps of 10 µm, as differences, deflated, as text: a digit of 5,000 vertices takes
-about 30 kB, where its plain arrays take 180 kB.
+A mesh is packed as differences of integer steps of 10 µm, deflated, as text: a digit of 5,000 vertices takes
+about 30 kB, instead of 180 kB for its arrays.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from tactile_toolkit.array_types import Floating, Int64, Integers
 from tactile_toolkit.errors import IntegrityError
 
 STEP_MM = 0.01
-"""Grid that corners are rounded to, a twentieth of a printed layer; coarser for meshes above 655 mm and finer
+"""Grid to which vertices are rounded, a twentieth of a printed layer; coarser for meshes above 655 mm, finer
 for those below 10 mm."""
 
 _FEWEST_STEPS = 1_000
@@ -35,10 +35,10 @@ def packed_mesh(
 ) -> dict[str, Any]:
     """Pack a mesh, (V, 3) in metres with z up and (F, 3), as JSON values for the viewer of the page.
 
-    ``parts`` are runs of triangles and the paint of each, ``"main"`` or ``"other"``; all are ``"main"`` by
-    default. ``flat`` shows edges sharp instead of rounding the shade off. ``vertices`` and ``faces`` become
-    base64 of zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number
-    before; vertices as x of all, y of all, z of all in steps of ``step_mm`` above ``low_mm``.
+    ``parts`` are runs of triangles with their colour, ``"main"`` or ``"other"``; all are ``"main"`` by
+    default. ``flat`` shows sharp edges instead of smooth shading. ``vertices`` and ``faces`` become base64 of
+    zlib of four planes of bytes (lowest first) of zigzag numbers, each the difference to the number before;
+    vertices are all x, all y, all z, in steps of ``step_mm`` above ``low_mm``.
     """
     vertices_mm = np.asarray(vertices_m, np.float64) * mesh.MM_PER_M
     low_mm = vertices_mm.min(axis=0)
@@ -58,7 +58,7 @@ def packed_mesh(
 
 
 def _packed(numbers: Int64) -> str:
-    # Neighbours differ little, so the upper planes of bytes are almost all zero and deflate to nothing.
+    # Neighbours differ little, so the upper planes of bytes are nearly all zero and compress well.
     change = np.diff(numbers, prepend=0)
     # Small differences of either sign become small numbers (as in Protocol Buffers).
     zigzag = ((change << 1) ^ (change >> 63)).astype("<u4")
@@ -67,13 +67,13 @@ def _packed(numbers: Int64) -> str:
 
 
 def size_text(vertices_m: Floating) -> str:
-    """Write the size of a mesh for people: ``"38.2 x 52.1 x 8.0 mm"``."""
+    """Return the size of a mesh as text: ``"38.2 x 52.1 x 8.0 mm"``."""
     size_mm = np.ptp(np.asarray(vertices_m, np.float64), axis=0) * mesh.MM_PER_M
     return " x ".join(f"{side:.1f}" for side in size_mm) + " mm"
 
 
 def require_mesh(record: mesh.SolidRecord, split: str) -> None:
-    """Refuse a stored mesh that nothing can draw, with an IntegrityError."""
+    """Raise IntegrityError for a stored mesh that cannot be drawn."""
     problem = mesh.array_problem(mesh.Mesh(record.vertices_m, record.faces))
     if problem is not None:
         raise IntegrityError(

@@ -1,8 +1,8 @@
-"""Calls of the Hub's client: failures in one sentence, trying again what may pass, limits of answers.
+"""Calls of the Hub's client: one sentence for each failure, retries, and limits of answers.
 
 The client raises a dozen kinds of errors, wraps some in others, and has one status for a private repository
-and for a missing one; :func:`failure_of` looks through all that. The client reads whatever is sent, as slowly
-as it comes: its session is made to limit both. What depends on the client's release is in this file alone.
+and for a missing one; :func:`failure_of` distinguishes them. The client reads answers of any size, however
+slow they are: both are limited in its session. Only this file depends on the release of the client.
 """
 
 from __future__ import annotations
@@ -23,54 +23,54 @@ from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitEr
 from tactile_toolkit.redaction import redact
 
 ANSWER_BYTES = 32 << 20
-"""Largest answer to a question, unpacked: a listing of more than 100,000 files."""
+"""Largest unpacked answer that is not a file: a listing of more than 100,000 files."""
 WAITS_S = (1.0, 2.0, 4.0, 8.0, 16.0)
-"""Waits between tries, seconds."""
+"""Waits between attempts, seconds."""
 
-# Errors are known by what `_traits` says of them, as each major release of the client has another HTTP
-# library: RequestError is of httpx; Timeout and ChunkedEncodingError are of requests (clients before 1.0).
-_BUSY = r"\b(?:408|425|429|500|502|503|504)\b"  # not 501: what is not offered will not be
-# The Hub gave no answer of its own, so that its latest one still counts.
+# Errors are known by the names that `_traits` returns, because releases of the client use different HTTP
+# libraries: RequestError is of httpx; Timeout and ChunkedEncodingError are of requests (clients before 1.0).
+_BUSY = r"\b(?:408|425|429|500|502|503|504)\b"  # not 501: a missing feature stays missing
+# The Hub gave no answer of its own, so its latest one still counts.
 _SILENT = re.compile(rf"{_BUSY}|\b(?:ConnectionError|TimeoutError|RequestError|Timeout)\b")
-# The same call may succeed a little later: overload, a server's trouble, a connection that broke.
+# The same call may succeed a little later: overload, a server error, a broken connection.
 _PASSING = re.compile(
     rf"{_BUSY}|\b(?:ConnectionResetError|BrokenPipeError|ConnectionAbortedError|RequestError|Timeout"
     r"|ChunkedEncodingError|CutShort)\b"
 )
-# The client has waited in vain, and has nothing in its cache; what it was raised from is more telling.
+# The client has waited in vain, and has nothing in its cache; the cause of this error tells more.
 _GIVEN_UP = "LocalEntryNotFoundError"
-# What no wait would repair: no network stays no network for longer than anyone wants to wait.
+# No wait would help: a missing network is missing for longer than anyone wants to wait.
 _LASTING = re.compile(
     rf"\b(?:ConnectError|ConnectTimeout|LocalProtocolError|UnsupportedProtocol|ProxyError|{_GIVEN_UP})\b"
 )
-# Raised by what reads an answer that has another form than expected.
+# Raised while an answer of an unexpected form is read.
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
-_MOST_S = 1e9  # for numbers of thousands of digits
+_MOST_S = 1e9  # numbers may have thousands of digits
 
-# A mirror may ask for a password, which its address holds then.
+# The address of a mirror may hold a password.
 _USER_OF_ADDRESS = re.compile(r"(https?://)[^\s'\"<>/@]+@")
 
-# The first sentence counts whose pattern fits any error of the chain: what failed, and the next step.
+# The first pattern that matches an error of the chain gives the message: what failed, and the next step.
 _SENTENCES = {
     "NoRoom": (
-        "{task} failed, the disk takes nothing: {words}",
+        "{task} failed, the disk cannot be written: {words}",
         "free some space, or choose another place with --out or HF_HOME, and run it again",
     ),
     "GatedRepoError": ("{subject} is gated", "accept its terms at {page}, and {login}"),
     "RepositoryNotFoundError": (
-        "{subject} was not found, or is private and not for you",
-        "check the name, or {login} as someone who may see it",
+        "{subject} was not found, or is private",
+        "check the name, or {login} as a user who may see it",
     ),
     "HFValidationError": ("not a name of a repository: {words}", "give USER/NAME"),
     r"\b401\b|LocalTokenNotFoundError": (
-        "{task} needs a token that the Hub knows",
-        "{login}, again where the token is old",
+        "{task} needs a valid token",
+        "{login}, again if the token is old",
     ),
     r"\b(?:429|5\d\d)\b": (
         "the Hub answered {status} while {task}",
-        "try again {wait}, what arrived is kept",
+        "try again {wait}; complete files are kept",
     ),
     r"\b\d{3}\b": (
         "the Hub refused {task} ({status}): {words}",
@@ -91,35 +91,35 @@ T = TypeVar("T")
 
 
 class TooLargeError(Exception):
-    """More arrives than was asked for."""
+    """More bytes arrive than were expected."""
 
 
 def public_endpoint() -> str:
-    """Return the address of the Hub without the user and password that HF_ENDPOINT may hold."""
+    """Return the address of the Hub, without the user and password that HF_ENDPOINT may hold."""
     from huggingface_hub import constants
 
     return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
 
 
 def page_of(repo_id: str) -> str:
-    """Return the address of a repository for people."""
+    """Return the address of the web page of a repository."""
     return f"{public_endpoint()}/datasets/{repo_id}"
 
 
 def _traits(error: BaseException) -> str:
-    """Return the status that an error carries, and the names of its types."""
+    """Return the HTTP status of an error, and the names of its types."""
     names = [kind.__name__ for kind in type(error).__mro__]
     if _GIVEN_UP in names:
         return _GIVEN_UP
     status = getattr(getattr(error, "response", None), "status_code", "")
     no_room = "NoRoom" if getattr(error, "errno", None) in _NO_ROOM else ""
-    # The client has no type of its own for a file that is shorter than was announced.
+    # The client has no type of its own for a file that is shorter than announced.
     cut_short = "CutShort" if "Consistency check" in str(error) else ""
     return " ".join([str(status), no_room, cut_short, *names])
 
 
 def _requested_wait_s(headers: Any) -> float:
-    """Return for how long an answer asks to wait, seconds; 0 where it does not."""
+    """Return the time that an answer asks to wait, seconds; 0 if it does not."""
     # Such as "api";r=0;t=55: no requests are left for 55 seconds.
     spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
     text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
@@ -130,7 +130,7 @@ def _requested_wait_s(headers: Any) -> float:
 def hub_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
     """Turn every failure of the Hub, the network and its cache into an error of the toolkit.
 
-    ``doing`` is what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
+    ``doing`` says what is done to the repository: ``"reading"``, ``"uploading to"``, ... Raises HubError (not
     allowed, not found, not reached), StorageError (no space, no permission) or InputError (not a name).
     """
     _limit_session()
@@ -140,11 +140,11 @@ def hub_failures(repo_id: str, doing: str = "reading") -> Iterator[None]:
         failure = failure_of(error, repo_id, doing)
         if failure is None:
             raise
-        raise failure.error from None  # what the client raised may quote a token
+        raise failure.error from None  # the client's exception may quote a token
 
 
 def not_cached(repo_id: str, what: str) -> HubError:
-    """Return the error for what is missing in the cache while the Hub cannot be asked."""
+    """Return the error for something that is not in the cache while the Hub cannot be reached."""
     return HubError(
         f"{what} of Hub data set {repo_id!r} is not in the cache, and the Hub at {public_endpoint()} cannot "
         "be asked now",
@@ -155,9 +155,9 @@ def not_cached(repo_id: str, what: str) -> HubError:
 def failure_of(
     error: Exception, repo_id: str, doing: str = "reading", *, is_answer: bool = False
 ) -> store.CallFailure | None:
-    """Return the failure for what the client raised; None for an error of another origin.
+    """Return the failure for an exception of the client; None for any other exception.
 
-    Where nothing but an answer of the Hub was read (``is_answer``), what cannot be read is not one.
+    With ``is_answer`` only an answer of the Hub was read, so an unreadable value is a failure, too.
     """
     from huggingface_hub import get_token
 
@@ -191,7 +191,7 @@ def failure_of(
 
 
 def has_answered(error: BaseException) -> bool:
-    """Return whether what failed, at its bottom, is an answer that the Hub gave."""
+    """Return whether the first cause of an error is an answer of the Hub."""
     return not any(_SILENT.search(_traits(link)) for link in store.cause_chain(error))
 
 
@@ -203,11 +203,10 @@ def call_with_retry(
     waits_s: tuple[float, ...] | None = None,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> T:
-    """Return what an action gives; what fails for the moment is tried again after growing waits.
+    """Return the result of an action; after a transient failure, wait and try again.
 
-    The action may have had its effect though it failed, where the answer was lost. ``on_wait`` gets a
-    sentence for each wait; all waits that the Hub asks for are limited together. Raises what
-    :func:`hub_failures` does.
+    A failed action may have had its effect, if only the answer was lost. ``on_wait`` gets a sentence for each
+    wait; the total of the waits that the Hub asks for is limited. Raises as :func:`hub_failures`.
     """
     _limit_session()
     failure = partial(failure_of, repo_id=repo_id, doing=doing, is_answer=True)
@@ -215,8 +214,8 @@ def call_with_retry(
 
 
 def _limit_session() -> None:
-    """Let the session of the client limit all answers: their sizes, and the time that they take."""
-    # Before 1.0 it is a session of requests, and each thread has its own.
+    """Let the session of the client limit the size and the time of all answers."""
+    # Before 1.0 it is a session of requests, one for each thread.
     session = import_module("huggingface_hub").get_session()
     hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
     if _check_answer not in hooks["response"]:
@@ -225,18 +224,18 @@ def _limit_session() -> None:
 
 
 def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **options: Any) -> Any:
-    """Send a request of the client's session, and limit the time until the head of the answer is there."""
-    if request.method not in ("GET", "HEAD"):  # others may send a file
+    """Send a request of the client's session, and limit the time until the header of the answer arrives."""
+    if request.method not in ("GET", "HEAD"):  # it may send a file
         return send(request, stream=stream, **options)
     response = store.in_time(partial(send, request, stream=True, **options))
     if not stream:
-        # Of requests, the session reads it, too.
+        # The session reads the answer.
         response.read() if hasattr(response, "read") else response.content
     return response
 
 
 def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[bytes]:
-    """Yield what arrives of an answer while it comes fast enough; what a reader takes is not counted."""
+    """Yield the pieces of an answer while it is fast enough; the time of the reader does not count."""
     waited_s, arrived, source = 0.0, 0, pieces(*arguments)
     while True:
         begun_s = time.monotonic()
@@ -250,9 +249,9 @@ def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[
 
 
 def _check_answer(response: Any, **_: Any) -> None:
-    """Limit the body of an answer, and refuse it for its head."""
+    """Limit the body of an answer, and refuse one with a bad header."""
     request = response.request
-    # The client names files of its cache by these.
+    # The client names files in its cache by these.
     for name in ("etag", "x-linked-etag", "x-repo-commit") if request.method == "HEAD" else ():
         value = response.headers.get(name, "none")
         if not _FILE_NAME.fullmatch(value):
@@ -260,14 +259,14 @@ def _check_answer(response: Any, **_: Any) -> None:
                 f"the Hub calls a file {value[:80]!r}, which is not a digest", next="check HF_ENDPOINT"
             )
     if re.fullmatch(_BUSY, str(response.status_code)) and _requested_wait_s(response.headers):
-        # Raised at once: the caller waits, and can report why.
+        # Raised at once: the caller waits, and can report the reason.
         import_module("huggingface_hub.utils").hf_raise_for_status(response)
-    if hasattr(response, "iter_raw"):  # releases before 1.0 have none, and end what is slow by the head alone
+    if hasattr(response, "iter_raw"):  # releases before 1.0 limit only the time of the header
         response.iter_raw = partial(_timed, response.iter_raw)
     path = urlsplit(str(request.url)).path
     if response.status_code // 100 == 2 and "/api/" not in path.partition("/resolve/")[0]:
-        return  # a file, which may have any size
-    name = "iter_bytes" if hasattr(response, "iter_bytes") else "iter_content"  # the last is of requests
+        return  # a file of any size
+    name = "iter_bytes" if hasattr(response, "iter_bytes") else "iter_content"  # in requests
     pieces = getattr(response, name)
 
     def limited(*args: Any, **options: Any) -> Iterator[bytes]:
@@ -282,14 +281,14 @@ def _check_answer(response: Any, **_: Any) -> None:
 
 
 def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
-    """Return what lets the client report how many bytes of a file have arrived; early releases cannot."""
+    """Return options with which the client reports the bytes of a file that have arrived, if it can."""
     from huggingface_hub import hf_hub_download
     from huggingface_hub.utils.tqdm import tqdm
 
     class Bar(tqdm):
-        """Passes on what is written to the disk."""
+        """Reports the bytes that are written to the disk."""
 
-        monitor_interval = 0  # no thread that watches it
+        monitor_interval = 0  # no watching thread
 
         def __init__(self, *_: Any, **__: Any) -> None:
             super().__init__(disable=True)  # type: ignore[no-untyped-call]
@@ -300,7 +299,7 @@ def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
             count(self.n)
 
         def update_transfer(self, n: float | None = 1) -> None:
-            """Pass over what arrives in compressed pieces."""
+            """Ignore bytes of compressed transfers."""
 
         set_transfer_postfix_str = tqdm.set_postfix_str
 

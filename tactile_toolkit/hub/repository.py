@@ -1,6 +1,6 @@
-"""A data set repository of the Hub at one commit: what it holds, and its files, intact or not handed out.
+"""A data set repository of the Hub at one commit: its listing, and its files, checked before use.
 
-Files lie in the cache of the Hub's own client, so that either finds what the other has fetched.
+Files are kept in the cache of the Hub's own client, so that other programs find them, and this one theirs.
 """
 
 from __future__ import annotations
@@ -28,7 +28,8 @@ from tactile_toolkit.hub.calls import (
 )
 
 _PREFIX = "hf://datasets/"
-# Names of branches that hold a slash are written %2F, but for the two kinds that the Hub makes itself.
+# A slash in the name of a branch is written %2F, except in the two kinds of branches that the Hub makes
+# itself.
 _NAME = re.compile(
     r"(?P<repo>[\w.-]+/[\w.-]+)"
     r"(?:@(?P<revision>refs/convert/[\w.-]+|refs/pr/\d+|[^/@]+))?"
@@ -36,12 +37,12 @@ _NAME = re.compile(
 )
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 _MAIN = "main"
-_FILES_AT_ONCE = 8  # as many as the Hub's own client fetches at once
+_FILES_AT_ONCE = 8  # as in the Hub's own client
 
 
 @dataclass(frozen=True, slots=True)
 class HubName:
-    """What a name of the Hub means: ``USER/NAME``, a revision if one is named, a path inside or ``""``."""
+    """A name of the Hub: ``USER/NAME``, the revision if one is named, and the path inside or ``""``."""
 
     repo_id: str
     revision: str | None
@@ -51,7 +52,7 @@ class HubName:
 def hub_name(name: str, revision: str | None = None) -> HubName | None:
     """Read ``USER/NAME[@REVISION]`` or ``hf://datasets/USER/NAME[@REVISION][/PATH]``; None for other names.
 
-    A revision may be given next to the name instead; two different ones are an InputError, and so is an
+    A revision may be given next to the name instead. Two different ones are an InputError, and so is an
     address that may hold a key.
     """
     require_public(name)
@@ -69,7 +70,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
 
 
 def commit_of(repo_id: str, revision: str) -> str | None:
-    """Return the commit that a revision named when it was last looked at; None when it never was."""
+    """Return the commit that a revision named when it was last resolved; None if it never was."""
     found = revision
     if not _COMMIT.fullmatch(revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
@@ -78,7 +79,7 @@ def commit_of(repo_id: str, revision: str) -> str | None:
 
 
 def remember_commit(repo_id: str, revision: str, commit: str) -> None:
-    """Note which commit a revision names; a cache that cannot be written is not an error."""
+    """Record the commit of a revision; a cache that cannot be written is not an error."""
     if commit_of(repo_id, revision) not in (commit, revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError):
             refs = _cache_of(repo_id) / "refs"
@@ -88,12 +89,11 @@ def remember_commit(repo_id: str, revision: str, commit: str) -> None:
 def _cache_of(repo_id: str) -> Path:
     from huggingface_hub import constants
 
-    # The layout of the Hub's own client, so that either finds what the other has fetched.
     return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"
 
 
 class _StoppedError(Exception):
-    """Another file failed, or the user does not want to wait."""
+    """Another file failed, or the user has interrupted the download."""
 
 
 @dataclass(frozen=True)
@@ -105,15 +105,15 @@ class HubRepository:
     repo_id : str
         ``USER/NAME``.
     revision : str or None
-        Branch, tag or commit that was asked for.
+        Requested branch, tag or commit.
     commit : str
-        What that named when this was opened, all 40 digits: all files are of one commit.
+        Commit that the revision named when it was opened, 40 digits; all files are of this commit.
     remote : dict of str to HubFile
-        What it holds, by path. Where the cache answered, only what is in the cache.
+        Files by path; only those in the cache, if the cache answered.
     is_cache : bool
-        Whether the cache answered because the Hub could not be asked.
+        Whether the cache answered because the Hub could not be reached.
     licence : str or None
-        What its card states.
+        Licence that its card states.
     is_private : bool
         Whether the Hub says that only its owner sees the repository.
     on_wait : callable
@@ -121,8 +121,7 @@ class HubRepository:
 
     Notes
     -----
-    ``HF_HOME``, ``HF_ENDPOINT``, ``HF_HUB_OFFLINE`` and the stored token are honoured. Files lie in the Hub's
-    own cache, so that other programs find them.
+    ``HF_HOME``, ``HF_ENDPOINT``, ``HF_HUB_OFFLINE`` and the stored token are honoured.
     """
 
     repo_id: str
@@ -136,12 +135,12 @@ class HubRepository:
 
     @property
     def folder(self) -> store.DataFolder:
-        """Where the cache has files of the commit, as links to their contents where the system has links."""
+        """Folder of the commit in the cache, with links to contents if the system has links."""
         return store.open_folder(str(_cache_of(self.repo_id) / "snapshots" / self.commit))
 
     @cached_property
     def manifest(self) -> store.Manifest | None:
-        """The manifest of a data set made by the toolkit; None of any other, or IntegrityError."""
+        """Manifest of a data set made by the toolkit; None for other data sets, IntegrityError if damaged."""
         if store.MANIFEST_FILE not in self.remote:
             return None
         text = self.local_paths((store.MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
@@ -155,7 +154,7 @@ class HubRepository:
 
     @cached_property
     def _listed(self) -> dict[str, store.HubFile]:
-        """What the manifest states of its shards, and of other files of the commit, by path."""
+        """Shards and further files of the commit as the manifest states them, by path."""
         if self.manifest is None:
             return {}
         digests = {path: each for path, each in self.manifest.files.items() if path in self.remote}
@@ -168,18 +167,18 @@ class HubRepository:
 
     @property
     def size_bytes(self) -> int:
-        """Size of all files that are known."""
+        """Size of all known files."""
         return sum(file.size_bytes for file in self.remote.values())
 
     def files(self) -> list[str]:
-        """List the paths of all files; without the Hub, those in the cache and in a cached manifest."""
+        """List the paths of all files; if the cache answered, those in the cache and in its manifest."""
         return sorted({*self.remote, *(self._listed if self.is_cache else ())})
 
     def file(self, path: str) -> store.HubFile:
-        """Return what a file must be: as the manifest states, or else the Hub, as far as either is known.
+        """Return the expected size and digest of a file, as the manifest states them, or else the Hub.
 
-        Raises IntegrityError where the two disagree (fetching it would not help) and for a name that is not
-        that of a file in a folder, HubError for no such file.
+        Raises IntegrityError if the two disagree (fetching would not help) or the name cannot be that of a
+        file in a folder, HubError if there is no such file.
         """
         store.names_inside((path,), f"Hub data set {self.repo_id!r}")
         remote = self.remote.get(path)
@@ -200,16 +199,16 @@ class HubRepository:
         )
 
     def address(self, path: str) -> str:
-        """Return the fsspec address of a file at the commit, for reading it piece by piece."""
-        # The commit, not what it is called: a branch may move on while its files are read in turn.
+        """Return the fsspec address of a file at the commit, to read it piece by piece."""
+        # The commit, not the branch, which may move on while its files are read.
         return f"{_PREFIX}{self.repo_id}@{self.commit}/{path}"
 
     def local_paths(self, paths: Sequence[str]) -> list[Path]:
-        """Return where the Hub's cache has files; those that are not there by their sizes are fetched.
+        """Return the paths of files in the Hub's cache; those that are missing by their sizes are fetched.
 
         Raises as :meth:`fetch`.
         """
-        # What cannot be had is reported before anything is fetched.
+        # A file that does not exist is reported before anything is fetched.
         files, here = [self.file(path) for path in paths], self.folder
         self.fetch([file for file in files if (here.info(file.path) or {}).get("size") != file.size_bytes])
         return [Path(here.address(path)) for path in paths]
@@ -222,9 +221,9 @@ class HubRepository:
     ) -> None:
         """Fetch files, several at once, into the Hub's cache or a folder; the first failure ends all.
 
-        What arrives has the digest of the manifest, where there is one, and else that of the Hub.
-        ``on_bytes`` gets the number of bytes that have arrived, from one thread at a time. Raises
-        IntegrityError for a file that arrived damaged twice (nothing of it is kept), HubError, StorageError.
+        Each file is compared with the digest of the manifest, or else that of the Hub. ``on_bytes`` gets the
+        total number of bytes that have arrived, from one thread at a time. Raises IntegrityError for a file
+        that arrived damaged twice (nothing of it is kept), HubError, StorageError.
         """
         lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
 
@@ -250,13 +249,13 @@ class HubRepository:
             if folder is not None:
                 stage = Path(folder.root) if folder.is_local else stack.enter_context(store.scratch_folder())
             stack.callback(stopped.set)
-            # Daemons, not an executor, whose threads the interpreter waits for.
+            # Daemon threads; at exit, the interpreter waits for those of an executor.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
                 for _ in pool.imap_unordered(fetch_one, files):
                     pass
 
     def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
-        """Fetch a file into the Hub's cache, or into a folder, and check it; one damaged is fetched again."""
+        """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""
         from huggingface_hub import hf_hub_download
 
         path, digest = file.path, file.digest
@@ -265,17 +264,17 @@ class HubRepository:
         options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
         options |= counting_options(count)
         cached = Path(self.folder.address(path))
-        # What is intact came meanwhile, fetched by another process.
+        # An intact file may have been fetched by another process meanwhile.
         for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
             fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
             if store.has_digest(place, digest):
                 with place.open("rb") as stream:
-                    os.fsync(stream.fileno())  # a power cut must not empty what counts as intact
+                    os.fsync(stream.fileno())  # a power cut must not empty a file that counts as intact
                 count(file.size_bytes)
                 return place
-            # With what it is a link to in the cache: damaged content must not be found again.
+            # Also the target of its link in the cache: damaged content must not be found again.
             content = Path(os.path.realpath(place))
             if content.is_relative_to(os.path.realpath(_cache_of(self.repo_id))):
                 content.unlink(missing_ok=True)
@@ -294,10 +293,10 @@ def open_repository(
     patient: bool = False,
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> HubRepository:
-    """Look up what a revision holds (``main`` by default): as the Hub says, or if it is silent, the cache.
+    """Look up the files of a revision, ``main`` by default: on the Hub, or in the cache if it is silent.
 
-    A Hub in trouble is waited for where the cache has nothing, or with ``patient``. Raises HubError when the
-    Hub refused, or cannot be reached and the revision is not in the cache.
+    After a transient failure the Hub is asked again if the cache has nothing, or with ``patient``. Raises
+    HubError if the Hub refused, or cannot be reached and the revision is not in the cache.
     """
     cached = find_cached(repo_id, revision)
     waits_s = None if patient or cached is None else ()
@@ -313,14 +312,14 @@ def open_repository(
 
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
-    """Ask the Hub for all files of a revision; failures are the client's."""
+    """Ask the Hub for all files of a revision; raises exceptions of its client."""
     from huggingface_hub import HfApi, constants
 
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT
     answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
     files = {}
     for entry in answer.siblings or ():
-        # Files that git keeps itself are named by git's own digest.
+        # Files that are stored in git have git's own digest.
         digest = entry.lfs.sha256 if entry.lfs else str(entry.blob_id)
         files[entry.rfilename] = store.HubFile(entry.rfilename, int(entry.size), digest)
     if not _COMMIT.fullmatch(answer.sha):
@@ -332,14 +331,14 @@ def listing(repo_id: str, revision: str | None = None) -> HubRepository:
 
 
 def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | None:
-    """Return what the cache has of the commit that a revision named last; None where it has nothing."""
+    """Return the cached files of the commit that a revision named last; None if there are none."""
     commit, files = commit_of(repo_id, revision or _MAIN), {}
     if commit is None:
         return None
     found = HubRepository(repo_id, revision, commit, {}, is_cache=True)
     root = Path(found.folder.root)
     for file in sorted(file for file in root.rglob("*") if file.is_file()):
-        # A blob is named by the digest of its content; a cache without links has no blobs.
+        # The name of a blob is the digest of its content; a cache without links has no blobs.
         path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and store.DIGEST.fullmatch(blob)
         files[path] = store.HubFile(path, file.stat().st_size, blob if is_named else None)

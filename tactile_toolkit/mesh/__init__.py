@@ -1,4 +1,4 @@
-"""Solids: columns and records of meshes, mesh files, checks, height maps."""
+"""Meshes: stored columns and records, files, checks of solids, rasterisation."""
 
 from lazy_loader import attach_stub
 

@@ -19,12 +19,12 @@ from tactile_toolkit.mesh.nearness import connected, near_pairs
 from tactile_toolkit.mesh.surface_kernels import halves, passages
 
 _TOLERANCE = 2.0**-21
-# Each of them takes a pass over all faces.
+# Each takes a pass over all faces.
 _MOST_ODD = 64
-# Each takes 26 winding numbers, every one over all faces.
+# Each takes 26 winding numbers over all faces.
 _DOUBTS_TRIED = 32
-# How many tolerances from a doubtful place the winding number is asked for, in directions all around, none of
-# which lies in a plane that faces of things made by hand lie in.
+# Distance, in tolerances, from a doubtful place to the points at which winding numbers are computed. None of
+# the directions lies in a plane in which faces of hand-made objects usually lie.
 _ASIDE = 16.0
 _GRID = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
 _GRID += (0.137, 0.211, 0.293)
@@ -32,14 +32,14 @@ _DIRECTIONS = _GRID / np.linalg.norm(_GRID, axis=1, keepdims=True)
 
 
 def tolerance_mm(vertices_mm: Float64) -> float:
-    """Return how deep sheets may lie in one another: a few times what single precision moves them."""
+    """Return how deep sheets may overlap, mm: a few times the rounding of single precision."""
     return _TOLERANCE * float(np.abs(vertices_mm).max())
 
 
 def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float64 | None:
     """Return a place, shape (3,), where a body of a closed manifold mesh crosses itself; None if none does.
 
-    ``bodies`` are the connected surfaces of the mesh; crossings of different ones are not looked for.
+    ``bodies`` is the number of connected surfaces of the mesh; crossings of different ones are ignored.
     """
     suspects = faces_not_proven_free(vertices_mm, faces)
     if not len(suspects):
@@ -58,9 +58,9 @@ def self_crossing(vertices_mm: Float64, faces: Int64, bodies: int = 1) -> Float6
 def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
     """Return the faces that may cross others; fewer than all where the surface splits along a level plane.
 
-    Over any point of the plane the upper half has as many more faces that look up than faces that do not as
-    its rim winds around the point. If the rim is simple that is at most one: then no two faces share a point
-    unless one lies there that does not look up, and of these there are few.
+    Over each point of the plane, the number of faces of the upper half that look up exceeds the number of
+    those that do not by the winding number of its rim. For a simple rim that is at most one: then two faces
+    share a point only where a face does not look up, and there are few of these.
     """
     x, y, z = vertices_mm.T
     is_split, odd, edges = halves(vertices_mm, faces, (z.max() + z.min()) / 2)
@@ -77,9 +77,9 @@ def faces_not_proven_free(vertices_mm: Float64, faces: Int64) -> Int64:
 
 
 def _rim_is_simple(points: Float64, edges: Int64) -> bool:
-    """Return whether the rim of a half, of its edges in the level, is lines apart that wind once at most."""
+    """Return whether the rim of a half consists of separate lines that wind once at most."""
     start, end = edges.T
-    # An edge that the half has in both directions is not of its rim.
+    # An edge that the half has in both directions is not part of its rim.
     forth, back = np.sort(start * len(points) + end), end * len(points) + start
     rim = forth[np.searchsorted(forth[:-1], back)] != back
     start, end = start[rim], end[rim]
@@ -91,12 +91,12 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
     turn_c, turn_d = _turn(a, b, c), _turn(a, b, d)
     # Edges cross unless one of them has both ends of the other on one side.
     apart = (turn_c * turn_d > 0) | (_turn(c, d, a) * _turn(c, d, b) > 0)
-    # Neighbours share their corner; they are apart otherwise unless one runs back along the other.
+    # Neighbours share a corner; otherwise they are apart unless one runs back along the other.
     joined = (start[one] == end[other]) | (end[one] == start[other])
     onwards = ((b - a) * (d - c)).sum(axis=1) > 0
     if not np.where(joined, (turn_c != 0) | (turn_d != 0) | onwards, apart).all():
         return False
-    # Simple closed lines: how often each is wound around by the others, 0 times or once and it winds back.
+    # Simple closed lines: the others wind around each 0 times, or once where it winds backwards.
     line = connected(start, end, len(points))[start]
     for number in np.unique(line):
         own = line == number
@@ -110,7 +110,7 @@ def _rim_is_simple(points: Float64, edges: Int64) -> bool:
 
 
 def _turn(a: Float64, b: Float64, c: Float64) -> Float64:
-    """Return which way points, shape (N, 3), turn seen from above: positive counter-clockwise."""
+    """Return the sense of rotation of points, shape (N, 3), seen from above: positive counter-clockwise."""
     return np.asarray((b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0]))
 
 
@@ -121,7 +121,7 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
     normal = np.cross(b - a, c - a)
     doubled = np.sqrt((normal * normal).sum(axis=1))
     longest = np.sqrt(np.max([((v - u) ** 2).sum(axis=1) for u, v in ((a, b), (b, c), (c, a))], axis=0))
-    # Nothing passes through a triangle narrower than the tolerance; its neighbours have its edges, too.
+    # Nothing passes through a triangle narrower than the tolerance; its neighbours have its edges too.
     wide = doubled > tolerance * longest
     triangles, normal = faces[suspects[wide]].astype(np.int64), normal[wide] / doubled[wide, None]
     pairs = near_pairs(vertices_mm[triangles], tolerance)
@@ -132,14 +132,14 @@ def _crossing_among(vertices_mm: Float64, faces: Int64, suspects: Int64) -> Floa
     chosen = np.linspace(0, len(places) - 1, min(len(places), _DOUBTS_TRIED)).astype(np.int64)
     for place in places[chosen]:
         winding = _winding_numbers(vertices_mm, faces, place + _ASIDE * tolerance * _DIRECTIONS)
-        # Off the surface these are integers: 1 inside, 0 outside, and the quarter is for rounding.
+        # Off the surface these are integers, 1 inside and 0 outside; the quarter allows for rounding.
         if ((winding > 1.25) | (winding < -0.25)).any():
             return np.asarray(place)
     return None
 
 
 def _winding_numbers(vertices_mm: Float64, faces: Int64, points_mm: Float64) -> Float64:
-    """Return how often a surface goes around points: its solid angles (Van Oosterom and Strackee 1983)."""
+    """Return winding numbers of a surface, from solid angles (Van Oosterom and Strackee 1983)."""
     found = np.empty(len(points_mm))
     for index, point in enumerate(points_mm):
         away = vertices_mm - point

@@ -1,4 +1,4 @@
-"""The unit of a mesh file, as users give it and as its size suggests; light, for --help needs it."""
+"""Units of mesh files: options, and plausibility by size; light, because --help imports it."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ def require_unit(unit: str | None) -> None:
 
 
 def refuse_unit(unit: str | None, name: str) -> None:
-    """Refuse a unit for what is not a mesh file."""
+    """Raise InputError where a unit is given for something that is not a mesh file."""
     if unit is not None:
         raise InputError(f"--unit is for mesh files, and {name!r} is not one; data sets are in metres")
 
 
 def require_likely_size(size_mm: float, unit: str | None, stated: str | None) -> None:
-    """Refuse an object of 1 mm or less, or 1 m or more, unless its unit was given.
+    """Refuse an object smaller than 1 mm or larger than 1 m, unless its unit was given.
 
     Parameters
     ----------
     size_mm : float
-        Longest side of the object, mm; 0 and what is not finite are left to the check of the solid.
+        Longest side of the object, mm; the check of the solid refuses 0 and values that are not finite.
     unit : str or None
         Unit that the user gave.
     stated : str or None

@@ -26,20 +26,20 @@ from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import with_count
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
-"""Millimetres in all of them (3MF: the unit that the file names), except GLB, which is metres."""
+"""All are in millimetres, except GLB, which is in metres, and 3MF, which states its unit."""
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj}
 
-# Corners nearer than this share of the size of the object are one where that closes the surface.
+# Corners closer than this fraction of the size of the object are welded where that closes the surface.
 _WELDED = 1e-5
-# More of them in one place are not rounding; this bounds memory.
+# More corners in one place are not due to rounding; this bounds memory.
 _NEIGHBOURS = 16
 
 # How files of some formats begin, and the ending that they should have; few others begin so.
 _MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb"), b"\x1f\x8b": ("gzip", "")}
 
-# Errors of parsers whose words state where a file is damaged.
+# Parser errors whose messages state where a file is damaged.
 _TELLING = (zipfile.BadZipFile, expat.ExpatError, json.JSONDecodeError)
 
 
@@ -51,22 +51,22 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
     path : str or Path
         A file with one of the endings in :data:`FORMATS`.
     unit : "mm", "cm", "m" or "in", optional
-        Unit of files that state none, which are STL, PLY and OBJ; millimetres by default.
+        Unit of STL, PLY and OBJ files, which state none; millimetres by default.
     below : Path, optional
-        Folder out of which no link may lead.
+        Folder that links must not leave.
 
     Returns
     -------
     Mesh
-        Metres, float64, z up. Vertices with the same coordinates are merged, except in 3MF, whose faces have
-        to name shared corners themselves; those closer than 1e-5 of the size of the object are welded where
-        that closes the surface. Its ``notes`` say what was welded or left out.
+        Metres, float64, z up. Vertices with equal coordinates are merged, except in 3MF, where faces must
+        share corners by number; vertices closer than 1e-5 of the size of the object are welded where that
+        closes the surface. Its ``notes`` say what was welded or left out.
 
     Raises
     ------
     InputError
-        The file is missing, empty, cut short or not a mesh of its kind, or needs what is not supported; or
-        the object is smaller than 1 mm or larger than 1 m, and no unit was given.
+        The file is missing, empty, truncated or not a mesh of its format, or needs an unsupported feature;
+        or the object is smaller than 1 mm or larger than 1 m, and no unit was given.
     """
     path = store.expanded(path)
     ending = file_ending(path)
@@ -123,7 +123,7 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
     except (InputError, MemoryError):  # more than the limit
         raise
     except Exception as error:
-        # What is damaged ends in whatever its parsing runs into.
+        # Parsers raise errors of many types for damaged files.
         story = f" ({error})" if isinstance(error, _TELLING) else ""
         raise InputError(
             f"not a readable {ending[1:].upper()} file{story}", next="export the mesh again"
@@ -134,7 +134,7 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
 
 
 def write_mesh(path: str | Path, mesh: MeshLike) -> None:
-    """Write a mesh to a file; a file that could not be finished is not left behind.
+    """Write a mesh to a file; no partial file is left behind.
 
     Parameters
     ----------
@@ -153,18 +153,18 @@ def write_mesh(path: str | Path, mesh: MeshLike) -> None:
     path = Path(path)
     data = pack_mesh(as_mesh(mesh), file_ending(path))
     with store.named_failures(str(path)):
-        path.parent.stat()  # a folder that is mistyped is refused, not made
+        path.parent.stat()  # a mistyped folder is refused, not created
         store.write_file(path, lambda stream: stream.write(data))
 
 
 def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
-    """Make the content of a mesh file; the same mesh always gives the same bytes.
+    """Return the content of a mesh file; equal meshes give equal bytes.
 
-    ``name`` is what slicers call the object, where the format holds names (3MF).
+    ``name`` is the name that slicers show, in formats that store names (3MF).
     """
     if ending == ".3mf":
         return write_build([BuildItem(name, mesh)])
-    # glTF, whose binary form GLB is, fixes the metre; the others name no unit, and slicers take millimetres.
+    # GLB is in metres by its specification; the others state no unit, and slicers assume millimetres.
     if ending == ".glb":
         return pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
     import trimesh
@@ -174,9 +174,9 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
 
 
 def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
-    """Make one vertex of those with exactly the same coordinates, in the order in which they first appear."""
-    # trimesh would merge within a tolerance, and numpy's unique rows take three times as long.
-    rows = vertices + 0.0  # -0.0 and 0.0 are the same place
+    """Merge vertices with equal coordinates, in order of first appearance."""
+    # trimesh would merge within a tolerance; numpy's unique rows take three times as long.
+    rows = vertices + 0.0  # -0.0 equals 0.0
     order = np.lexsort(rows.T)
     in_order = rows.take(order, axis=0)
     is_new = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])[: len(rows)]
@@ -190,7 +190,7 @@ def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
 
 
 def file_ending(path: Path) -> str:
-    """Return the ending of a mesh file; InputError for one that is not known."""
+    """Return the ending of a mesh file; InputError for an unknown one."""
     ending = path.suffix.lower()
     if ending not in FORMATS:
         found = f"files ending in {ending!r}" if ending else "files without an ending"
@@ -199,14 +199,14 @@ def file_ending(path: Path) -> str:
 
 
 def _welded(vertices: Float64, faces: Int32) -> Mesh:
-    """Make one of corners that rounding has torn apart, where that closes the surface; metres."""
+    """Weld corners that rounding has separated, where that closes the surface; metres."""
     if not len(faces) or not np.isfinite(vertices).all() or _is_closed(faces, len(vertices)):
         return Mesh(vertices, faces)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    # Of edges that do not lead there and back.
+    # Ends of edges that do not occur in both directions.
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
     forth, back = (ends @ weights for weights in ((len(vertices), 1), (1, len(vertices))))
     torn = np.unique(ends[~(np.isin(forth, back) & np.isin(back, forth))])
@@ -236,7 +236,7 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
 
 
 def _is_closed(faces: Integers, count: int) -> bool:
-    """Return whether each edge leads back as often as there, but for one chance in 2^64."""
+    """Return whether each edge occurs equally often in both directions; wrong with probability 2^-64."""
     corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
     random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
     one, other = (numbers.take(corners) for numbers in random)

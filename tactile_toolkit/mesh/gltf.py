@@ -1,7 +1,7 @@
-"""GLB, the binary form of glTF 2.0: its triangles in metres, read and written with z up.
+"""GLB, the binary form of glTF 2.0, in metres; read and written with z up.
 
-glTF is +Y up: what is read is turned, and what is written has a node that turns it, so that a part lies flat
-in every viewer. Read here and not by trimesh: that takes what it does not know for nothing, or for zeros.
+glTF has y up: meshes are rotated on reading, and a node rotates them on writing, so that a part lies flat in
+every viewer. trimesh is not used for reading, because it ignores what it does not know, or reads it as zeros.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Surface, joined
 
-# glTF takes the numbers of OpenGL.
+# glTF uses the numbers of OpenGL.
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _FLOAT, _UINT16, _UINT32 = 5126, 5123, 5125
 _VERTEX_BUFFER, _INDEX_BUFFER = 34962, 34963
 _WIDTHS = {"SCALAR": 1, "VEC3": 3}
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _QUANTIZATION = "KHR_mesh_quantization"
-# They add no shape.
+# These do not change the shape.
 _APPEARANCE = ("KHR_materials_", "KHR_texture_", "KHR_lights_", "KHR_xmp", "EXT_texture_")
 # Turns z up into y up, column by column; exact in floating point.
 _Y_UP = (1, 0, 0, 0, 0, 0, -1, 0, 0, 1, 0, 0, 0, 0, 0, 1)
@@ -39,9 +39,9 @@ _LENGTH_TOLERANCE = 1e-3
 
 
 def read_glb(data: bytes) -> Surface:
-    """Read the triangles that the default scene places, in metres with z up.
+    """Read the triangles of the default scene, in metres with z up.
 
-    InputError for what the specification does not allow, or is not supported.
+    Raises InputError for invalid files and unsupported features.
     """
     magic, version, size = struct.unpack_from("<4sII", data.ljust(12, b"\0"))
     if magic != b"glTF" or version != 2:
@@ -55,14 +55,14 @@ def read_glb(data: bytes) -> Surface:
         chunks.setdefault(kind, data[at + 8 : at + 8 + length])
         at += 8 + length
     text = chunks.get(b"JSON", b"")
-    # Of each byte of JSON, Python makes at most 24: less than any file may unpack to.
+    # Python needs at most 24 bytes for each byte of JSON, less than the limit for unpacked files.
     document = _Document(json.loads(text), chunks.get(b"BIN\0", b""), len(data))
     vertices, faces = joined(list(document.placed()))
     return moved(vertices, _Z_UP.T), faces
 
 
 class _Document:
-    """The tree of a file, whose values may be anything, and the bytes behind it."""
+    """The JSON tree of a file, whose values may have any type, and its binary data."""
 
     def __init__(self, tree: Any, content: bytes, file_bytes: int) -> None:
         self._tree, self._content, self._file_bytes = tree, content, file_bytes
@@ -79,13 +79,13 @@ class _Document:
 
     def _item(self, kind: str, number: Any) -> Any:
         items = self._tree.get(kind, [])
-        # From the end Python counts, too.
+        # Python accepts negative indices.
         if not (isinstance(number, int) and 0 <= number < len(items)):
             raise InputError(f"the file names {kind} {number!r}; there are {len(items):,}, counted from 0")
         return items[number]
 
     def placed(self) -> Iterator[Surface]:
-        """Yield the surfaces of the default scene, each where its node places it."""
+        """Yield the surfaces of the default scene, each transformed by its node."""
         scenes = self._tree.get("scenes", [])
         if "scene" not in self._tree and len(scenes) != 1:
             raise InputError(
@@ -115,7 +115,7 @@ class _Document:
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                 continue  # points and lines have no surface
             vertices, faces = self._triangles(primitive)
-            # The same surface can be placed again and again.
+            # The same surface can be placed any number of times.
             self._placed_bytes += vertices.nbytes + faces.nbytes
             require_unpackable(_PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes)
             yield moved(vertices, matrix[:3, :3].T) + matrix[:3, 3], faces[:, ::-1] if is_mirrored else faces
@@ -141,7 +141,7 @@ class _Document:
         return vertices, corners[np.stack(rows, axis=1)].astype(np.int32)
 
     def _values(self, number: Any, kind: str) -> AnyArray:
-        """Return what an accessor describes, shape (count, width)."""
+        """Return the values of an accessor, shape (count, width)."""
         accessor = self._item("accessors", number)
         if accessor["type"] != kind:
             raise InputError(f"accessor {number} is {accessor['type']!r}; expected {kind!r}")
@@ -163,10 +163,10 @@ class _Document:
         return found
 
     def _view(self, at: Any, count: int, component: np.dtype[Any], width: int) -> AnyArray:
-        """Return values of a part of the binary chunk, shape (count, width)."""
+        """Return values from a part of the binary chunk, shape (count, width)."""
         view = self._item("bufferViews", at["bufferView"])
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:
-            raise InputError("the file keeps data elsewhere; expected all of them in its binary chunk")
+            raise InputError("the file keeps data elsewhere; expected all data in its binary chunk")
         row = component.itemsize * width
         step, start, size = view.get("byteStride", row), at.get("byteOffset", 0), view["byteLength"]
         first = view.get("byteOffset", 0) + start
@@ -181,7 +181,7 @@ class _Document:
 
 
 def _matrix(node: Any) -> Float64:
-    """Return how a node places what it holds, shape (4, 4), for columns."""
+    """Return the transform of a node, shape (4, 4), for column vectors."""
     found = np.eye(4)
     if "matrix" in node:
         found = np.array(node["matrix"], np.float64).reshape(4, 4).T
@@ -201,13 +201,13 @@ def _matrix(node: Any) -> Float64:
 
 
 def pack_glb(vertices: Float32, faces: Int32) -> bytes:
-    """Pack a mesh, metres with z up, into a binary glTF 2.0 file of one buffer, whose node turns it y up."""
+    """Pack a mesh, in metres with z up, as GLB with one buffer and a node that rotates it to y up."""
     corners, kind = faces.ravel().astype("<u2"), _UINT16
     if len(vertices) > np.iinfo(np.uint16).max:
         corners, kind = faces.ravel().astype("<u4"), _UINT32
     buffer = vertices.tobytes() + corners.tobytes()
-    # Both chunks end at multiples of four, this one with zeros and the JSON with blanks (glTF 2.0, section
-    # 4.4.3).
+    # Both chunks are padded to multiples of four, this one with zeros and the JSON with spaces (glTF 2.0,
+    # section 4.4.3).
     buffer += bytes(-len(buffer) % 4)
     low_high = {"min": vertices.min(axis=0).tolist(), "max": vertices.max(axis=0).tolist()}
     scene = {

@@ -1,4 +1,4 @@
-"""A triangle mesh as every room hands it on."""
+"""Triangle meshes."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 MM_PER_M = 1000.0
 
 Surface: TypeAlias = tuple[Float64, Int32]
-"""Vertices and triangles, in whatever unit."""
+"""Vertices and triangles, in any unit."""
 
 MeshLike: TypeAlias = "Mesh | read.Record | trimesh.Trimesh"
-"""Whatever :func:`as_mesh` takes."""
+"""Types that :func:`as_mesh` accepts."""
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -33,7 +33,7 @@ class Mesh:
     Attributes
     ----------
     vertices_m : ndarray of float32 or float64, shape (V, 3)
-        Corner positions in metres: z away from the plate; each kind of data set states its frame.
+        Corner positions in metres, z away from the plate; each kind of data set states its frame.
     faces : ndarray of int32, shape (F, 3)
         Rows of ``vertices_m``, counter-clockwise when seen from outside.
     notes : tuple of str
@@ -71,7 +71,7 @@ class Mesh:
         return np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
 
     def to_trimesh(self) -> Any:
-        """Hand the mesh to trimesh as it is: no vertex merged, moved or dropped.
+        """Convert to trimesh; no vertex is merged, moved or dropped.
 
         Returns
         -------
@@ -84,7 +84,7 @@ class Mesh:
 
     @classmethod
     def from_trimesh(cls, mesh: trimesh.Trimesh) -> Mesh:
-        """Take over a mesh of trimesh as it is: no vertex merged, moved or dropped.
+        """Convert from trimesh; no vertex is merged, moved or dropped.
 
         Parameters
         ----------
@@ -99,21 +99,21 @@ class Mesh:
         return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
 
     def to_manifold(self) -> Any:
-        """Hand the mesh to manifold3d in double precision.
+        """Convert to manifold3d in double precision.
 
         Returns
         -------
         manifold3d.Manifold
-            In millimetres. A mesh that bounds no solid gives an empty one whose ``status()`` says why.
+            In millimetres. Empty for a mesh that does not bound a solid; its ``status()`` says why.
         """
         import manifold3d
 
-        # Mesh64, as manifold3d merges vertices that single precision does not distinguish.
+        # Mesh64, because manifold3d merges vertices that are equal in single precision.
         return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))
 
     @classmethod
     def from_manifold(cls, solid: Any) -> Mesh:
-        """Take over the surface of a manifold3d.Manifold in millimetres; float64."""
+        """Convert the surface of a manifold3d.Manifold in millimetres; float64."""
         arrays = solid.to_mesh64()
         vertices_mm = np.asarray(arrays.vert_properties, np.float64)[:, :3]
         return cls(vertices_mm / MM_PER_M, np.asarray(arrays.tri_verts).astype(np.int32))
@@ -128,15 +128,15 @@ class Mesh:
 
 
 def as_mesh(thing: MeshLike) -> Mesh:
-    """Return a mesh as it is, and a record or a trimesh.Trimesh, in metres too, as a mesh of its arrays.
+    """Return a mesh unchanged; convert a record or a trimesh.Trimesh, which are in metres too.
 
-    InputError: it is something else.
+    Raises InputError for other types.
     """
     if isinstance(thing, Mesh):
         return thing
     if hasattr(thing, "vertices_m") and hasattr(thing, "faces"):
         return Mesh(thing.vertices_m, thing.faces)
-    # Known by what it has: importing trimesh to look at its class would take longer than most uses of this.
+    # Recognised by its attributes: importing trimesh would take longer than most uses of this function.
     if hasattr(thing, "vertices") and hasattr(thing, "faces"):
         return Mesh.from_trimesh(cast("trimesh.Trimesh", thing))
     raise InputError(
@@ -146,7 +146,7 @@ def as_mesh(thing: MeshLike) -> Mesh:
 
 
 def joined(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
-    """Make one surface of several."""
+    """Join several surfaces into one."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]
     return (

@@ -1,7 +1,7 @@
 """Columns of stored meshes, as in the published data sets.
 
-These store a mesh as two flat columns whose names begin with ``mesh.``: readers hand every such column to the
-mesh class, so that no other column may begin so (package tactile-mnist 0.13.0).
+These store a mesh as two flat columns whose names begin with ``mesh.``. Readers pass each such column to the
+mesh class, so no other column may have this prefix (package tactile-mnist 0.13.0).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ FACES = "mesh.faces"
 """Column of triangles: ``list<int32[3]>``, rows of the vertices."""
 
 
-# Ids and labels are looked at row by row: a float may hold an integer.
+# Ids and labels are checked row by row: a float may hold an integer.
 _MESH_TYPES: dict[str, read.Expected] = {
     VERTICES: (2, (pa.types.is_floating,), "three floats per vertex"),
     FACES: (2, (pa.types.is_integer,), "three integers per triangle"),
@@ -29,9 +29,9 @@ _MESH_TYPES: dict[str, read.Expected] = {
 
 
 def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
-    """Refuse the data set ``name`` where it has not all columns of the published mesh layout.
+    """Raise InputError where the data set ``name`` lacks a column of the published mesh layout.
 
-    ``made_by`` is the command that writes such data sets, for the message of the InputError.
+    ``made_by`` is the command that writes such data sets, for the message.
     """
     found = read.column_names(schema)
     missing = [each for each in ("id", "label", VERTICES, FACES) if each not in found]
@@ -46,7 +46,7 @@ def require_mesh_columns(schema: Any, name: str, made_by: str) -> None:
 
 @row
 class MeshRow:
-    """A row with a mesh; the classes of rows of each kind add their own columns after these."""
+    """A row with a mesh; row classes of each kind add their own columns after these."""
 
     id: int = column(pa.int64())
     label: int = column(pa.int64())
@@ -62,14 +62,14 @@ class MeshRow:
 
 
 def mesh_schema(row_type: type[MeshRow], class_names: tuple[str, ...]) -> pa.Schema:
-    """Return the Arrow schema of rows with a mesh; its metadata describe all columns to `datasets`."""
+    """Return the Arrow schema of rows with a mesh; its metadata describe the columns to `datasets`."""
     schema = plain_schema(row_type)
     features = {field.name: _feature(field.type) for field in schema}
     return schema.with_metadata(read.feature_metadata({**features, "label": read.label_feature(class_names)}))
 
 
 def _feature(data_type: pa.DataType) -> Any:
-    """Describe a column to `datasets`, in the spellings that both old and new releases read."""
+    """Describe a column to `datasets`, in a form that both old and new releases read."""
     if pa.types.is_list(data_type) and pa.types.is_struct(data_type.value_type):
         return [{field.name: _feature(field.type) for field in data_type.value_type}]
     if pa.types.is_fixed_size_list(data_type):

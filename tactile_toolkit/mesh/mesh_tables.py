@@ -13,13 +13,13 @@ from tactile_toolkit.mesh.mesh import Mesh
 from tactile_toolkit.mesh.mesh_columns import FACES, VERTICES
 
 MESH = "mesh"
-"""Column of the GLB files, metres, which `datasets` knows as its feature ``Mesh``."""
+"""Column of GLB files, in metres; `datasets` reads it as its feature ``Mesh``."""
 
 SIZES = ("size_x_m", "size_y_m", "size_z_m")
 
 
 def flat_table(rows: read.RecordDataset[Any]) -> Any:
-    """Return an Arrow table of rows: all stored columns but the mesh, its class by name, size and file."""
+    """Return an Arrow table: all stored columns but the mesh, then class name, size and GLB file."""
     stored = rows.to_hf()
     kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]
     table = stored.select_columns(kept).with_format("arrow")[:]
@@ -31,7 +31,7 @@ def flat_table(rows: read.RecordDataset[Any]) -> Any:
     for number, record in enumerate(rows):
         mesh = Mesh(record.vertices_m, record.faces)
         sizes.append(np.ptp(np.asarray(mesh.vertices_m, np.float64), axis=0))
-        # `datasets` takes the kind of file from the name.
+        # `datasets` infers the file format from the name.
         files.append({"bytes": pack_mesh(mesh, ".glb"), "path": f"{number:05d}.glb"})
     for name, values in zip(SIZES, np.reshape(sizes, (-1, 3)).T, strict=True):
         table = table.append_column(name, pa.array(values, pa.float64()))

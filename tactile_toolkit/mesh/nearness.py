@@ -1,16 +1,17 @@
-"""Triangles that lie near each other, and the thinnest wall between those that face each other.
+"""Pairs of triangles that lie near each other, and the thinnest wall of a solid.
 
-The thinnest wall is the smallest ball between stretches of surface that face each other. They face each
-other where the way from one to the other starts into the solid nearly at right angles to the surface, on both
-sides; or at an edge that points into the solid, as that of a notch, where every way along the surface leads
-further apart. The two sides of an outer edge or tip sharper than twice the angle of :data:`FACING`, 36
-degrees, face each other where they meet: the wall is 0 there. Those of blunter edges do not. Nor do triangles
-of which one lies wholly behind the plane of the other, or in it.
+The thinnest wall is the diameter of the smallest ball between parts of the surface that face each other. Two
+parts face each other where the segment between them enters the solid nearly at right angles to the surface at
+both ends, or at an edge that points into the solid, such as that of a notch. The two sides of an outer edge
+or tip sharper than twice the angle of :data:`FACING`, 36 degrees, face each other where they meet: the wall
+is 0 there. Those of blunter edges do not. Triangles do not face each other if one lies behind the plane of
+the other, or in it.
 
-A solid has the same thinnest wall however its faces are divided into triangles. Of a round surface the flat
-faces are measured: a rod of 32 sides comes out 3 % thinner than the cylinder around it, one of 64 sides 2 %.
+The result does not depend on how faces are divided into triangles. Round surfaces are measured at their flat
+faces: a rod of 32 sides is reported 3 % thinner than its circumscribed cylinder, one of 64 sides 2 %.
 
-The tree of boxes stays in this file: numba's cache on disk looks at the file of a kernel only.
+The tree of boxes and the kernels that use it share this file, because numba's disk cache is invalidated by
+changes of the file of a kernel only.
 """
 
 from __future__ import annotations
@@ -25,42 +26,41 @@ from tactile_toolkit.compiled import compiled
 from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, sub
 
 Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
-"""Points, faces, and what :func:`_surface` finds of them."""
+"""The result of :func:`_surface`."""
 
 FACING = 0.95
-"""Least cosine between the way across a wall and the direction into the solid: 18 degrees."""
+"""Smallest cosine between the segment across a wall and the inward normal: 18 degrees."""
 
-# Cosine up to which a way along the surface counts as leading no nearer: 3 degrees.
+# A direction along the surface counts as leading no nearer up to this cosine: 3 degrees.
 _ALONG = 0.05
 
-# What lies no further before a triangle is in its plane: less than the data resolve, more than rounding.
+# Points closer to a plane lie in it: less than the resolution of the data, more than rounding.
 _LEVEL = 1e-9
 
-# Every way across a wall starts this near to a direction in the boxes: by FACING, or at a notch between two
-# directions, where it may besides turn by _ALONG past either. That is 18.4 degrees.
+# Each segment across a wall starts this close to a direction in the boxes: by FACING, or at a notch between
+# two directions, where it may turn by _ALONG beyond either. That is 18.4 degrees.
 _STRAIGHT = math.sqrt(FACING**2 - _ALONG**2)
 
-# Two directions into the solid that face each other are at least so far opposite: to 36 degrees.
+# Two inward normals that face each other are opposite up to 36 degrees.
 _FACED = 2 * FACING**2 - 1
 
-# A corner whose direction is nearer than this to that of a face, 20 degrees, is one of a round surface.
+# A corner whose normal is within 20 degrees of that of a face belongs to a round surface.
 _ROUND_CORNER = math.cos(math.radians(20.0))
 
-# So directions of which none are this near to opposite do not face each other; the last is for rounding.
+# Sets of directions without a pair this close to opposite do not face each other; 1e-9 allows for rounding.
 _OPPOSED = 1 - 2 * _STRAIGHT**2 + 1e-9
 
-# And along an axis the way leads at most so much further than the directions do: the ends of two of them lie
-# so far apart.
+# Along an axis, a segment exceeds the directions by at most this: the distance of the ends of two of them.
 _ASLANT = math.sqrt(2 - 2 * _STRAIGHT) + 1e-9
 
-# Pairs of nodes that wait: three more for each level of the trees, of which none has more than 63.
+# Size of the stack of node pairs: three for each level of the trees, which have at most 63 levels.
 _DEEPEST = 256
 
 
 def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
-    """Return pairs of triangles, or other things of shape (F, corners, 3), whose boxes are within reach.
+    """Return pairs of triangles, or other objects of shape (F, corners, 3), whose boxes are within reach.
 
-    Along each axis; shape (2, pairs), each pair once.
+    The reach counts along each axis. The result has shape (2, pairs), each pair once.
     """
     if not len(corners_mm):
         return np.zeros((2, 0), np.int64)
@@ -70,34 +70,34 @@ def near_pairs(corners_mm: Float64, reach_mm: float) -> Int64:
 
 
 def thinnest_wall_mm(vertices_mm: Float64, faces: Int64, reach_mm: float) -> float:
-    """Return the thinnest wall of a closed manifold mesh, up to a reach; infinity where there is none.
+    """Return the thinnest wall of a closed manifold mesh, up to a reach; infinity if there is none.
 
-    Rounded to a nanometre, it depends on the triangles only, not on their order.
+    The value is rounded to a nanometre, so it does not depend on the order of the triangles.
     """
     vertices_mm = np.ascontiguousarray(vertices_mm, dtype=np.float64)
     faces = np.ascontiguousarray(faces, dtype=np.int64)
-    # A corner of each triangle: near enough to its middle, and less to gather.
+    # One corner of each triangle is close enough to its centre.
     numbered = _along_a_curve(vertices_mm.take(faces[:, 0], axis=0))
     return round(float(_thinnest_wall(vertices_mm, faces, numbered, reach_mm)), 6)
 
 
 def _along_a_curve(points: Float64) -> Int64:
-    """Return :func:`_numbered` sorted: points in an order in which neighbours are near, that of the curve."""
+    """Return :func:`_numbered`, sorted: points along a curve on which neighbours are near."""
     # Axis by axis: along rows of three numpy takes thirteen times as long.
     low = np.array([axis.min() for axis in points.T])
     span = max(*(axis.max() - least for axis, least in zip(points.T, low, strict=True)), 1e-300)
-    # Sorted together with their numbers: equal ones stay in order, and numpy has vector code for it.
+    # Sorted together with their numbers: equal places stay in order, and numpy sorts integers fast.
     return np.sort(_numbered(points, low, 1023.0 / span))
 
 
 @compiled
 def _numbered(points: Float64, low: Float64, scale: float) -> Int64:
-    """Return the place of each point on Morton's curve, ten bits for each axis, and below it its number."""
+    """Return the Morton code of each point, ten bits for each axis, with its number in the lower bits."""
     numbered = np.arange(len(points))
     for point in range(len(points)):
         for axis in range(3):
             cell = int((points[point, axis] - low[axis]) * scale)
-            # Each bit moves to every third place.
+            # Spread the bits to every third place.
             for shift, mask in ((16, 0x30000FF), (8, 0x300F00F), (4, 0x30C30C3), (2, 0x9249249)):
                 cell = (cell | (cell << shift)) & mask
             numbered[point] |= cell << (32 + axis)
@@ -106,14 +106,14 @@ def _numbered(points: Float64, low: Float64, scale: float) -> Int64:
 
 @compiled
 def _tree(numbered: Int64, low: Float64, high: Float64) -> tuple[Float64, Int64]:
-    """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends; and which two each has.
+    """Return the boxes of a binary tree, shape (2 N, 2, columns), low and high ends, and the two children.
 
-    The root is node 1. The last N are the boxes themselves, in order, and hold themselves. Each node is a
-    cell of Morton's curve: the curve jumps between cells, and boxes over jumps are wide.
+    The root is node 1. The last N nodes are the boxes themselves, in order; they are their own children. Each
+    node is a cell of Morton's curve, because boxes across the jumps of the curve would be wide.
     """
     count, columns = len(numbered), low.shape[1]
     boxes, held = np.empty((2 * count, 2, columns)), np.empty((2 * count, 2), np.int64)
-    # Nodes whose cells may hold more, and the bits in which the next thing lies apart from each.
+    # Nodes whose cells may hold more, and the bits in which the next object differs from each.
     waiting, apart, top, last = np.empty(64, np.int64), np.empty(64, np.int64), 0, count
     for leaf in range(count):
         thing, node = numbered[leaf] & 0xFFFFFFFF, count + leaf
@@ -136,7 +136,7 @@ def _tree(numbered: Int64, low: Float64, high: Float64) -> tuple[Float64, Int64]
 
 @compiled
 def _meeting(numbered: Int64, low: Float64, high: Float64) -> Int64:
-    """Return the pairs of boxes that meet, each pair once; each box as ``numbered`` has it."""
+    """Return the pairs of boxes that overlap, each pair once; boxes as in ``numbered``."""
     (boxes, held), count = _tree(numbered, low, high), len(numbered)
     found, pairs, stack, top = np.empty((1024, 2), np.int64), 0, np.ones((_DEEPEST, 2), np.int64), 1
     while top:
@@ -145,7 +145,7 @@ def _meeting(numbered: Int64, low: Float64, high: Float64) -> Int64:
         if min(one, other) >= count:
             if one != other:
                 if pairs == len(found):
-                    # One by one: numba takes a second to compile how numpy joins arrays.
+                    # Copied one by one: numba takes a second to compile the joining of arrays.
                     kept, found = found, np.empty((2 * pairs, 2), np.int64)
                     for pair in range(pairs):
                         found[pair, 0], found[pair, 1] = kept[pair, 0], kept[pair, 1]
@@ -166,7 +166,7 @@ def _meeting(numbered: Int64, low: Float64, high: Float64) -> Int64:
 
 @compiled
 def connected(ends: Int64, others: Int64, count: int) -> Int64:
-    """Return a number for each thing, shape (count,), that is the same for those that pairs connect."""
+    """Return the number of the connected component of each object, shape (count,)."""
     least = np.arange(count)
     for pair in range(len(ends)):
         one, other = ends[pair], others[pair]
@@ -186,8 +186,8 @@ def connected(ends: Int64, others: Int64, count: int) -> Int64:
 def _thinnest_wall(points: Float64, faces: Int64, numbered: Int64, reach: float) -> float:
     """Return the least distance below the reach at which two triangles face each other, or infinity.
 
-    Branch and bound: boxes that are further apart than the best so far, do not lie before each other within
-    the reach, or whose directions do not oppose each other, are left out with all that they hold.
+    Branch and bound: pairs of boxes are pruned that are farther apart than the best distance so far, that do
+    not lie in front of each other within the reach, or whose directions are not opposite.
     """
     solid = _surface(points, faces)
     low, high = _boxes(solid, reach)
@@ -212,8 +212,8 @@ def _thinnest_wall(points: Float64, faces: Int64, numbered: Int64, reach: float)
 
 @compiled
 def _may_face(boxes: Float64, one: int, other: int, best: float) -> bool:
-    """Return whether something of two nodes may face each other nearer than the best so far."""
-    # Each lies in what the other sweeps over.
+    """Return whether triangles of two nodes may face each other nearer than the best distance so far."""
+    # Each must overlap the sweep of the other.
     for axis in range(3):
         if (
             boxes[one, 0, 6 + axis] > boxes[other, 1, axis]
@@ -228,7 +228,7 @@ def _may_face(boxes: Float64, one: int, other: int, best: float) -> bool:
             boxes[one, 0, axis] - boxes[other, 1, axis], boxes[other, 0, axis] - boxes[one, 1, axis], 0.0
         )
         squared += apart * apart
-        # The least cosine between directions of the two.
+        # The smallest cosine between directions of the two.
         least, most = boxes[one, 0, 3 + axis], boxes[one, 1, 3 + axis]
         least_other, most_other = boxes[other, 0, 3 + axis], boxes[other, 1, 3 + axis]
         cosine += min(least * least_other, least * most_other, most * least_other, most * most_other)
@@ -237,9 +237,9 @@ def _may_face(boxes: Float64, one: int, other: int, best: float) -> bool:
 
 @compiled
 def _surface(points: Float64, faces: Int64) -> Solid:
-    """Return points, faces, directions into the solid of triangles and at corners, and twins of half-edges.
+    """Return points, faces, inward normals of triangles and at corners, and twins of half-edges.
 
-    Half-edge 3 f + k leads from corner k of triangle f to the next one.
+    Half-edge 3 f + k leads from corner k of triangle f to the next corner.
     """
     inward, at_corner = np.zeros((len(faces), 3)), np.zeros((len(points), 3))
     begun = np.zeros(len(points) + 1, np.int64)
@@ -258,7 +258,7 @@ def _surface(points: Float64, faces: Int64) -> Solid:
         unit = normalized(row(at_corner, corner))
         for axis in range(3):
             at_corner[corner, axis] = unit[axis]
-    # The half-edges so far that leave each corner, and where they lead.
+    # The half-edges so far that leave each corner, and their ends.
     leaving, filled = np.empty((3 * len(faces), 2), np.int64), begun.copy()
     twin = np.arange(3 * len(faces))
     for face in range(len(faces)):
@@ -274,9 +274,9 @@ def _surface(points: Float64, faces: Int64) -> Solid:
 
 @compiled
 def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
-    """Return boxes, shape (F, 9), around triangles, the directions in which each may face others, its sweep.
+    """Return boxes, shape (F, 9), around triangles, around directions in which they face others, and sweeps.
 
-    That is where it may face something within the reach.
+    The sweep of a triangle is the space in which it may face something within the reach.
     """
     points, faces, inward, at_corner, twin = solid
     low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
@@ -284,8 +284,9 @@ def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
         own = row(inward, face)
         for k in range(3):
             corner, beyond = faces[face, k], row(inward, twin[3 * face + k] // 3)
-            # The two and this one hold the arc between them, where the tangents at its ends meet; but for
-            # the ends of arcs beyond 90 degrees, which no way at a notch turns to, as it sinks into both.
+            # The intersection of the tangents at its ends completes the hull of the arc between the two,
+            # except the ends of arcs beyond 90 degrees, which no segment at a notch has: it enters both
+            # sides.
             turn = max(1 + dot(own, beyond), 1e-12)
             outside = max(turn, math.sqrt(turn))
             for axis in range(3):
@@ -302,7 +303,7 @@ def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
 
 @compiled
 def _between(solid: Solid, one: int, other: int, best: float) -> float:
-    """Return the least distance at which two triangles face each other, or the best so far."""
+    """Return the least distance at which two triangles face each other, at most the best so far."""
     points, faces, inward, _, _ = solid
     is_joined = False
     for k in range(3):
@@ -310,7 +311,7 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
         is_joined |= corner == faces[other, 0] or corner == faces[other, 1] or corner == faces[other, 2]
     if is_joined and dot(row(inward, one), row(inward, other)) > -_FACED:
         return best
-    # Each has to have something of the other before it.
+    # Part of each must lie in front of the other.
     for here, there in ((one, other), (other, one)):
         into, base = row(inward, here), row(points, faces[here, 0])
         least, most = np.inf, -np.inf
@@ -331,7 +332,7 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
 
 @compiled
 def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
-    """Return the least distance from a corner of the one triangle straight to the inside of the other."""
+    """Return the least perpendicular distance from a corner of a triangle to the inside of the other."""
     points, faces, inward, at_corner, _ = solid
     into, base = row(inward, other), row(points, faces[other, 0])
     opposed = -dot(row(inward, one), into)
@@ -342,7 +343,7 @@ def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
         cosine = opposed
         if dot(round_into, row(inward, one)) >= _ROUND_CORNER:
             cosine = -dot(round_into, into)
-        # The ball that touches there, and this plane, is wider than the way where that is aslant.
+        # The ball that touches both is wider than the segment where that is oblique.
         width = 2 * depth / (1 + cosine)
         inside = depth > 0 and cosine >= FACING and width < best
         for start in range(3):
@@ -380,7 +381,7 @@ def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
 
 @compiled
 def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
-    """Return how straight a way that starts at an edge leads into the solid; 1 at an edge that is a notch."""
+    """Return the cosine between a direction at an edge and the inward normal; 1 at a notch."""
     points, faces, inward, _, twin = solid
     start, end = row(points, faces[half // 3, half % 3]), row(points, faces[half // 3, (half + 1) % 3])
     along = normalized(sub(end, start))
@@ -396,6 +397,6 @@ def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
     is_notch = nearest <= _ALONG and least > _LEVEL and lengthwise * lengthwise <= 1 - FACING * FACING
     if not is_notch:
         return most
-    # At a flat edge the ball touches faces, and may not lie aslant to them.
+    # At a flat edge the ball touches faces and must not be oblique to them.
     is_hollow = dot(ours, cross(theirs, along)) < -_LEVEL
     return 1.0 if is_hollow else math.sqrt(1 - lengthwise * lengthwise)

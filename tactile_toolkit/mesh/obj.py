@@ -1,6 +1,6 @@
 """Wavefront OBJ files.
 
-Read here and not by trimesh, which cuts polygons as if they were convex.
+trimesh is not used, because it triangulates all polygons as if they were convex.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _COMMENT, _TEXTURE_AND_NORMAL = re.compile(r"#[^\n]*"), re.compile(r"/\S*")
 
 
 def read_obj(data: bytes) -> Surface:
-    """Read the faces of OBJ; lines, points, textures and names are not of the surface."""
+    """Read the faces of OBJ; lines, points, textures and names are ignored."""
     text = _COMMENT.sub("", plain_text(data).replace("\\\n", " "))
     if free_form := _FREE_FORM.search(text):
         raise InputError(f"{free_form[1]!r} is a free-form surface; expected faces ('f')")
@@ -46,7 +46,7 @@ def read_obj(data: bytes) -> Surface:
 
 
 def _from_first(corners: Int64, sizes: Int64, text: str) -> Int64:
-    """Return numbers that count vertices from the first, of some that count from the last one so far."""
+    """Convert vertex numbers that count back from the last vertex so far to numbers from the first."""
     places, faces = ([line.start() for line in kind.finditer(text)] for kind in (_VERTEX_LINE, _FACE_LINE))
     so_far = np.repeat(np.searchsorted(places, faces), sizes)
     if (wrong := (corners == 0) | (corners < -so_far)).any():

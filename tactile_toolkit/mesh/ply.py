@@ -1,7 +1,7 @@
 """PLY files, text and binary of either byte order.
 
-Read here and not by trimesh, which cuts polygons as if they were convex. Memory follows from the size of the
-file, never from numbers in it.
+trimesh is not used, because it triangulates all polygons as if they were convex. Memory is bounded by the
+size of the file, not by numbers in it.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _CORNERS = ("vertex_indices", "vertex_index")
 
 @dataclass(frozen=True, slots=True)
 class _Property:
-    """A property of an element: its type, and that of the number of its values where it is a list."""
+    """A property of an element: its type, and the type of its length where it is a list."""
 
     name: str
     kind: np.dtype[Any]
@@ -59,7 +59,7 @@ def read_ply(data: bytes) -> Surface:
         raise InputError(f"the format is {form[:40]!r}; expected one of {', '.join(_PLY_ORDERS)}")
     elements, body = _ply_elements(lines, _PLY_ORDERS[form], form == "ascii"), data[head.end() :]
     if form == "ascii":
-        # As numbers of eight bytes, text is read as binary files are.
+        # Text becomes eight-byte numbers and is then read as a binary file.
         body = array("d", numbers_of(body.decode(ANY_ENCODING).split(), float)).tobytes()
     found: dict[str, dict[str, tuple[Int64, AnyArray]]] = {}
     at = 0
@@ -82,7 +82,7 @@ def read_ply(data: bytes) -> Surface:
 
 
 def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> list[_Element]:
-    """Return what a header declares; of text, all types are numbers of eight bytes."""
+    """Return the elements that a header declares; in text files all types are eight-byte numbers."""
     elements: list[_Element] = []
 
     def kind(word: str) -> np.dtype[Any]:
@@ -110,10 +110,10 @@ def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> 
 
 
 def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[Int64, AnyArray]], int]:
-    """Return each property of an element, the number of values of each row and all of them; and the end."""
+    """Return for each property of an element the length of each row and all values; and the end position."""
     if not element.rows or not element.properties:
         return {}, at
-    # As if all lists were as long as those of the first row, which they nearly always are.
+    # All lists are assumed to be as long as those of the first row, which is nearly always true.
     fields: list[Any] = []
     end = at
     for number, each in enumerate(element.properties):
@@ -165,7 +165,7 @@ def _ply_uneven_rows(
 
 
 def _length(element: _Element, each: _Property, body: bytes, at: int) -> int:
-    """Return how many values the list at a place has."""
+    """Return the length of the list at a position."""
     kind: Any = each.count
     stored = np.frombuffer(body[at : at + kind.itemsize].ljust(kind.itemsize, b"\xff"), kind)[0]
     if at + kind.itemsize > len(body):

@@ -11,26 +11,26 @@ import numpy as np
 from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
-# Cutting a polygon that crosses itself takes a time that grows with the square of its corners.
+# The time for a polygon that crosses itself grows with the square of its number of corners.
 _MOST_CORNERS = 10_000
 
 
 def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
-    """Cut polygons into triangles that lie in them, whether they are convex or not.
+    """Triangulate polygons, convex or not.
 
     Parameters
     ----------
     vertices : ndarray of float64, shape (V, 3)
-        In whatever unit.
+        In any unit.
     sizes : ndarray of int64, shape (P,)
-        How many corners each polygon has.
+        Number of corners of each polygon.
     corners : ndarray of int64, shape (sum of sizes,)
         Rows of ``vertices``, polygon after polygon.
 
     Returns
     -------
     ndarray of int32, shape (F, 3)
-        Turned as their polygons.
+        Oriented as their polygons.
 
     Raises
     ------
@@ -55,12 +55,12 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
 
 
 def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
-    """Cut polygons of equally many corners, shape (P, corners)."""
+    """Triangulate polygons with equal numbers of corners, shape (P, corners)."""
     places = vertices[polygons]
     places -= places[:, :1]
     following = np.roll(places, -1, axis=1)
     normal = np.cross(places, following).sum(axis=1)
-    # Seen along the axis that the polygon faces most; mirrored where it faces against it.
+    # Projected along the axis closest to the normal; mirrored where the normal points against it.
     axis = np.abs(normal).argmax(axis=1)
     rows = np.arange(len(polygons))
     upwards = np.where(normal[rows, axis] < 0, -1.0, 1.0)

@@ -1,4 +1,4 @@
-"""What a printer and its material allow."""
+"""Limits of a printer and its material."""
 
 from __future__ import annotations
 
@@ -9,31 +9,31 @@ from tactile_toolkit.checked_fields import check_fields, real
 
 @dataclass(frozen=True, slots=True)
 class PrintProfile:
-    """What the printer and the material allow.
+    """Limits of the printer and the material.
 
     Attributes
     ----------
     nozzle_mm : float
-        Width of the thread of material; a wall needs two of them.
+        Line width; a wall needs two lines.
     layer_height_mm : float
         Thickness of a printed layer.
     plate_mm : tuple of float
         Width and depth of the plate.
     max_height_mm : float
-        Tallest print.
+        Largest height of a print.
     min_wall_mm : float
         Thinner walls give a warning.
     overhang_deg : float
-        Slopes that lean out further than this from the vertical need support.
+        Slopes that lean out by more than this from the vertical need support.
     max_overhang_share : float
-        Overhanging area over the area of the middle section above which it is warned of. The round
-        undersides of the digits overhang by design, by 0.47 to 0.71 of it (99 % of 119 real ones, every
-        fourth, below 0.70).
+        Largest ratio of the overhanging area to the area of the middle section without a warning. The round
+        undersides of digits overhang by design, with ratios of 0.47 to 0.71 (99 % of 119 real digits below
+        0.70).
     min_contact_mm2 : float
-        Smaller first layers give a warning. Digits with ink 28 px wide have 10 mm^2, with 35 px 100 mm^2 or
-        more.
+        Smaller first layers give a warning. Digits with ink 28 px wide have 10 mm^2, those with 35 px 100
+        mm^2 or more.
     density_g_cm3 : float
-        Of the material; 1.24 is PLA.
+        Density of the material; 1.24 is PLA.
     """
 
     nozzle_mm: float = real(0.4, above=0)
@@ -47,5 +47,5 @@ class PrintProfile:
     density_g_cm3: float = real(1.24, above=0)
 
     def __post_init__(self) -> None:
-        """Refuse numbers that no printer has."""
+        """Raise InputError for impossible values."""
         check_fields(self, "the print profile")

@@ -1,4 +1,4 @@
-"""What a check found about one mesh, and what of it a data set of printed objects stores."""
+"""Reports about meshes: whether each is a solid, and how it prints."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger
 """Print warnings; the limits behind them are those of :class:`~mnist3d.PrintProfile`."""
 
 UNREADABLE = "unreadable"
-"""Problem of a file that no mesh could be read from, beside those of ``solid_check.PROBLEMS``."""
+"""Problem of a file without a readable mesh; the others are those of ``solid_check.PROBLEMS``."""
 
 NO_WARNING = "none"
 """Shown in place of warnings where there are none."""
@@ -23,7 +23,7 @@ _REAL, _COUNT, _WORD, _WORDS = pa.float64(), pa.int64(), pa.string(), pa.list_(p
 
 @row
 class PrintReport:
-    """What was found about one mesh. Lengths in mm.
+    """Report about one mesh; lengths in mm.
 
     Attributes
     ----------
@@ -35,28 +35,28 @@ class PrintReport:
         Why the mesh is not a solid, a short stable word of
         :data:`tactile_toolkit.mesh.PROBLEMS`, or :data:`UNREADABLE`.
     detail : str or None
-        The same in a sentence.
+        The problem in a sentence.
     vertices, faces : int
-        Of the mesh as given.
+        Counts of the mesh as given.
     bodies, genus : int
-        Separate pieces, and holes through them in total.
+        Number of separate pieces, and of holes through them in total.
     volume_mm3, mass_g : float
-        Of the solid filled with material.
+        Volume and mass of the filled solid.
     size_mm : tuple of float
         Bounding box along x, y, z.
     thinnest_wall_mm : float
-        Thinnest wall. Walls up to 2.5 mm are looked for in the whole solid: the smallest ball that touches
-        the surface from inside on two sides whose directions differ by at most 36 degrees; 0 at an outer
-        edge or tip that is sharper. It does not change when faces are divided further; rods, balls and tori
-        of few flat sides come out some percent thinner than the round shape (32 sides: 3 to 8). Where there
-        is none it is the narrowest wall of the section at half height, at most the height: thicker walls
-        elsewhere are not looked for. NaN for a mesh that is not a solid, as the next two.
+        Thinnest wall. Walls up to 2.5 mm are searched for in the entire solid: the smallest ball that touches
+        the surface from inside on two sides whose directions differ by at most 36 degrees, and 0 at a sharper
+        outer edge or tip. It does not depend on how faces are divided; rods, balls and tori of few flat sides
+        are some percent thinner than the round shape (32 sides: 3 to 8 %). Without such a wall, it is the
+        narrowest wall of the section at half height, at most the height; thicker walls elsewhere are not
+        searched for. NaN for a mesh that is not a solid, as the next two.
     overhang_mm2 : float
-        Area that leans out too far and does not rest on the bed.
+        Area that overhangs and does not rest on the bed.
     contact_mm2 : float
         Area of the first layer, cut at its top.
     warnings : tuple of str
-        Of :data:`WARNINGS`.
+        Words of :data:`WARNINGS`.
     notes : tuple of str
         What reading the file changed or left out (``Mesh.notes``).
     """
@@ -101,5 +101,5 @@ class PrintReport:
 
 
 def unreadable(detail: str) -> PrintReport:
-    """Report a file that no mesh could be read from, and why."""
+    """Return the report for a file without a readable mesh."""
     return PrintReport(False, "NotTried", UNREADABLE, detail, 0, 0)

@@ -1,4 +1,4 @@
-"""What a printer needs to know about a solid: walls, overhangs, the first layer."""
+"""Checks of a mesh for printing: solid or not, walls, overhangs, first layer."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tactile_toolkit.mesh.section import section_area_mm2, thinnest_width_mm
 from tactile_toolkit.mesh.solid_check import check_manifold
 
 WALL_REACH_MM = 2.5
-"""Walls up to this are looked for in the whole solid; three times what is warned of by default."""
+"""Walls up to this are searched for in the entire solid; three times the default limit of the warning."""
 
-# Share of the height by which the middle section avoids the vertices that lie in the mid-plane.
+# The middle section is taken this fraction of the height above the vertices that lie in the mid-plane.
 _OFF_VERTICES = 1e-7
 
 
 def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
-    """Check whether a mesh bounds a solid, and measure what matters for printing it.
+    """Check whether a mesh bounds a solid, and measure it for printing.
 
-    A bad mesh gives a report, not an exception.
+    A mesh that is not a solid gives a report, not an exception.
 
     Parameters
     ----------
@@ -51,19 +51,19 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     if check.problem is not None:
         return PrintReport(False, check.status, check.problem, check.detail, *counts, notes=mesh.notes)
     vertices_mm, faces = mesh.vertices_mm, mesh.faces.astype(np.int64)
-    # Axis by axis: along rows of three numpy takes thirteen times as long.
+    # Axis by axis: numpy takes thirteen times as long along rows of three.
     low, high = ([reach(axis) for axis in vertices_mm.T] for reach in (np.min, np.max))
     size_mm = (float(high[0] - low[0]), float(high[1] - low[1]), float(high[2] - low[2]))
-    # Vertices that lie in the mid-plane would make the cut run along edges: it is taken just above them.
+    # A cut through the vertices of the mid-plane would run along edges.
     outlines = check.manifold.slice((low[2] + high[2]) / 2 + _OFF_VERTICES * size_mm[2]).to_polygons()
-    # What lies within the first layer rests on the bed, whatever way it faces.
+    # Faces within the first layer rest on the bed, whatever their direction.
     bed_mm, sine = low[2] + profile.layer_height_mm, math.sin(math.radians(profile.overhang_deg))
     overhang_mm2 = float(leaning_out(vertices_mm, faces, bed_mm, sine).sum() / 2)
     contact_mm2 = float(check.manifold.slice(bed_mm).area())
     wall_mm = max(min(thinnest_width_mm(outlines), size_mm[2]), min(WALL_REACH_MM, *size_mm))
     wall_mm = min(wall_mm, thinnest_wall_mm(vertices_mm, faces, WALL_REACH_MM))
     overhang_share = overhang_mm2 / max(section_area_mm2(outlines), 1e-9)
-    # Turned on the plate, the longer side of the print goes along the longer one of the plate.
+    # The print may be rotated, so its longer side lies along the longer side of the plate.
     sides = zip(sorted(size_mm[:2]), sorted(profile.plate_mm), strict=True)
     found = {
         "thin-wall": wall_mm < profile.min_wall_mm,

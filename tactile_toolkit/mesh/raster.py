@@ -1,8 +1,8 @@
-"""From triangles to pixels: every triangle is cut into scan lines, and a pixel keeps the highest of them.
+"""Rasterisation of triangles: each is cut into scan lines, and a pixel keeps the highest triangle.
 
-A scan line is the part of one row of pixels whose centres one triangle covers. Cutting by rows instead of
-testing every pixel of a bounding box touches only pixels that are covered, and all lines are cut at once, in
-numpy. Height maps, pictures and the cells of build plates are all made here.
+A scan line is the part of a row of pixels whose centres a triangle covers. Cutting by rows visits only
+covered pixels, unlike testing all pixels of a bounding box, and numpy cuts all lines at once. Height maps,
+voxels and pictures are made here.
 """
 
 from __future__ import annotations
@@ -14,24 +14,23 @@ import numpy as np
 from tactile_toolkit.array_types import Float32, Float64, Int64, Integers
 
 MOST_PIXELS = 1 << 27
-"""Largest grid that users get, 512 MiB: a finer pitch is refused instead of filling the memory."""
+"""Largest grid, 512 MiB; a finer pitch is refused."""
 
-# A centre no further than this outside an edge counts as on it: rounding must leave no hole between
-# neighbours.
+# A pixel centre this close outside an edge counts as on it, so that rounding leaves no gaps.
 _EDGE_PX = 1e-9
 
-# Lines or pixels that are worked on together: bounds the memory of large triangles on fine grids.
+# Lines or pixels that are processed together: bounds the memory of large triangles on fine grids.
 _AT_ONCE = 1 << 20
 
-# Heights that :func:`highest_faces` distinguishes: 1e-7 mm on a solid of 10 cm.
-# Next to 32 bits of the triangle's number this fills a signed integer of 64.
+# Heights that :func:`highest_faces` distinguishes: 1e-7 mm on a solid of 10 cm. With 32 bits for the number
+# of the triangle, this fills a signed integer of 64 bits.
 _DEPTH_STEPS = 1 << 30
 
 
 def highest_values(points: Float64, faces: Integers, shape: tuple[int, int]) -> Float32:
     """Return the height of the highest triangle over the centre of each pixel, -inf where there is none.
 
-    Parameters as :func:`covered_pixels`; triangles that face downwards are left out.
+    Parameters as of :func:`covered_pixels`; triangles that face downwards are ignored.
     """
     highest = np.full(shape[0] * shape[1], -np.inf, np.float32)
     for _, _, pixel, height in covered_pixels(points, faces, shape):
@@ -44,7 +43,7 @@ def highest_faces(
 ) -> Int64:
     """Return the highest triangle over the centre of each pixel, -1 where there is none.
 
-    Parameters as :func:`covered_pixels`; of equally high triangles the later.
+    Parameters as of :func:`covered_pixels`; of equally high triangles the last one wins.
     """
     if not len(faces):
         return np.full(shape, -1, np.int64)
@@ -52,7 +51,7 @@ def highest_faces(
     low, span = float(used.min()), max(float(np.ptp(used)), 1e-12)
     highest = np.full(shape[0] * shape[1], -1, np.int64)
     for face, line, pixel, height in covered_pixels(points, faces, shape, both_sides):
-        # The height in the upper bits and the triangle in the lower: one maximum finds both.
+        # The height is in the upper bits and the triangle in the lower ones, so one maximum finds both.
         steps = ((height - low) * (_DEPTH_STEPS / span)).astype(np.int64)
         np.maximum.at(highest, pixel, (steps << 32) | face[line])
     return np.where(highest < 0, -1, highest & 0xFFFFFFFF).reshape(shape)
@@ -61,12 +60,12 @@ def highest_faces(
 def covered_pixels(
     points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool = False
 ) -> Iterator[tuple[Int64, Int64, Int64, Float64]]:
-    """Yield the pixels whose centres triangles cover, some at a time; upright triangles cover nothing.
+    """Yield pixels whose centres are covered by triangles, in parts; vertical triangles cover none.
 
-    That is the triangle of each scan line, the scan line of each pixel, its number row by row, and the
-    height of the triangle above it. ``points``, shape (3, V), are column and row, in pixels whose centres
-    have integers, and height of each vertex; ``shape`` is rows and columns, and what lies outside is cut off.
-    Triangles that run clockwise seen from above cover something only with ``both_sides``.
+    Each part consists of the triangle of each scan line, the scan line of each pixel, the number of the pixel
+    (row by row), and the height of the triangle there. ``points``, shape (3, V), are column, row and height
+    of each vertex; pixel centres have integer coordinates. ``shape`` is the number of rows and columns;
+    triangles are clipped to it. Triangles that are clockwise seen from above count only with ``both_sides``.
     """
     face, first_row, rows, reach, plane = _prepared(points, np.asarray(faces), shape, both_sides)
     for start, stop in _parts(rows):
@@ -83,12 +82,12 @@ def covered_pixels(
 def _prepared(
     points: Float64, faces: Integers, shape: tuple[int, int], both_sides: bool
 ) -> tuple[Int64, Int64, Int64, Float64, Float64]:
-    """Return the triangles that may cover a pixel centre, turned counter-clockwise as seen from above.
+    """Return the triangles that may cover a pixel centre, counter-clockwise as seen from above.
 
-    That is which they are, the first row of pixel centres that each meets, and how many; their reach, shape
-    (14, n): least and greatest column, and for each edge ``l, l', r, r'``, which leaves columns from
-    ``l + l' y`` to ``r + r' y`` to row y; and their plane, shape (7, n): column, row and height of the first
-    corner, what the height grows by along a row and from one row to the next, least and greatest height.
+    Returned are their numbers; the first row of pixel centres of each, and the number of rows; their reach,
+    shape (14, n): least and greatest column, and for each edge ``l, l', r, r'``, which limits row y to
+    columns from ``l + l' y`` to ``r + r' y``; and their plane, shape (7, n): column, row and height of the
+    first corner, slope along a row and from row to row, least and greatest height.
     """
     corners = [np.take(points[:2], corner, axis=1) for corner in faces.T]
     last_pixel = np.array([[shape[1] - 1], [shape[0] - 1]], np.float64)
@@ -96,7 +95,7 @@ def _prepared(
     last = np.minimum(np.floor(np.maximum.reduce(corners) + _EDGE_PX), last_pixel)
     (ab_x, ab_y), (ac_x, ac_y) = corners[1] - corners[0], corners[2] - corners[0]
     area = ab_x * ac_y - ab_y * ac_x  # twice the area as seen from above
-    # Upright triangles, of no area, would only repeat the edges of their neighbours.
+    # Vertical triangles would only repeat the edges of their neighbours.
     faces_seen = (area != 0) if both_sides else (area > 0)
     kept = np.flatnonzero(faces_seen & (first[0] <= last[0]) & (first[1] <= last[1]))
     area, named = area[kept], faces[kept].T
@@ -115,9 +114,9 @@ def _prepared(
 
 
 def _side(start: Float64, end: Float64) -> Float64:
-    """Return which columns an edge leaves to a row: ``l, l', r, r'`` of :func:`_prepared`."""
-    # The inside is left of every edge. So an edge that runs down the rows bounds them from below, one that
-    # runs up from above, and a level one not at all.
+    """Return the limits that an edge sets to the columns of a row: ``l, l', r, r'`` of :func:`_prepared`."""
+    # The inside is left of each edge: an edge towards lower rows is a lower bound of the columns, one towards
+    # higher rows an upper bound, and a level one neither.
     along_x, along_y = end[0] - start[0], end[1] - start[1]
     falls, rises = along_y < -_EDGE_PX, along_y > _EDGE_PX
     per_row = along_x / np.where(falls | rises, along_y, 1.0)
@@ -138,8 +137,8 @@ def _cut(
 ) -> tuple[Int64, Int64, Int64, Float64, Float64]:
     """Find the scan lines of triangles in given rows.
 
-    Returns the triangle of each, the number of its first pixel, how many it covers, the height above the
-    first, and what the height grows by from one pixel to the next.
+    Returns for each scan line the triangle, the number of its first pixel, the number of pixels, the height
+    at the first pixel, and the increase of the height from pixel to pixel.
     """
     left, right = np.take(reach[:2], owner, axis=1)
     for side in reach[2:].reshape(3, 4, -1):
@@ -152,14 +151,14 @@ def _cut(
     column, steps = first.astype(np.int64), (last - first).astype(np.int64)
     x, y, z, along_row, along_column, low, high = np.take(plane, owner, axis=1)
     level = z + along_column * (row - y)
-    # From end to end instead of by the slope: so no height leaves the triangle's own range, however steep.
+    # Interpolated between the ends, so that no height leaves the range of a steep triangle.
     start, end = (np.clip(level + along_row * (edge - x), low, high) for edge in (first, last))
     rise = (end - start) / np.maximum(steps, 1)
     return owner, row * columns + column, steps + 1, start, rise
 
 
 def _parts(counts: Int64) -> Iterator[tuple[int, int]]:
-    """Divide items into runs of at most :data:`_AT_ONCE` things in all, or of a single item."""
+    """Divide items into runs with a total count of at most :data:`_AT_ONCE`, or of a single item."""
     ends = np.cumsum(counts)
     start = 0
     while start < len(counts):
@@ -170,7 +169,7 @@ def _parts(counts: Int64) -> Iterator[tuple[int, int]]:
 
 
 def positions_in_runs(counts: Int64) -> Int64:
-    """Return 0, 1, ... for the things of each item in turn: of counts 2 and 3 these are 0, 1, 0, 1, 2."""
+    """Return the positions within runs of given lengths: of counts 2 and 3 these are 0, 1, 0, 1, 2."""
     ends = np.cumsum(counts)
     total = int(ends[-1]) if len(ends) else 0
     return np.asarray(np.arange(total) - np.repeat(ends - counts, counts))

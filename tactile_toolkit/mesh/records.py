@@ -51,19 +51,18 @@ class SolidRecord(read.Record):
 
     @property
     def mesh(self) -> trimesh.Trimesh:
-        """The mesh, metres. Vertices stay as they are stored: none is merged, dropped or moved."""
-        # Nearly all of the 76 µs of a mesh are trimesh's own, which takes no float32 as it is
-        # (benchmarks/README.md).
+        """The mesh, in metres; no vertex is merged, dropped or moved."""
+        # Nearly all of the 76 µs are spent in trimesh, which converts float32 (benchmarks/README.md).
         found: trimesh.Trimesh = self._once("mesh", lambda: Mesh(self.vertices_m, self.faces).to_trimesh())
         return found
 
     @property
     def volume_m3(self) -> float:
-        """Volume in cubic metres: the stored one, or that of the mesh where none is stored."""
+        """Volume in cubic metres: the stored value, or else that of the mesh."""
         return float(self._row.required("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
 
     def export(self, path: str | Path) -> None:
-        """Write the mesh to a file in the unit that programs expect of it.
+        """Write the mesh to a file, in the unit of the format.
 
         Parameters
         ----------
@@ -82,14 +81,14 @@ class SolidRecord(read.Record):
 
 
 class SolidDataset(read.RecordDataset[S]):
-    """A lazy sequence of meshes: any data set in the published layout of meshes."""
+    """A lazy sequence of meshes in the published layout."""
 
     record_class: ClassVar[Any] = SolidRecord
     things = "solids"
 
     @property
     def volumes_m3(self) -> Float64:
-        """Volume of each row, shape (len,), float64, cubic metres; loads only meshes that store none."""
+        """Volume of each row, shape (len,), float64, cubic metres; loads meshes only where none is stored."""
         if self.has_column("volume_m3"):
             return np.asarray(self.column("volume_m3"), np.float64)
         return np.array([record.volume_m3 for record in self], np.float64)
@@ -101,11 +100,11 @@ class RecordStream(read.Stream[read.RowSource], Generic[R]):
     Parameters
     ----------
     shards : tuple of RowSource
-        Shards to read in turn.
+        Shards, read in order.
     record : type
-        Kind of record.
+        Class of the records.
     default_names : tuple of str
-        Class names where the shards name none.
+        Class names for shards without any.
     """
 
     def __init__(
@@ -137,9 +136,9 @@ def open_solids(
     kind: DatasetKind,
     stream: type[W] | None = None,
 ) -> D | W:
-    """Open shards as a data set of one kind, or as a stream of its records, of a class that is given.
+    """Open shards as a data set of a kind, or as a stream where a class of streams is given.
 
-    ``name`` is the data set in the user's words. Raises InputError when a mesh column is missing.
+    ``name`` is the name of the data set, for messages. Raises InputError when a mesh column is missing.
     """
     table = read.ShardedTable(shards)
     require_mesh_columns(table.schema, name, kind.made_by)

@@ -15,24 +15,24 @@ import numpy as np
 from tactile_toolkit.array_types import Float32, Float64
 
 SPACING_MM = 0.4
-"""Distance of outline points; the outlines of the digits have corners every 0.4 to 0.8 mm."""
+"""Distance of outline points; outlines of digits have corners every 0.4 to 0.8 mm."""
 
 NORMAL_SPAN = 2
-"""Neighbours on either side that set the direction of the outline at a point."""
+"""Number of neighbours on each side that define the direction of the outline at a point."""
 
 LEAST_CONTACT_SINE = 0.9
-"""Sine of half the angle between the two contacts, seen from the middle of the disc: 128 degrees."""
+"""Sine of half the angle between two contacts, seen from the centre of the disc: 128 degrees."""
 
 MAX_POINTS = 6000
-"""Every point is compared with many others: this bounds the time."""
+"""Bounds the time, because each point is compared with many others."""
 
 
 def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
-    """Measure the narrowest wall between two facing stretches of the outlines of a section, 0 without any.
+    """Measure the narrowest wall between two facing parts of the outlines of a section; 0 without outlines.
 
-    Outlines are closed polygons in mm, shape (N, 2), with the material on their left: outer ones
-    counter-clockwise, holes clockwise. Where they begin, and their order, change nothing: points are laid
-    along each from its lowest corner.
+    Outlines are closed polygons in mm, shape (N, 2), with the material on their left: outer ones are
+    counter-clockwise, holes clockwise. The result does not depend on their order and first corner: points are
+    placed from the lowest corner on.
     """
     # numba takes half a second to import.
     from tactile_toolkit.mesh.section_kernels import largest_discs
@@ -47,7 +47,7 @@ def thinnest_width_mm(outlines_mm: Sequence[Float64]) -> float:
 
 
 def section_area_mm2(outlines_mm: Sequence[Float64]) -> float:
-    """Return the area that outlines enclose, turned as in :func:`thinnest_width_mm`."""
+    """Return the area enclosed by outlines, oriented as in :func:`thinnest_width_mm`."""
     area = 0.0
     for outline in outlines_mm:  # not sum(), which rounds differently from Python 3.12 on
         x, y = outline.T
@@ -56,15 +56,15 @@ def section_area_mm2(outlines_mm: Sequence[Float64]) -> float:
 
 
 def _outline_points(outlines: Sequence[Float64]) -> tuple[Float32, Float32]:
-    """Return points along outlines, from their middle, and directions to the material."""
+    """Return points along outlines, relative to their mean, and directions towards the material."""
     lengths = [_edge_lengths(outline).sum() for outline in outlines]
     spacing_mm = max(SPACING_MM, sum(lengths) / MAX_POINTS)
     points, inward = [], []
     for outline, length in zip(outlines, lengths, strict=True):
-        # A small hole too has enough points for its directions.
+        # Small holes need enough points for their directions too.
         count = max(16, round(length / spacing_mm))
         way = np.concatenate([[0.0], np.cumsum(_edge_lengths(outline))])
-        # Half a step off the first corner: at a corner itself the outline has no direction.
+        # Half a step from the first corner: the outline has no direction at a corner.
         stops = (np.arange(count) + 0.5) * (way[-1] / count)
         closed = np.concatenate([outline, outline[:1]])
         even = np.stack([np.interp(stops, way, closed[:, axis]) for axis in (0, 1)], axis=1)
@@ -73,7 +73,7 @@ def _outline_points(outlines: Sequence[Float64]) -> tuple[Float32, Float32]:
         points.append(even)
         inward.append(left / np.maximum(np.linalg.norm(left, axis=1, keepdims=True), 1e-12))
     away = np.concatenate(points)
-    # Single precision is fine enough near the middle.
+    # Single precision is accurate enough near the mean.
     away -= away.mean(axis=0)
     return away.astype(np.float32), np.concatenate(inward).astype(np.float32)
 

@@ -8,15 +8,15 @@ from tactile_toolkit.array_types import Float32
 from tactile_toolkit.compiled import compiled
 
 _BLOCK = 16
-# The point itself, at distance 0, must not decide its own disc.
+# A point, at distance 0 from itself, must not limit its own disc.
 _LEAST_SQUARED_MM2 = np.float32(1e-3)
-# More than single precision rounds.
+# More than the rounding of single precision.
 _NEARLY = np.float32(1 - 1e-5)
 
 
 @compiled
 def largest_discs(points: Float32, inward: Float32) -> tuple[Float32, Float32]:
-    """Return the radius of the disc inside at every point of outlines, and how far away it touches again.
+    """Return the radius of the largest disc at each point of outlines, and the distance of its contact.
 
     A disc that touches here and passes through a point at distance d and depth h has the curvature
     2 h / d^2. A block of points farther away than the best diameter so far cannot tighten it.
@@ -32,7 +32,7 @@ def largest_discs(points: Float32, inward: Float32) -> tuple[Float32, Float32]:
             spans[block] = max(spans[block], _apart(points[point], middles[block]))
     sharpest = 0
     for point in range(count):
-        # What decided the disc before lies near to what decides this one: nearly all blocks are left out.
+        # The contact of the disc before is close to that of this one, so nearly all blocks are pruned.
         before = _bend(points, inward, point, sharpest)[0]
         best, contact = max(before, np.float32(0)) * _NEARLY - np.float32(1e-30), np.float32(0)
         for block in range(blocks):

@@ -1,7 +1,7 @@
-"""Whether triangles bound a solid: manifold3d's verdict and the questions it leaves open.
+"""Whether triangles bound a solid: the status of manifold3d, and what it does not check.
 
-manifold3d checks how triangles are joined. A mesh that is inside out, or whose bodies run into one another,
-passes that check, and so does one that crosses itself; here such meshes are refused too.
+manifold3d checks how triangles are joined. It accepts meshes that are inside out, that cross themselves or
+whose bodies overlap; these are refused here.
 """
 
 from __future__ import annotations
@@ -26,28 +26,28 @@ PROBLEMS = (
     "overlap",
     "self-crossing",
 )
-"""Why a mesh is refused, in the order in which it is asked."""
+"""Reasons why a mesh is refused, in the order of the checks."""
 
 OVERLAP_MM3 = 1e-6
 FLAT_MM3 = 1e-6
-"""Less, a cube of 10 um, is what rounding leaves of bodies that only touch, or of a flat sheet."""
+"""A smaller volume, that of a cube of 10 um, may be rounding of bodies that touch, or of a flat sheet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ManifoldCheck:
-    """The verdict on one mesh: ``problem``, a word of :data:`PROBLEMS`, and its story; None for a solid."""
+    """Result for one mesh; ``problem``, a word of :data:`PROBLEMS`, and ``detail`` are None for a solid."""
 
     manifold: Any
-    """The solid, a manifold3d.Manifold in mm, where there is one."""
+    """The solid, a manifold3d.Manifold in mm, if there is one."""
     status: str
-    """manifold3d's word; ``"NotTried"`` where the arrays could not even be handed over."""
+    """Status of manifold3d; ``"NotTried"`` where the arrays are invalid."""
     problem: str | None = None
     detail: str | None = None
     bodies: int = 0
     genus: int = 0
-    """Holes through all bodies in total."""
+    """Number of holes through all bodies."""
     volume_mm3: float = math.nan
-    """Enclosed volume, negative inside out; NaN where unknown, as where some space is enclosed twice."""
+    """Enclosed volume, negative if inside out; NaN if unknown, as where some space is enclosed twice."""
 
 
 def check_manifold(mesh: Mesh) -> ManifoldCheck:
@@ -78,7 +78,7 @@ def check_manifold(mesh: Mesh) -> ManifoldCheck:
 
 
 def require_solid(mesh: Mesh) -> ManifoldCheck:
-    """Return the verdict on a mesh that bounds a solid; raises ItemError where it bounds none."""
+    """Return the result for a mesh that bounds a solid; raises ItemError for others."""
     verdict = check_manifold(mesh)
     if verdict.problem is not None:
         raise ItemError(verdict.problem, f"it does not bound a solid ({verdict.problem}: {verdict.detail})")
@@ -86,7 +86,7 @@ def require_solid(mesh: Mesh) -> ManifoldCheck:
 
 
 def array_problem(mesh: Mesh) -> tuple[str, str] | None:
-    """Return what is wrong with the arrays of a mesh, if anything: a word of PROBLEMS, and its story."""
+    """Return what is wrong with the arrays of a mesh, if anything: a word of PROBLEMS, and a sentence."""
     vertices, faces = mesh.vertices_m, mesh.faces
     if vertices.ndim != 2 or faces.ndim != 2 or vertices.shape[1] != 3 or faces.shape[1] != 3:
         shapes = f"vertices {vertices.shape}, faces {faces.shape}"
@@ -110,7 +110,7 @@ def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
 
     bodies = [part for part in parts if part.volume() > 0]
     cavities = [part for part in parts if part.volume() < 0]
-    # A cavity is one of the smallest body around it: what lies loose in a cavity of one body is another.
+    # A cavity belongs to the smallest body around it, since a body may lie loose in a cavity of another.
     order = sorted(range(len(bodies)), key=lambda number: float(bodies[number].volume()))
     held = list(bodies)
     for cavity in cavities:

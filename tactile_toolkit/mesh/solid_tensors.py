@@ -22,14 +22,14 @@ else:
         import torch
 
 
-# Columns of voxels are followed this far next to their centres, in voxels: there no edge of a solid lies, and
-# only one of the triangles that share it is met.
+# Columns of voxels are sampled this far from their centres, in voxels, where no edge of a solid lies: only
+# one of the triangles that share an edge is met.
 _ASIDE_PX = (0.618e-5, 0.414e-5)
 
 
 @dataclass(frozen=True, slots=True)
 class VoxelGrid:
-    """The part of space that a grid covers: centred on the origin along x and y, from z = 0 upwards.
+    """A grid of voxels, centred on the origin along x and y, from z = 0 upwards.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class VoxelGrid:
         return layers, rows, columns
 
     def grid_points(self, vertices_m: Floating) -> Float64:
-        """Return column, row and layer of vertices, shape (3, V); voxel centres have integers."""
+        """Return column, row and layer of vertices, shape (3, V); voxel centres have integer coordinates."""
         _, rows, columns = self.shape
         middle = np.array([[columns / 2.0], [rows / 2.0], [0.0]])
         return np.asarray(vertices_m.T.astype(np.float64) / self.pitch_m + (middle - 0.5))
@@ -75,12 +75,12 @@ def surface_points(
     count: int,
     random: np.random.Generator,
 ) -> Float32:
-    """Draw points on a surface, each place as likely as any other: shape (count, 3), float32, metres."""
+    """Draw points uniformly on a surface: shape (count, 3), float32, metres."""
     a, b, c = (vertices_m[corner].astype(np.float64) for corner in np.asarray(faces).T)
     areas = np.cumsum(np.linalg.norm(np.cross(b - a, c - a), axis=1))
     numbers = random.random((3, count))
     face = np.minimum(np.searchsorted(areas, numbers[0] * areas[-1], side="right"), len(areas) - 1)
-    # The root spreads the points evenly over a triangle, which narrows towards its first corner.
+    # The square root makes the density uniform, because a triangle narrows towards its first corner.
     root, along = np.sqrt(numbers[1])[:, None], numbers[2][:, None]
     points = a[face] * (1.0 - root) + b[face] * (root * (1.0 - along)) + c[face] * (root * along)
     return np.asarray(points, np.float32)
@@ -104,8 +104,8 @@ def voxels_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> UInt8:
     points[:2] += np.array(_ASIDE_PX)[:, None]
     (ab_x, ab_y), (ac_x, ac_y) = (points[:2, faces.T[corner]] - points[:2, faces.T[0]] for corner in (1, 2))
     upwards = ab_x * ac_y > ab_y * ac_x
-    # How often the surface is entered less how often it is left, on the way up a column: 1 inside.
-    # One layer more, for what is entered or left above the grid.
+    # Number of entries minus number of exits on the way up a column: 1 inside.
+    # One extra layer for entries and exits above the grid.
     change = np.zeros((layers + 1) * rows * columns, np.int32)
     for face, line, pixel, height in covered_pixels(points, faces, (rows, columns), both_sides=True):
         layer = np.clip(np.ceil(height), 0, layers).astype(np.int64)
@@ -116,7 +116,7 @@ def voxels_in(grid: VoxelGrid, vertices_m: Floating, faces: Integers) -> UInt8:
 
 Representation = Literal["points", "voxels", "height_map", "mesh"]
 REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
-"""What an item may be, see :class:`SolidTensors`."""
+"""Representations of items; see :class:`SolidTensors`."""
 
 Target = str | Callable[[Any], Any] | None
 
@@ -125,7 +125,7 @@ TARGETS: dict[str, Callable[[Any], Any]] = {
     "id": lambda record: record.id,
     "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
 }
-"""What may stand next to a solid: its class, its id, or its volume in cubic metres, float32."""
+"""Targets of items: class, id, or volume in cubic metres, float32."""
 
 
 class MeshItem(NamedTuple):
@@ -165,7 +165,8 @@ class MeshBatch(NamedTuple):
 class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     """A map-style data set of solids.
 
-    Item i is ``(tensor, target)``, or without a target the tensor alone. By ``representation`` that is
+    Item i is ``(tensor, target)``, or the tensor alone without a target. The tensor is, by
+    ``representation``,
 
     - ``"points"``: points on the surface, shape (``points``, 3), float32, metres, drawn evenly over its area:
       the same for the same seed, epoch and i, in every process;
@@ -178,11 +179,11 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Parameters
     ----------
     dataset : RecordDataset of SolidRecord
-        What to give.
+        The solids.
     representation : str
         One of :data:`REPRESENTATIONS`.
     points : int
-        How many points.
+        Number of points.
     pitch_m : float
         Side of a voxel or pixel, metres.
     extent_m : tuple of three floats, optional
@@ -229,21 +230,21 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self.grid = VoxelGrid(extent_m or type(self).extent_m, pitch_m)
         self.transform = transform
         self.target = target
-        # Workers that live on from epoch to epoch (persistent_workers) see what is set here.
+        # Shared, so that persistent workers see changes.
         self._epoch = read.shared_zeros()
 
     @property
     def epoch(self) -> int:
-        """The epoch whose points are given."""
+        """The current epoch, which determines the points."""
         return int(self._epoch)
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the points of an epoch, from the next item on and in every worker."""
+        """Set the epoch, from the next item on and in all workers."""
         self._epoch.fill_(epoch)
 
     @property
     def sequence(self) -> read.RecordDataset[Any]:
-        """The solids, in the order of the items."""
+        """The solids, in order of the items."""
         return self.dataset
 
     def __len__(self) -> int:
@@ -258,25 +259,25 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             given = self.transform(given)
         if self.target is None:
             return given
-        # Names are looked up here and not kept as functions: a function without a name does not pickle.
+        # Looked up here, because functions without names do not pickle.
         return given, (TARGETS[self.target] if isinstance(self.target, str) else self.target)(record)
 
     def _tensor(self, record: SolidRecord, place: int) -> torch.Tensor | MeshItem:
         vertices_m, faces = record.vertices_m, record.faces
         if self.representation == "points":
-            # Not of torch's generator, whose state differs from worker to worker.
+            # Not torch's generator, whose state differs between workers.
             random = np.random.default_rng([self.seed, self.epoch, place])
             return torch.from_numpy(surface_points(vertices_m, faces, self.points, random))
         if self.representation == "voxels":
             return torch.from_numpy(voxels_in(self.grid, vertices_m, faces)[None])
         if self.representation == "height_map":
             return torch.from_numpy(heights_in(self.grid, vertices_m, faces)[None])
-        # Copies: torch takes no read-only view.
+        # Copied, because torch does not accept read-only arrays.
         return MeshItem(torch.from_numpy(vertices_m.copy()), torch.from_numpy(faces.astype(np.int64)))
 
 
 def collate_meshes(items: Sequence[Any]) -> Any:
-    """Make a batch of meshes of any sizes: a :class:`MeshBatch`, and the targets where items have any.
+    """Collate meshes of any sizes: a :class:`MeshBatch`, and targets if items have any.
 
     Parameters
     ----------

@@ -1,7 +1,7 @@
 """STL files, text and binary.
 
-Read here and not by trimesh, which ignores what it does not expect and knows no bounds: another surface comes
-back without a word. Memory follows from the size of the file, never from numbers in it.
+trimesh is not used, because it ignores what it does not expect and may return another surface without a
+warning. Memory is bounded by the size of the file, not by numbers in it.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ _SOLID, _SOLID_END = re.compile(r"(end\s*)?solid\b", re.IGNORECASE), re.compile(
 
 
 def read_stl(data: bytes) -> Surface:
-    """Read STL, binary where the size of the file is that of the triangles that it states, text otherwise."""
+    """Read STL: binary where the size of the file matches its stated number of triangles, otherwise text."""
     stated = int.from_bytes(data[_HEADER_BYTES - 4 : _HEADER_BYTES], "little")
     size = _HEADER_BYTES + stated * _FACET.itemsize
-    # By the size: many programs begin binary files with "solid", too.
+    # Decided by the size, because many programs begin binary files with "solid" too.
     if len(data) == size:
         corners = np.frombuffer(data, _FACET, stated, _HEADER_BYTES)["corners"]
         return _apart(corners.reshape(-1, 3).astype(np.float64))
@@ -63,5 +63,5 @@ def _read_stl_text(text: str) -> Surface:
 
 
 def _apart(vertices: Float64) -> Surface:
-    """Return the surface of triangles of three vertices each."""
+    """Return a surface whose triangles share no vertices."""
     return vertices, np.arange(len(vertices), dtype=np.int32).reshape(-1, 3)

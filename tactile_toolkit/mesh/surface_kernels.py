@@ -1,4 +1,4 @@
-"""Kernels of a surface: proof by halves, triangles that pass through one another, triangles that lean out."""
+"""Kernels for surfaces: division into halves, triangles that cross, overhangs."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, su
 
 @compiled
 def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
-    """Return whether a level plane splits triangles into two halves, and what a proof by them has to look at.
+    """Return whether a level plane divides triangles into two halves, and what remains to be examined.
 
-    That are the triangles that do not look away from the plane, and the edges in it of those above, (N, 2).
+    These are the triangles that do not face away from the plane, and the edges in it of those above, (N, 2).
     """
     odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
     reaches, odds, count = False, 0, 0
     for face in range(len(faces)):
         a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
         least, most = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
-        # It passes through the plane, or lies in it.
+        # The triangle crosses the plane, or lies in it.
         if (least < level < most) or least == most == level:
             return False, odd[:0], edges[:0]
         reaches |= least == level or most == level
@@ -42,14 +42,14 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
 def passages(
     points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float
 ) -> tuple[bool, Float64]:
-    """Return whether a triangle of a pair certainly passes through the other or is folded onto it, and where.
+    """Return whether triangles of a pair certainly cross or are folded onto each other, and where.
 
-    If none does, the places are those where an edge may pass through a triangle; shape (N, 3).
+    If none do, return the places where an edge may pass through a triangle, shape (N, 3).
     """
     doubtful, count = np.empty((6 * pairs.shape[1], 3)), 0
     for pair in range(pairs.shape[1]):
         one, other = pairs[0, pair], pairs[1, pair]
-        # Within 8 degrees of opposite: by the angle alone a fold is like a thin edge; the gap differs.
+        # Within 8 degrees of opposite; a fold and a thin edge have this angle, and differ by the gap.
         opposed = dot(row(normal, one), row(normal, other)) < -0.99
         for target, passing in ((one, other), (other, one)):
             for k in range(3):
@@ -92,7 +92,7 @@ def _passage(
 
 @compiled
 def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
-    """Return whether triangles that share edge k of the one lie on one another instead of side by side."""
+    """Return whether triangles that share edge k of the first are folded onto each other."""
     start, end = triangles[one, k], triangles[one, (k + 1) % 3]
     apex, far, shared = row(points, triangles[one, (k + 2) % 3]), row(points, start), 0
     for corner in triangles[other]:
@@ -106,21 +106,21 @@ def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, to
     along = normalized(sub(row(points, end), p))
     first, second = _across(sub(apex, p), along), _across(sub(far, p), along)
     between = sub(normalized(first), normalized(second))
-    # How far the shorter one stands off the longer.
+    # Distance of the shorter one from the longer.
     shorter = min(dot(first, first), dot(second, second))
     return math.sqrt(shorter * dot(between, between)) <= tolerance
 
 
 @compiled
 def _across(u: Vector, along: Vector) -> Vector:
-    """Return what of a way does not lead along a direction."""
+    """Return the component of a vector perpendicular to a direction."""
     part = dot(u, along)
     return u[0] - part * along[0], u[1] - part * along[1], u[2] - part * along[2]
 
 
 @compiled
 def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
-    """Return twice the areas of the triangles that reach above a bed and look down by more than a sine."""
+    """Return twice the areas of triangles that reach above a bed and face down by more than a sine."""
     doubled, count = np.empty(len(faces)), 0
     for face in range(len(faces)):
         a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])

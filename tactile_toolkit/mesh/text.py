@@ -11,15 +11,15 @@ from tactile_toolkit.errors import InputError
 
 _MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
 ANY_ENCODING = "latin-1"
-"""Names and comments may be in any encoding; what counts is ASCII."""
+"""Names and comments may have any encoding; all else is ASCII."""
 
-# What old systems write behind the end of a text.
+# Padding that old systems write after the end of a text.
 _PADDING = "\0\x1a"
 _Number = TypeVar("_Number", float, int)
 
 
 def plain_text(data: bytes) -> str:
-    """Return text without a byte order mark and padding, its lines ended by newlines."""
+    """Return text without byte order mark and padding; lines end with newlines."""
     encoding = ANY_ENCODING
     for mark, stated in _MARKS.items():
         if data.startswith(mark):
@@ -29,9 +29,9 @@ def plain_text(data: bytes) -> str:
 
 
 def numbers_of(words: Sequence[str], kind: Callable[[str], _Number]) -> list[_Number]:
-    """Return the numbers of some words; InputError names the first that is none.
+    """Convert words to numbers; InputError names the first that is not a number.
 
-    Python takes ``1_000`` and digits of other scripts for numbers, too: formats of meshes do not.
+    Python also accepts ``1_000`` and digits of other scripts, which mesh formats do not.
     """
     joined = "".join(words)
     with suppress(ValueError):

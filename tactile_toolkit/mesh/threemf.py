@@ -1,8 +1,8 @@
-"""3MF, the file that slicers prefer: a zip archive with one XML model (3MF core specification 1.3).
+"""Reading 3MF, the preferred format of slicers: a zip archive of XML models (3MF core specification 1.3).
 
-Read here and not by trimesh: that skips an object that is missing, takes a number up to the first letter that
-is none, and knows no bounds, so that a damaged file becomes another solid without a word. Nor by lib3mf: it
-has no wheels for Linux on aarch64, and knows no volumes of slicers.
+trimesh is not used, because it skips missing objects, accepts malformed numbers and has no limits, so that a
+damaged file becomes another solid without a warning. lib3mf has no wheels for Linux on aarch64, and does not
+know the volumes of slicers.
 """
 
 from __future__ import annotations
@@ -45,30 +45,31 @@ _UNITS = {
 }
 _PRODUCTION = f"{SCHEMAS}/production/2015/06"
 _PATH = f"{_PRODUCTION} path"
-# Extensions that can be required: paths between models, and what adds no shape.
+# Extensions that a file may require: paths between models, and those without shapes.
 _KNOWN = (CORE, _PRODUCTION, f"{SCHEMAS}/material/2015/02", f"{SCHEMAS}/trianglesets/2021/07")
 # Shapes of other extensions, which a file need not require.
 _SHAPES = ("beamlattice", "booleanshape", "displacementmesh", "levelset", "slicestack")
-# What slicers state of the volumes of an object: PrusaSlicer as ranges of triangles, Bambu Studio and
-# OrcaSlicer as parts that it is composed of.
+# Slicers describe the volumes of an object: PrusaSlicer as ranges of triangles, Bambu Studio and OrcaSlicer
+# as its components.
 _VOLUMES_PATHS = ("metadata/slic3r_pe_model.config", "metadata/model_settings.config")
 _BODY_VOLUMES = ("modelpart", "normal_part")
 _NEGATIVE_VOLUMES = ("negativevolume", "negative_part")
 
-# A file of a few bytes can name itself as its own part, or unpack to any size.
+# A file of a few bytes can contain itself, or unpack to any size.
 _DEEPEST = 32
 _MOST_PARTS = 20_000
-# Memory that reading takes, at most: for each byte of XML and of what is built, and for each element.
+# Upper bounds of the memory for each byte of XML and of the result, and for each element.
 _PER_BYTE, _PER_ELEMENT = 4, 160
 _PIECE_BYTES = 1 << 20
 _UNMOVED = "1 0 0 0 1 0 0 0 1 0 0 0"
 
 
 class Build(NamedTuple):
-    """What a file says to build.
+    """Objects that a file places on the plate.
 
-    ``items`` are in its order and where they will be built: each ``offset_mm`` is zero. ``left_out`` says
-    what of the file is not of the model, and ``unit`` is that of its root model, as units.MM_PER_UNIT has it.
+    ``items`` are in order of the file and at their final positions: each ``offset_mm`` is zero. ``left_out``
+    describes parts of the file that do not belong to the model. ``unit`` is that of the root model, a key of
+    ``units.MM_PER_UNIT``.
     """
 
     items: list[BuildItem]
@@ -78,10 +79,10 @@ class Build(NamedTuple):
 
 @dataclass(slots=True, eq=False)
 class _Object:
-    """An object of a model, or what is to be built: its surface in mm, or the parts that it is made of.
+    """An object of a model, or the build itself: a surface in mm, or components.
 
-    A part is what it names, a path and an id, and how that is moved, in mm. Objects of other types than
-    "model" are not of the model.
+    A component is a reference, a path and an id, and a transform in mm. Only objects of type "model" belong
+    to the model.
     """
 
     name: str = ""
@@ -91,10 +92,10 @@ class _Object:
 
 
 class _Package:
-    """The objects of all models of an archive, by path and id; what a model says to build has no id.
+    """The objects of all models of an archive, by path and id; the build of a model has an empty id.
 
-    Read tag by tag: as elements of a tree, a million vertices would take a gigabyte. Slicers keep the objects
-    of a plate in models of their own, named by paths inside the archive (3MF production extension).
+    Models are read tag by tag, because a tree of a million vertices would take a gigabyte. Slicers store the
+    objects of a plate in separate models, named by paths inside the archive (3MF production extension).
     """
 
     def __init__(self, archive: zipfile.ZipFile, file_bytes: int) -> None:
@@ -105,7 +106,7 @@ class _Package:
         self._units: dict[str, str] = {}
         self._namespaces: dict[str | None, str] = {}
         self._target = ""
-        # Of objects of the root model: the kind of a part, by its id, or of triangles, from first to last.
+        # Of objects of the root model: the kind of a component, by its id, or of a range of triangles.
         self._parts: dict[tuple[str, str], str] = {}
         self._ranges: dict[str, list[tuple[int, int, str]]] = {}
         entries = {_plain(each.filename): each for each in archive.infolist()}
@@ -137,12 +138,12 @@ class _Package:
                 before = self._tags
                 parser.Parse(piece)
                 if len(piece) == _PIECE_BYTES and self._tags == before:
-                    # Attributes take 30 times as much memory, and are looked through again with each piece.
+                    # Attributes take 30 times as much memory, and are parsed again with each piece.
                     raise InputError(f"XML of {_PIECE_BYTES:,} bytes in which no element ends")
         parser.Parse(b"", True)
 
     def _begin_other(self, tag: str, given: Mapping[str, str]) -> None:
-        """Read what names the root model, or says what volumes are for."""
+        """Read the name of the root model, or the purpose of volumes."""
         match tag.rpartition(" ")[2]:
             case "Relationship" if given.get("Type") == MODEL_RELATION:
                 self._target = _plain(given["Target"])
@@ -158,12 +159,12 @@ class _Package:
                 if given.get("key") == "volume_type":
                     kind = given["value"].lower()
                 if given.get("key") == "modifier" and given["value"] == "1" and kind == "modelpart":
-                    kind = "parametermodifier"  # as releases before 2.3 said it
+                    kind = "parametermodifier"  # in releases before 2.3
                 self._ranges[self._number][-1] = first, last, kind
         self._count_tag(2)
 
     def _begin(self, tag: str, given: Mapping[str, str]) -> None:
-        # The parser keeps all names that it has met, of which those that it need not know are many.
+        # The parser keeps all names, so unknown ones cost more.
         cost = 1
         match tag.removeprefix(f"{CORE} "):
             case "vertex":
@@ -181,7 +182,7 @@ class _Package:
                 self._left_out["objects", "not to be printed"] += self._path == self._root
             case "component" | "item":
                 numbers = numbers_of(given.get("transform", _UNMOVED).split(), float)
-                # Each model has a unit of its own.
+                # Each model has its own unit.
                 matrix = np.array(numbers).reshape(4, 3) * np.array([[1], [1], [1], [self._mm_per_unit]])
                 self._last.parts.append(((_plain(given.get(_PATH, self._path)), given["objectid"]), matrix))
             case "model":
@@ -222,11 +223,11 @@ class _Package:
             self._points, self._corners = array("d"), array("i")
 
     def _refuse_names_for_text(self, *_: object) -> None:
-        """Refuse what 3MF does not have: a few bytes repeat them to any size."""
+        """Refuse entities, which 3MF does not have: a few bytes expand to any size."""
         raise InputError("the model has a document type; expected plain XML")
 
     def build(self) -> Build:
-        """Return each thing to build where it will be built, all its parts as one."""
+        """Return each object at its final position, its components joined."""
         items = []
         for named, matrix in self._objects[self._root, ""].parts:
             surfaces = list(self._placed(named, matrix))
@@ -243,19 +244,19 @@ class _Package:
         return Build(items, left_out, self._units[self._root])
 
     def _placed(self, named: tuple[str, str], matrix: Float64, depth: int = 0) -> Iterator[Surface]:
-        """Yield the surfaces of an object, moved."""
+        """Yield the transformed surfaces of an object."""
         if named not in self._objects:
             raise InputError(f"the archive holds no object {named[1]!r} of /{named[0]}")
         thing = self._objects[named]
         if self._units[named[0]] != self._units[self._root]:
-            raise InputError(  # which of them counts is read in two ways
+            raise InputError(  # readers differ in which unit applies
                 f"/{named[0]} is in {self._units[named[0]]}, and /{self._root} in {self._units[self._root]}; "
                 "expected one unit"
             )
         if thing.type != "model":
             self._left_out["objects", f"of type {thing.type[:40]!r}"] += 1
             return
-        # A few bytes can name the same object again and again.
+        # A few bytes can refer to the same object any number of times.
         self._placed_parts += 1
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
@@ -269,10 +270,10 @@ class _Package:
             yield moved(vertices_mm, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces
 
     def _is_body(self, kind: str | None) -> bool:
-        """Return whether a volume is of the object; InputError for one that is taken away from it."""
+        """Return whether a volume belongs to the object; InputError for a negative volume."""
         if kind in _NEGATIVE_VOLUMES:
             raise InputError(
-                "an object has a negative volume, which is taken away from it when it is sliced",
+                "an object has a negative volume, which slicers subtract",
                 next="subtract it in the slicer or in a CAD program, and export the result",
             )
         if kind is None or kind in _BODY_VOLUMES:
@@ -281,7 +282,7 @@ class _Package:
         return False
 
     def _without_volumes(self, named: tuple[str, str], surface: Surface) -> Surface:
-        """Return a surface without the triangles of volumes that are not of the object."""
+        """Return a surface without the triangles of volumes that do not belong to the object."""
         vertices_mm, faces = surface
         ranges = self._ranges.get(named[1], []) if named[0] == self._root else []
         is_body = np.ones(len(faces), bool)
@@ -298,11 +299,11 @@ def _plain(path: str) -> str:
 
 
 def read_build(data: bytes) -> Build:
-    """Read what a file says to build.
+    """Read the objects that a file places on the plate.
 
     Raises InputError, ValueError, KeyError, zipfile.BadZipFile or xml.parsers.expat.ExpatError where the
-    archive, the model or a number in it is damaged; InputError where it needs what is not supported, or
-    unpacks to more than the limit.
+    archive, the model or a number in it is damaged; InputError where it needs an unsupported feature, or
+    exceeds the limit when unpacked.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         try:

@@ -1,4 +1,4 @@
-"""Writing 3MF: the same items always give the same bytes."""
+"""Writing 3MF; equal items give equal bytes."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ _RELATIONS = (
     '<Relationship Target="/3D/3dmodel.model" Id="model" '
     f'Type="{MODEL_RELATION}"/></Relationships>'
 )
-# The first date that a zip archive can hold: with the time of writing, no two files would be the same.
+# The earliest date of a zip archive; with the time of writing, equal items would give different files.
 _EPOCH = (1980, 1, 1, 0, 0, 0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BuildItem:
-    """One thing to build, by the name that slicers list.
+    """An object on the plate, with the name that slicers show.
 
     ``offset_mm`` is where the origin of its vertices lies on the plate: x right, y back, z up.
     """
@@ -46,7 +46,7 @@ class BuildItem:
 
 
 def write_build(items: Sequence[BuildItem]) -> bytes:
-    """Pack things, in the order in which slicers list them; the same things always give the same bytes."""
+    """Pack objects, in the order in which slicers list them."""
     build = ""
     for number, item in enumerate(items, 1):
         x, y, z = (f"{value:.9g}" for value in item.offset_mm)
@@ -66,7 +66,7 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
 
 
 def _object(item: BuildItem, number: int) -> str:
-    # Nine digits give every float32 back exactly, and stored meshes are float32; -0 becomes 0.
+    # Nine digits represent each float32 exactly, and stored meshes are float32; -0 becomes 0.
     places = (item.mesh.vertices_mm + 0.0).tolist()
     corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
     faces = item.mesh.faces.tolist()

@@ -1,7 +1,7 @@
 """Vectors of three floats for kernels.
 
-numba's cache on disk looks at the file of a kernel only: kernels that call these are not compiled again when
-something changes here.
+numba's disk cache is invalidated by changes of the file of a kernel only: kernels that call these functions
+are not compiled again when this file changes.
 """
 
 from __future__ import annotations

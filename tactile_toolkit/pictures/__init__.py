@@ -1,4 +1,4 @@
-"""Pictures without a screen: sheets, lettering, plots, shaded and oblique views, written whole."""
+"""Pictures without a screen: sheets, text, shaded and oblique views."""
 
 from lazy_loader import attach_stub
 

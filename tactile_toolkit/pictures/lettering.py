@@ -1,4 +1,4 @@
-"""Text in pictures: one font and one palette, the same letters on each machine."""
+"""Text in pictures: one font and one palette, with equal pixels on all machines."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ ACCENTS: tuple[Colour, ...] = (
 
 TITLE_PX, TEXT_PX, CAPTION_PX = 20, 14, 12
 
-# Shipped with its licence: every machine writes the same letters. It has Latin, Greek, Cyrillic, Arabic and
-# signs; anything else becomes its box for "no such letter".
+# Shipped with its licence. It has Latin, Greek, Cyrillic, Arabic and symbols; other characters become its box
+# for missing glyphs.
 _FONT_FILE = "DejaVuSans.ttf"
 
 
@@ -41,9 +41,9 @@ def draw_text(
     anchor: str = "la",
     halo_px: int = 0,
 ) -> None:
-    """Write a line at a column and row, which ``anchor`` ties to the text as Pillow's anchors do.
+    """Write a line at a column and row; ``anchor`` is an anchor of Pillow.
 
-    ``halo_px`` is the width of a rim of paper around the letters.
+    ``halo_px`` is the width of an outline in the colour of the paper.
     """
     text, font = _one_line(text), _font(size_px)
     if halo_px:
@@ -57,8 +57,8 @@ def text_size(text: str, size_px: int) -> tuple[float, int]:
 
 
 def _one_line(text: str) -> str:
-    # Pillow places letter after letter, so accents must be joined to theirs; it breaks lines at control
-    # characters, and fails on the lone surrogates of file names that are not UTF-8.
+    # Pillow places letters one by one, so accents must be composed. It breaks lines at control characters,
+    # and fails on lone surrogates, which file names that are not UTF-8 have.
     joined = unicodedata.normalize("NFC", text)
     return "".join(letter if letter.isprintable() else "?" for letter in joined)
 
@@ -66,5 +66,5 @@ def _one_line(text: str) -> str:
 @cache
 def _font(size_px: int) -> ImageFont.FreeTypeFont:
     content = resources.files("tactile_toolkit.pictures").joinpath(_FONT_FILE).read_bytes()
-    # Basic layout, because the other one is only there where libraqm is, and spaces letters differently.
+    # Basic layout, because the other one needs libraqm and spaces letters differently.
     return ImageFont.truetype(io.BytesIO(content), size_px, layout_engine=ImageFont.Layout.BASIC)

@@ -21,7 +21,7 @@ TILE_STYLE = "margin:0;text-align:center;font-size:smaller"
 
 @dataclass(frozen=True, slots=True)
 class PlannedPicture:
-    """A picture that is not drawn yet: its file name (``.png``) and what it shows, in a few words."""
+    """A picture that is not drawn yet: its file name (``.png``) and a short description."""
 
     name: str
     what: str
@@ -30,7 +30,7 @@ class PlannedPicture:
 
 @dataclass(frozen=True, slots=True)
 class PicturePlan:
-    """What will be drawn, in order, and why kinds that were not named are left out."""
+    """The pictures to draw, in order, and why some kinds are left out."""
 
     pictures: tuple[PlannedPicture, ...]
     left_out: tuple[str, ...] = ()
@@ -38,7 +38,7 @@ class PicturePlan:
 
 @dataclass(frozen=True, slots=True)
 class WrittenPicture:
-    """A picture on disk: name and words as planned, size in pixels and bytes."""
+    """A picture on disk: name and description as planned, size in pixels and bytes."""
 
     file: str
     what: str
@@ -52,9 +52,9 @@ def plan_kinds(
 ) -> PicturePlan:
     """Plan the pictures of each kind that was asked for, or of the first one.
 
-    ``"all"`` among those asked for stands for all. What cannot be drawn and was not named one by one is left
-    out, with the reason; an InputError of a kind that was named or is unknown, or of all where nothing can be
-    drawn, is raised.
+    ``"all"`` stands for all kinds. Kinds that cannot be drawn are left out with the reason, unless they were
+    named. Raises InputError for an unknown kind, for a named kind that cannot be drawn, and where no kind can
+    be drawn.
     """
     unknown = [kind for kind in asked if kind not in (*plans, "all")]
     if unknown:
@@ -81,9 +81,9 @@ def write_pictures(
     pictures: Sequence[PlannedPicture],
     on_progress: Callable[[int, int], None] = lambda _done, _all: None,
 ) -> list[WrittenPicture]:
-    """Draw pictures and write each whole or not at all; one of the same name is replaced.
+    """Draw and write pictures; existing ones of the same name are replaced.
 
-    When one cannot be drawn or written, those before it stay.
+    Each is written completely or not at all. If one fails, those before it are kept.
     """
     written = []
     for done, planned in enumerate(pictures, start=1):
@@ -97,14 +97,14 @@ def write_pictures(
 
 
 def png_bytes(pixels: UInt8) -> bytes:
-    """Encode a picture as PNG without times, names of programs or anything else but its pixels."""
+    """Encode a picture as PNG, without metadata."""
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=6)
     return stream.getvalue()
 
 
 def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
-    """Return what a notebook shows of a picture and its caption, which is plain text."""
+    """Return HTML for notebooks of a picture and its caption, which is plain text."""
     source = base64.b64encode(png_bytes(pixels)).decode("ascii")
     styled = f' style="{style}"' if style else ""
     return (
@@ -114,9 +114,9 @@ def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
 
 
 def file_stem(name: str) -> str:
-    """Return by what pictures of data sets differ in name: the last part of a path, in plain letters."""
+    """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
     path = store.expanded(name)
     last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
-    # With a dot in front it would be hidden, and with a dash an option.
+    # A leading dot would hide the file, and a leading dash make it an option.
     return plain.strip("-.") or "pictures"

@@ -1,4 +1,4 @@
-"""Previews of data sets of meshes: which rows are drawn, and sheets of them class by class."""
+"""Previews of data sets of meshes: sheets of chosen rows, class by class."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ D = TypeVar("D", bound=read.RecordDataset[Any])
 
 
 class MeshPreviews(Generic[D]):
-    """A data set that is to be drawn: its splits with the rows that are chosen, and how it was made.
+    """A data set to draw: its splits with the chosen rows, and its specification.
 
-    InputError where the split or id does not exist, the split is empty, or the data are of another kind.
+    Raises InputError where a split or id does not exist, a split is empty, or the data have another kind.
     """
 
     def __init__(
@@ -38,7 +38,7 @@ class MeshPreviews(Generic[D]):
         self.made_by = place.made_by
 
     def plan_sheets(self, draw: Callable[[D, str], UInt8]) -> list[PlannedPicture]:
-        """Plan a sheet of each split; ``draw`` takes the rows, class after class, and the heading."""
+        """Plan a sheet for each split; ``draw`` takes the rows, sorted by class, and the heading."""
         planned = []
         for split, dataset, found in self.chosen:
             rows = dataset[found[np.argsort(dataset.labels[found], kind="stable")]]
@@ -55,7 +55,7 @@ class MeshPreviews(Generic[D]):
 def draw_by_class(
     tiles: Sequence[tuple[str, Tile]], per_row: int, title: str, words: str, px_per_mm: float
 ) -> UInt8:
-    """Draw pictures at one scale in a row (or some) for each class, whose name comes with each picture."""
+    """Draw pictures at one scale, each given with its class, in one or more rows for each class."""
     groups: dict[str, list[Tile]] = {}
     for name, tile in tiles:
         groups.setdefault(name, []).append(tile)

@@ -1,4 +1,4 @@
-"""Pictures side by side on sheets, with words about them and scale bars."""
+"""Sheets of pictures, with text and scale bars."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _NICE_LENGTHS_MM = tuple(base * 10.0**power for power in range(-3, 4) for base i
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tile:
-    """A picture on a sheet, (H, W) or (H, W, 3), with words below it and a frame around it."""
+    """A picture on a sheet, (H, W) or (H, W, 3), with a caption below and a frame."""
 
     pixels: UInt8
     caption: str = ""
@@ -48,9 +48,9 @@ def sheet(
     margin_px: int = 16,
     bar_room: bool = False,
 ) -> UInt8:
-    """Lay pictures out row by row in cells of one size, each in the middle of its cell; None is empty.
+    """Arrange pictures row by row in cells of equal size, each centred in its cell; None is an empty cell.
 
-    Title and lines stand above them, labels left of each row; ``bar_room`` leaves that of a scale bar below.
+    Title and lines are above them, labels left of each row; ``bar_room`` leaves room for a scale bar below.
     Returns colours of shape (H, W, 3).
     """
     columns = min(columns, max(len(tiles), 1))
@@ -101,10 +101,10 @@ def _line_px(size_px: int) -> int:
 def in_rows(
     groups: Sequence[tuple[str, Sequence[Tile]]], most: int
 ) -> tuple[int, list[Tile | None], tuple[str, ...]]:
-    """Begin a row of at most ``most`` pictures for each named group; a larger one takes several rows.
+    """Arrange named groups in rows of at most ``most`` pictures; each group starts a row.
 
-    Returns the number of columns, the tiles for :func:`sheet`, and a label of each row: the name at the first
-    row of its group.
+    Returns the number of columns, the tiles for :func:`sheet`, and a label for each row: the name of the
+    group at its first row.
     """
     columns = min(most, max(len(tiles) for _, tiles in groups))
     cells: list[Tile | None] = []
@@ -116,19 +116,19 @@ def in_rows(
 
 
 def bar_length_mm(width_px: int, px_per_mm: float) -> float:
-    """Return the longest round length that fills at most a quarter of a picture's width."""
+    """Return the largest round length of at most a quarter of the width of a picture."""
     fitting = [mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4]
     return fitting[-1] if fitting else _NICE_LENGTHS_MM[0]
 
 
 def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:
-    """Return a picture, (H, W, 3), with a scale bar in its lower left corner; one that fits by default."""
+    """Add a scale bar to a picture, (H, W, 3), in its lower left corner; of a fitting length by default."""
     picture = Image.fromarray(pixels).convert("RGB")
     length_mm = length_mm or bar_length_mm(picture.width, px_per_mm)
     pen = ImageDraw.Draw(picture)
     left, top = 10, picture.height - 10 - _BAR_PX
     right, bottom = left + max(1, round(length_mm * px_per_mm)) - 1, top + _BAR_PX - 1
-    # A halo keeps the bar readable on whatever lies below it.
+    # A halo keeps the bar readable on any background.
     pen.rectangle((left - _HALO_PX, top - _HALO_PX, right + _HALO_PX, bottom + _HALO_PX), fill=PAPER)
     pen.rectangle((left, top, right, bottom), fill=INK)
     draw_text(pen, (left, top - 6), f"{length_mm:g} mm", CAPTION_PX, anchor="ls", halo_px=_HALO_PX)

@@ -11,10 +11,10 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 from tactile_toolkit import hub, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
 from tactile_toolkit.places.hub_files import hub_shards
 from tactile_toolkit.places.kinds_of_rows import command_or_load, kind_of_rows, require_kind
@@ -81,12 +81,12 @@ class Place:
         return None if self.repository is None else self.repository.commit
 
     @property
-    def spec(self) -> Mapping[str, Any]:
+    def spec(self) -> JsonObject:
         """Specification that the manifest states; empty without one."""
         return {} if self.manifest is None else self.manifest.spec
 
     @property
-    def made_by(self) -> Mapping[str, Any]:
+    def made_by(self) -> JsonObject:
         """Specification by which the rows were first made, also of a copy; empty where it is not known."""
         return self.spec.get("source_spec", self.spec) or {}
 

@@ -11,10 +11,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from functools import cache
 from pathlib import PurePosixPath
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
 from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.wording import did_you_mean, with_count
@@ -182,7 +183,7 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
     }
 
 
-def _configurations(card: bytes, where: str) -> dict[str, Mapping[str, Any]]:
+def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
     """Return the configurations of a card by name; none where its YAML cannot be read or lists none."""
     text = card[:_LARGEST_CARD_BYTES].decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
     head = re.match(r"---[ \t]*\n(.*?)\n---[ \t]*(?:\n|$)", text, re.DOTALL)
@@ -210,9 +211,7 @@ def _unreadable(where: str, field: str, expected: str) -> InputError:
     )
 
 
-def _chosen(
-    names: Sequence[str], configs: Mapping[str, Mapping[str, Any]], config: str | None, where: str
-) -> str:
+def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str | None, where: str) -> str:
     """Return the configuration to open, as `load_dataset` chooses it."""
     if config is not None:
         if config in configs:
@@ -229,7 +228,7 @@ def _chosen(
     )
 
 
-def _patterns(data_files: Any, where: str) -> dict[str, list[str]]:
+def _patterns(data_files: object, where: str) -> dict[str, list[str]]:
     """Return the patterns of the files of each split, in the order of the card."""
     expected = "a pattern, a list of patterns, or patterns by split"
     if isinstance(data_files, Mapping):

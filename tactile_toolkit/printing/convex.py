@@ -1,7 +1,7 @@
-"""Cutting a solid into convex parts, which simulators take for contacts.
+"""Division of a solid into convex parts, which simulators use for contacts.
 
-A digit is flat ink that was given a rim: where a part of the ink, seen from above, is convex, the solid over
-it nearly is. So a solid is cut by upright planes only, which are chosen on its flat outline.
+A digit is flat ink with a rim: where part of the ink is convex seen from above, the solid over it is nearly
+convex. A solid is therefore cut by vertical planes only, which are chosen on its outline.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 _DIRECTIONS = [
     np.array([math.cos(angle), math.sin(angle)]) for angle in np.linspace(0, math.pi, 12, endpoint=False)
 ]
-_OUTLINE_MM = 0.02  # finer detail of an outline decides no cut
-# Larger than any plate, and small enough for a half plane of doubles.
+_OUTLINE_MM = 0.02  # finer details of an outline are ignored
+# Larger than any plate, and small enough for half planes in double precision.
 _FAR_MM = 1e5
-_LEAST_MM3 = 1e-6  # what a cut leaves of a face is not a part
+_LEAST_MM3 = 1e-6  # smaller remainders of a cut are not parts
 
 
 def convex_parts(
@@ -32,15 +32,15 @@ def convex_parts(
 ) -> list[Mesh]:
     """Cut a solid into parts and return their convex hulls.
 
-    The part whose hull adds most is cut first, until all hulls together are ``excess`` times the solid, or
-    there are ``most`` of them or a few more. Hulls hold all of the solid but what ``tolerance_mm`` smooths
-    off their corners. The same mesh gives the same parts.
+    The part whose hull adds most volume is cut first, until the volume of all hulls is ``excess`` times that
+    of the solid, or there are about ``most`` parts. The hulls contain the solid except for corners, which are
+    smoothed by ``tolerance_mm``. Equal meshes give equal parts.
 
-    Raises ItemError where the mesh bounds no solid.
+    Raises ItemError for a mesh that does not bound a solid.
     """
     solid = require_solid(mesh).manifold
     parts, whole_mm3 = _parts(solid), solid.volume()
-    for _ in range(most):  # of so many cuts: one may split off a chip that is not a part, time and again
+    for _ in range(most):  # limits the cuts, which may split off chips that are not parts
         if len(parts) >= most or sum(hull.volume() for *_, hull in parts) <= excess * whole_mm3:
             break
         _, part, _ = parts.pop(int(np.argmax([added_mm3 for added_mm3, *_ in parts])))
@@ -48,21 +48,21 @@ def convex_parts(
         for half in part.split_by_plane((*normal.tolist(), 0.0), offset_mm):
             parts += _parts(half)
     smooth = [(hull, hull.simplify(tolerance_mm).hull()) for *_, hull in parts]
-    # Of a chip thinner than the tolerance, smoothing leaves nothing.
+    # Smoothing leaves nothing of a chip thinner than the tolerance.
     return [Mesh.from_manifold(exact if simple.is_empty() else simple) for exact, simple in smooth]
 
 
 def _parts(found: Manifold) -> list[tuple[float, Manifold, Manifold]]:
-    """Return the bodies of a solid: what the hull of each adds, the body, and its hull."""
+    """Return the bodies of a solid: the volume that the hull of each adds, the body, and its hull."""
     bodies = [(part, part.hull()) for part in found.decompose() if part.volume() > _LEAST_MM3]
     return [(hull.volume() - part.volume(), part, hull) for part, hull in bodies]
 
 
 def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
-    """Return the line, normal and offset in mm, that leaves the least between the halves and their hulls.
+    """Return the line, normal and offset in mm, with the least area between the halves and their hulls.
 
-    It goes through the corner that lies deepest in a bay. Where there is no bay, what the hull adds lies
-    above the outline, as over a stroke that swells: it is halved across its length.
+    It passes through the corner that is deepest in a bay. Without a bay, the added volume lies above the
+    outline, as over a stroke of changing width: then the line halves the length.
     """
     corners = np.concatenate([np.asarray(each) for each in outline.to_polygons()])
     depths_mm = _depths_mm(outline, corners)
@@ -86,7 +86,7 @@ def _best_cut(outline: CrossSection) -> tuple[Float64, float]:
 
 
 def _depths_mm(outline: CrossSection, corners: Float64) -> Float64:
-    """Return how deep each corner of an outline lies below its convex hull, shape (N,)."""
+    """Return the depth of each corner of an outline below its convex hull, shape (N,), mm."""
     hull = np.asarray(outline.hull().to_polygons()[0])
     along = np.roll(hull, -1, axis=0) - hull
     inwards = np.stack([-along[:, 1], along[:, 0]], axis=1)

@@ -1,7 +1,8 @@
-"""How files of an export are written, each only if it holds what was meant.
+"""Writing the files of an export, each checked before it gets its name.
 
-An object or a build plate is a :class:`Product`, which makes its files. Files of all products are written,
-read back, checked and then named. Files that are there with the very same bytes are kept; others are refused.
+An object or a build plate is a :class:`Product`, which makes its files. They are checked, written, read back
+and then named. Existing files with the same bytes are kept; others are refused unless they may be
+overwritten.
 """
 
 from __future__ import annotations
@@ -21,10 +22,10 @@ from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.run import runner_for
 
 CHANGED = "changed"
-"""What is wrong with a file beyond :data:`tactile_toolkit.mesh.PROBLEMS`."""
+"""Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
 
 _BOUNDS_TOLERANCE_MM = 1e-3
-# Share of the volume. STL and GLB hold single precision, 1e-5 mm on an object of 20 cm.
+# Relative to the volume. STL and GLB have single precision, 1e-5 mm on an object of 20 cm.
 _VOLUME_TOLERANCE = 1e-3
 
 
@@ -34,7 +35,7 @@ Progress = Callable[[int, int], None]
 
 @dataclass(frozen=True, slots=True)
 class FailedExport:
-    """An object or file that is not there: its name, a short stable word, and the story."""
+    """An object or file that was not written: its name, a short stable word, and a sentence."""
 
     name: str
     problem: str
@@ -43,11 +44,11 @@ class FailedExport:
 
 @dataclass(frozen=True, slots=True)
 class Made(Generic[R]):
-    """What a product is to have: its files by path below the folder, what refers to the others last.
+    """The files of a product by path below the folder; a file that refers to others is last.
 
-    ``check`` raises ItemError where they do not hold what was meant. ``record`` returns what an export
-    lists, by its state: ``"written"``, ``"kept"`` where the very same files were there already, or
-    ``"planned"`` in a dry run.
+    ``check`` raises ItemError where the files do not hold what was meant. ``record`` takes the state of the
+    product and returns its entry in the list of an export. The state is ``"written"``, ``"kept"`` where the
+    same files existed, or ``"planned"`` in a dry run.
     """
 
     files: dict[str, bytes]
@@ -59,8 +60,8 @@ class Made(Generic[R]):
 class Product(Generic[R]):
     """An object or a build plate; picklable for worker processes.
 
-    ``name`` is what failures are listed by, unique in an export. ``patterns`` are the name of its own file,
-    and those of all others that it may have. ``make`` raises ItemError where it is not a solid.
+    ``name`` identifies it in failures and is unique in an export. ``patterns`` match the names of its files,
+    the main one first. ``make`` raises ItemError where the object is not a solid.
     """
 
     name: str
@@ -70,14 +71,14 @@ class Product(Generic[R]):
 
 @dataclass(frozen=True, slots=True)
 class FileExport(Generic[R]):
-    """What an export did: the records of what is there, in the order given, and what is not there."""
+    """Result of an export: the records of products in the order given, and those that failed."""
 
     files: tuple[R, ...]
     failed: tuple[FailedExport, ...]
 
 
 def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
-    """Raise ItemError where a mesh read back is not the solid that was written, ``verdict`` being on that."""
+    """Raise ItemError where a mesh that was read back differs from the solid meant, of ``verdict``."""
     back = require_solid(found)
     moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
@@ -92,11 +93,11 @@ def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None
 
 
 def _write(path: Path, content: bytes) -> None:
-    """Write a file and give it its name only when it reads back from disk as it was written."""
+    """Write a file, read it back, and name it only if the bytes are equal."""
 
     def write(stream: IO[bytes]) -> None:
         stream.write(content)
-        stream.flush()  # it is read by its name
+        stream.flush()  # flushed, because it is read by name
         if Path(stream.name).read_bytes() != content:
             raise ItemError(CHANGED, "it reads back from disk with other bytes; the file was removed")
 
@@ -105,14 +106,14 @@ def _write(path: Path, content: bytes) -> None:
 
 
 def content_of(path: Path) -> bytes | None:
-    """Return the content of a file; None where it is not there, StorageError where it cannot be read."""
+    """Return the content of a file, None if it does not exist; StorageError where it cannot be read."""
     with store.named_failures(str(path)), suppress(FileNotFoundError, NotADirectoryError):
         return path.read_bytes()
     return None
 
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
-    """Return the files of a product that are there; InputError where a folder of it is a link."""
+    """Return the existing files of a product; InputError where one of its folders is a link."""
     places = [store.LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
     return {path for place in places for path in place.parent.glob(place.name)}
 
@@ -120,7 +121,7 @@ def _before(folder: Path, product: Product[R]) -> set[Path]:
 def _exported(
     folder: Path, overwrite: bool, dry_run: bool, product: Product[R]
 ) -> tuple[str, str, R | FailedExport]:
-    """Make a product and write its files, or change nothing; returns its name, its state and its record."""
+    """Make a product and write its files unless it is a dry run; return its name, state and record."""
     before = _before(folder, product)
     try:
         made = product.make()
@@ -133,13 +134,13 @@ def _exported(
         made.check()
         if dry_run:
             return product.name, "planned", made.record("planned")
-        # What this product has not, such as parts of a body that had more of them.
+        # Files of another version of the product, such as further parts of a body.
         _remove(before - files.keys())
         for path, content in files.items():
             _write(path, content)
     except ItemError as error:
         detail = str(error)
-        # What is left under these names, of an earlier export too, would pass for this product.
+        # Files left under these names, of an earlier export too, would pass for this product.
         if not dry_run:
             _remove(_before(folder, product))
             names = ", ".join(sorted(path.name for path in before))
@@ -163,16 +164,16 @@ def export(
     workers: int = 1,
     on_progress: Progress = lambda _done, _total: None,
 ) -> FileExport[R]:
-    """Write the files of products into a folder, which is made where it is not there.
+    """Write the files of products into a folder, which is created if needed.
 
-    A ``dry_run`` makes and checks them too, and changes nothing on the disk. Raises InputError where other
-    files stand in the way, before anything is written, and StorageError where the folder cannot be written;
-    finished files stay.
+    A ``dry_run`` makes and checks the files without writing. Raises InputError, before anything is written,
+    where other files exist under their names, and StorageError where the folder cannot be written; finished
+    files are kept.
     """
     folder = store.local_folder_path(out)
     if not dry_run:
         store.open_folder(out).require_folder()
-        store.remove_drafts(folder)  # of killed exports
+        store.remove_drafts(folder)  # drafts of killed exports
     found: dict[str, tuple[str, Any]] = {}
 
     def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
@@ -181,8 +182,8 @@ def export(
             found[name] = state, record
             on_progress(len(found), len(products))
 
-    # A dry run of what is there finds what stands in the way. What is kept is not made a second time: the
-    # convex parts of a body take longer than its file.
+    # A dry run of existing products finds files in the way. Kept products are not made again, because convex
+    # parts take longer to compute than their file to write.
     there = [] if overwrite else [product for product in products if _before(folder, product)]
     run(products if dry_run else there, overwrite, True)
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")

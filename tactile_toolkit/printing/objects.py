@@ -1,4 +1,4 @@
-"""Objects to print: what a row of a data set becomes."""
+"""Objects to print, chosen from rows of data sets."""
 
 from __future__ import annotations
 
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
     from tactile_toolkit.mesh import SolidRecord
 
 
-_ID_DIGITS = 5  # file names sort as the ids do, up to 99,999
+_ID_DIGITS = 5  # file names sort like ids up to 99,999
 _UNSAFE = re.compile(r"[^\w+-]+")
 
 
 @dataclass(frozen=True, slots=True)
 class PrintObject:
-    """One object to print, by a name that is unique and fit for a file: ``printed_test-7-00042``.
+    """An object to print, with a unique name that is valid as a file name: ``printed_test-7-00042``.
 
-    Its split and the name of its class may be empty. ``load`` gives its triangles, each time that they are
-    needed, so that a thousand objects take no more memory than one; picklable for worker processes.
+    Split and class name may be empty. ``load`` returns its triangles whenever they are needed, so that a
+    thousand objects take no more memory than one; picklable for worker processes.
     """
 
     name: str
@@ -43,14 +43,14 @@ class PrintObject:
 
 
 def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
-    """Stand an object on the plate in the pose that it has: only its height above the plate changes.
+    """Place an object on the plate without rotation: only its height above the plate changes.
 
-    Corners with the very same coordinates are made one, as solids need it; ``scale`` is a factor on all
-    lengths, about the origin.
+    Vertices with equal coordinates are merged, as solids need; ``scale`` multiplies all lengths, about the
+    origin.
     """
     vertices_m: Float64 = np.asarray(surface.vertices_m, np.float64) * scale
     faces = np.asarray(surface.faces, np.int32)
-    # What names corners that are not there is left as it is: the check of the solid says so.
+    # Faces with invalid vertex numbers are left to the check of the solid.
     if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):
         vertices_m, faces = merge_equal_vertices(vertices_m, faces)
     if len(vertices_m):
@@ -63,7 +63,7 @@ def choose(
 ) -> list[PrintObject]:
     """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
 
-    Raises InputError as there, and where an id stands twice in a split.
+    Raises InputError as there, and for a duplicate id in a split.
     """
     objects: list[PrintObject] = []
     for split, rows, found in catalog.choose_rows(datasets, **chosen):
@@ -77,19 +77,19 @@ def choose(
     twice = next((name for name, count in names.items() if count > 1), None)
     if twice is not None:
         raise InputError(
-            f"two objects would be called {twice!r}: an id stands twice in a split",
+            f"two objects would be called {twice!r}: a split has a duplicate id",
             next="verify the data set",
         )
     return objects
 
 
 def require_scale(scale: float) -> None:
-    """Refuse a factor that is not a positive number."""
+    """Raise InputError for a factor that is not a positive number."""
     if not (math.isfinite(scale) and scale > 0):
         raise InputError(f"--scale is {scale:g}; expected a positive number such as 1 or 0.5")
 
 
 def _safe(word: str) -> str:
-    # Splits and class names of other people's data sets may hold anything, a slash included. Letters of all
-    # scripts stay, each in one form, as file systems differ in what they make of accents written apart.
+    # Split and class names of other data sets may contain any character, such as a slash. Letters of all
+    # scripts are kept, in composed form, because file systems treat separate accents differently.
     return _UNSAFE.sub("_", unicodedata.normalize("NFC", word))

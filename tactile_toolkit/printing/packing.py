@@ -1,8 +1,7 @@
 """Packing objects on build plates in rows of bounding boxes.
 
-Objects are moved, never turned. A row is as deep as its first object, and objects are placed from the deepest
-to the shallowest, each in the first row that has room for it. Slicers arrange plates more tightly where that
-is wanted.
+Objects are moved, not rotated. They are placed from the deepest to the shallowest, each in the first row with
+room for it; a row is as deep as its first object. Slicers can arrange plates more tightly.
 """
 
 from __future__ import annotations
@@ -24,15 +23,15 @@ from tactile_toolkit.printing.plate_spec import PlateSpec
 if TYPE_CHECKING:
     import manifold3d
 
-# Objects as wide as the plate fit, whatever their last bits.
+# Objects as wide as the plate fit, despite rounding.
 _ROUNDING_MM = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Outline:
-    """What an object covers of the plate, its lower left corner at the origin.
+    """The area of the plate that an object covers, with its lower left corner at the origin.
 
-    ``section`` is in mm; ``low_mm`` is where the lower left corner is in the object's own frame.
+    ``section`` is in mm; ``low_mm`` is the lower left corner in the frame of the object.
     """
 
     section: manifold3d.CrossSection
@@ -40,14 +39,14 @@ class Outline:
 
     @classmethod
     def of(cls, solid: manifold3d.Manifold) -> Outline:
-        """Return what a solid, in mm, covers of the plate."""
+        """Project a solid, in mm, onto the plate."""
         section = solid.project()
         left, front, _, _ = section.bounds()
         return cls(section.translate((-left, -front)), (left, front))
 
     @property
     def rings(self) -> list[Float64]:
-        """Closed lines around it, shape (n, 2) each, mm; holes are turned the other way round."""
+        """Closed lines around it, shape (n, 2) each, mm; holes have the opposite orientation."""
         return [np.asarray(ring, np.float64) for ring in self.section.to_polygons()]
 
     @property
@@ -59,7 +58,7 @@ class Outline:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlacedObject:
-    """An object and where it lies on its plate.
+    """An object and its position on a plate.
 
     ``x_mm`` and ``y_mm`` are the lower left corner of its bounding box, from the front left corner of the
     plate.
@@ -74,13 +73,13 @@ class PlacedObject:
 
     @property
     def offset_mm(self) -> tuple[float, float, float]:
-        """How the object moves from where it is stored; z = 0 is its lowest point already."""
+        """Translation from the stored position; the lowest point is at z = 0 already."""
         return self.x_mm - self.outline.low_mm[0], self.y_mm - self.outline.low_mm[1], 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlateLayout:
-    """What lies on each plate, from front to back; ``failures`` are not solids and were left out."""
+    """The objects on each plate, from front to back; ``failures`` are not solids and were left out."""
 
     spec: PlateSpec
     scale: float
@@ -90,7 +89,7 @@ class PlateLayout:
 
     @property
     def shares(self) -> tuple[float, ...]:
-        """Share of each plate that bounding boxes and gaps take."""
+        """Fraction of each plate that bounding boxes and gaps take."""
         gap_mm = self.spec.gap_mm
         whole_mm2 = np.prod(np.add(self.spec.inner_mm, gap_mm)) - np.prod(self.spec.corner_mm)
         sizes_mm = ([np.add(each.outline.size_mm, gap_mm) for each in plate] for plate in self.plates)
@@ -113,11 +112,11 @@ class _Plate:
         self._next_y_mm = spec.margin_mm
 
     def place(self, width_mm: float, depth_mm: float) -> tuple[float, float] | None:
-        """Take room for a box and return its lower left corner; None where there is none."""
+        """Reserve room for a box and return its lower left corner; None if there is no room."""
         for row in self._rows:
             if depth_mm <= row.depth_mm + _ROUNDING_MM and self._has_width(row.next_x_mm, width_mm):
                 return self._put(row, width_mm)
-        # Beside the corner that a printer cannot use, or else behind it.
+        # Beside the unusable corner, or else behind it.
         behind_mm = max(self._next_y_mm, self._spec.corner_mm[1] + self._spec.margin_mm)
         for y_mm in (self._next_y_mm, behind_mm):
             row = _Row(y_mm, depth_mm, self._start_mm(y_mm))
@@ -148,10 +147,10 @@ def arrange(
     physics: Physics | None = None,
     on_progress: Progress = lambda _done, _total: None,
 ) -> PlateLayout:
-    """Find a place for every object; ``scale`` is a factor on all lengths, ``physics`` that of bodies.
+    """Place all objects on plates; ``scale`` multiplies all lengths, ``physics`` is for simulators.
 
-    What lies on a plate is moved to its middle where the corner that a printer cannot use allows that. The
-    same input gives the same layout.
+    The objects of a plate are centred unless they would reach into an unusable corner. Equal input gives
+    equal layouts.
 
     Raises InputError where an object is larger than a plate, or the scale is not positive.
     """
@@ -199,7 +198,7 @@ def _in_rows(pieces: Sequence[PlacedObject], spec: PlateSpec) -> list[list[Place
 
 
 def _centred(plate: Sequence[PlacedObject], spec: PlateSpec) -> tuple[PlacedObject, ...]:
-    """Move what lies on a plate to its middle, where the bed is flattest and most evenly warm."""
+    """Centre the objects of a plate, where the bed is flattest and most evenly warm."""
     low_mm = np.array([(each.x_mm, each.y_mm) for each in plate])
     high_mm = low_mm + [each.outline.size_mm for each in plate]
     moved_mm = low_mm + (np.array(spec.sides_mm) - low_mm.min(axis=0) - high_mm.max(axis=0)) / 2

@@ -1,4 +1,4 @@
-"""Materials of bodies for simulators, as commands take them; light, for --help needs it."""
+"""Materials of bodies for simulators, as options; light, because --help imports it."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from dataclasses import dataclass
 from tactile_toolkit.checked_fields import check_fields, real
 
 MODELS = {"mjcf": ".xml", "urdf": ".urdf", "usd": ".usda"}
-"""Formats of bodies for simulators, and how their files end."""
+"""Formats of bodies for simulators, and the endings of their files."""
 
 
 @dataclass(frozen=True, slots=True)
 class Physics:
-    """What the material of a body is like.
+    """Material of a body.
 
-    ``density_kg_m3`` is that of the solid body, by default of PLA as printers take it; a print that is not
-    filled is lighter. ``friction`` is the coefficient of sliding, our own default.
+    ``density_kg_m3`` is that of the filled body, by default of PLA; a print with infill is lighter.
+    ``friction`` is the coefficient of sliding friction; its default is not measured.
     """
 
     density_kg_m3: float = real(

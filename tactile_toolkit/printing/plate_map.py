@@ -1,4 +1,4 @@
-"""Maps of build plates: what lies where, as a picture."""
+"""Maps of build plates: pictures of the objects at their positions."""
 
 from __future__ import annotations
 
@@ -17,29 +17,29 @@ from tactile_toolkit.printing.plate_spec import PlateSpec
 from tactile_toolkit.wording import with_count
 
 _PLATE, _GRID, _MARGIN, _OUTLINE = "#f4f2ec", "#e0dcd2", "#b9b3a3", "#222222"
-# One per class; the words on the map, not the colours, distinguish objects.
+# One for each class; labels, not colours, identify objects.
 _FILLS = (
     *("#9ecae1", "#fdbe85", "#a1d99b", "#fc9f97", "#cbb8dd"),
     *("#d8b49c", "#f5b9d6", "#c4c9cf", "#d9dc8c", "#9fdde2"),
 )
-# A map is drawn twice as large as it will be, as PIL's own lines have no smooth edges; these are its lengths.
+# Lengths of the map before it is reduced by _FINER, which smooths the lines of Pillow.
 _FINER = 2
 _LONGER_SIDE_PX, _LONGEST_SIDE_PX, _LEAST_PX_PER_MM = 2_400, 8_000, 8.0
 _EDGE_PX, _TITLE_PX, _NUMBER_PX, _WORD_PX, _LINE_PX = 120, 40, 30, 24, 30
-_LINES_TO_A_BAR = 3  # of the grid, along a scale bar as pictures have
+_LINES_TO_A_BAR = 3  # grid lines along the length of a scale bar
 
 
 def draw_map(layout: PlateLayout, number: int) -> bytes:
-    """Draw a plate from above, a PNG file with the front edge at the bottom, as the printer is looked at.
+    """Draw a plate from above, as PNG, with the front edge at the bottom.
 
-    Classes choose the colours. Where several objects of the export have an id in common, words name the split
-    too; words that would cover others are left out and counted. The same input always gives the same bytes.
+    Colours follow from classes. Labels name the split too where several objects of the export share an id;
+    labels that would cover others are left out and counted. Equal input gives equal bytes.
     """
     spec, plate = layout.spec, layout.plates[number - 1]
     title = f"plate {number} of {len(layout.plates)}: {with_count(len(plate), 'objects')}, {spec.text}"
     every = [placed.item for other in layout.plates for placed in other]
     labels, ids = sorted({item.label for item in every}), Counter(item.id for item in every)
-    # More pixels for a larger plate, so that words keep their room.
+    # More pixels for a larger plate, so that there is room for labels.
     longer_px = min(max(_LONGER_SIDE_PX, _LEAST_PX_PER_MM * max(spec.sides_mm)), _LONGEST_SIDE_PX)
     scale = longer_px / max(spec.sides_mm)
     width_px, depth_px = (round(side * scale) for side in spec.sides_mm)
@@ -61,14 +61,14 @@ def draw_map(layout: PlateLayout, number: int) -> bytes:
 
 @dataclass(frozen=True, slots=True)
 class _Chart:
-    """A picture that is drawn on, and where points of the plate lie in it."""
+    """A picture to draw on, and the positions of points of the plate in it."""
 
     pen: ImageDraw.ImageDraw
     px_per_mm: float
     depth_px: int
 
     def at(self, points_mm: Sequence[Sequence[float]] | Float64) -> list[tuple[float, ...]]:
-        """Return where points of the plate, x and y upwards, lie in the picture."""
+        """Return the pixels of points of the plate, mm."""
         scaled = np.multiply(points_mm, (self.px_per_mm, -self.px_per_mm))
         return list(map(tuple, np.add(scaled, (_EDGE_PX, _EDGE_PX + self.depth_px)).tolist()))
 
@@ -80,7 +80,7 @@ class _Chart:
 
 
 def _draw_plate(chart: _Chart, spec: PlateSpec, step_mm: float) -> None:
-    """Draw the plate with its grid, its margin and the corner that cannot be used."""
+    """Draw the plate with its grid, margin and unusable corner."""
     chart.rectangle((0, 0), spec.sides_mm, _OUTLINE, 0, _PLATE)
     for axis, anchor, aside_px in ((0, "ma", (0, 16)), (1, "rm", (-16, 0))):
         for at_mm in np.arange(0, spec.sides_mm[axis] + 1e-6, step_mm).tolist():
@@ -100,7 +100,7 @@ def _draw_plate(chart: _Chart, spec: PlateSpec, step_mm: float) -> None:
 def _draw_object(chart: _Chart, placed: PlacedObject, fill: str) -> None:
     rings = [np.add(ring, (placed.x_mm, placed.y_mm)) for ring in placed.outline.rings]
     corners = chart.at(np.concatenate(rings))
-    # What lies in a hole stays visible.
+    # Objects in a hole stay visible.
     for triangle in manifold3d.triangulate(rings).tolist():
         chart.pen.polygon([corners[corner] for corner in triangle], fill)
     for ring in rings:
@@ -108,7 +108,7 @@ def _draw_object(chart: _Chart, placed: PlacedObject, fill: str) -> None:
 
 
 def _draw_words(chart: _Chart, plate: Sequence[PlacedObject], ids: Counter[int]) -> int:
-    """Write class and id in the middle of each object, and return of how many there was room for it."""
+    """Write class and id in the middle of each object; return the number of labels that had room."""
     taken: list[Float64] = []
     for placed in plate:
         item = placed.item

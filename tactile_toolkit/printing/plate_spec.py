@@ -1,4 +1,4 @@
-"""Build plates, as commands take them; light, for --help needs it."""
+"""Build plates, as options; light, because --help imports it."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ BEDS_MM = {
     "prusa-xl": (360.0, 360.0),
     "ultimaker-s5": (330.0, 240.0),
 }
-"""Width and depth of what printers can reach, as their makers state it."""
+"""Width and depth of the area that printers reach, as their makers state it."""
 
 _CORNERS_MM = dict.fromkeys(("bambu-p1", "bambu-x1"), (18.0, 28.0))
-"""Width and depth of what a printer cannot use at the front left, where it wipes or cuts the filament."""
+"""Width and depth of the unusable corner at the front left, where the filament is wiped or cut."""
 
 _PLATE_TEXT = re.compile(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)")
 
@@ -37,13 +37,13 @@ class PlateSpec:
     width_mm: float = real(256.0, 1, 10_000)
     depth_mm: float = real(256.0, 1, 10_000)
     gap_mm: float = real(3.0, 0, 1_000, help="Distance between objects on a plate.")
-    # Room for PrusaSlicer's skirt as it is without settings: one loop, under 1 mm wide, 6 mm around objects.
+    # Room for the default skirt of PrusaSlicer: one loop, under 1 mm wide, 6 mm around objects.
     margin_mm: float = real(7.0, 0, help="Room at the edges of a plate, for a skirt.")
-    # The front left corner, which some printers cannot use; the margin is kept to it, too.
+    # The front left corner, which some printers cannot use; the margin applies to it too.
     corner_mm: tuple[float, float] = real((0.0, 0.0), 0, many=2)
 
     def __post_init__(self) -> None:
-        """Refuse plates that no printer has."""
+        """Raise InputError for impossible plates."""
         check_fields(self, "the plate")
         if min(self.inner_mm) < 1:
             raise InputError(
@@ -80,5 +80,5 @@ class PlateSpec:
 
     @property
     def inner_mm(self) -> tuple[float, float]:
-        """Width and depth of what lies within the margins."""
+        """Width and depth of the area within the margins."""
         return self.width_mm - 2 * self.margin_mm, self.depth_mm - 2 * self.margin_mm

@@ -36,21 +36,21 @@ from tactile_toolkit.printing.simulator import body_of, pack_mjcf
 
 TABLE_FILE = "plates.csv"
 OFF_PLATE = "off-plate"
-"""What is wrong with a plate beyond what is with a file."""
+"""Problem of a plate; the others are those of files."""
 
 _COLUMNS = (
     *("plate", "file", "name", "split", "label", "id"),
     *("x_mm", "y_mm", "width_mm", "depth_mm", "height_mm", "volume_mm3"),
 )
 
-_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer knows a micrometre
+_EDGE_TOLERANCE_MM = 1e-3  # 3MF is written with nine digits, and no printer resolves a micrometre
 
 
 @dataclass(frozen=True, slots=True)
 class PlateFile:
-    """A plate: its file (3MF, or MJCF) and PNG map, its objects and which share of it they need.
+    """A plate: its file (3MF or MJCF), its PNG map, the number of objects, and the fraction that they take.
 
-    ``bytes`` is the size of that file; ``state`` is that of :class:`~tactile_toolkit.printing.objects.Made`.
+    ``bytes`` is the size of the file; ``state`` is as in :class:`~tactile_toolkit.printing.file_export.Made`.
     """
 
     file: str
@@ -63,10 +63,10 @@ class PlateFile:
 
 @dataclass(frozen=True, slots=True)
 class PlateExport(FileExport[PlateFile]):
-    """What lies on which plate: the plates and the rows of the table.
+    """Result of an export of plates: the plates and the rows of the table.
 
-    ``failed`` are objects that were left out and plates that could not be written; ``removed``, files of the
-    export that was here before, which this one has not.
+    ``failed`` are objects that were left out and plates that could not be written. ``removed`` are files of
+    an earlier export that this one does not have.
     """
 
     objects: tuple[dict[str, Any], ...]
@@ -81,19 +81,18 @@ def write_plates(
     dry_run: bool = False,
     on_progress: Progress = lambda _done, _total: None,
 ) -> PlateExport:
-    """Write the plates of a layout into a folder, which is made where it is not there.
+    """Write the plates of a layout into a folder, which is created if needed.
 
-    Every object of a 3MF file has to come back as the same solid under the same name, inside the plate; each
-    file is read back from disk before it gets its name. Files that are there already with the very same bytes
-    are kept. With ``overwrite``, the plates of another export are replaced, and those that this one has not
-    are removed: what the table of that export lists, and no other files. A ``dry_run`` makes and checks the
-    same plates and changes nothing.
+    Each object of a 3MF file must be read back as the same solid with the same name, inside the plate, before
+    the file gets its name. Existing files with the same bytes are kept. With ``overwrite``, the plates of
+    another export are replaced, and further plates listed in its table are removed, but no other files. A
+    ``dry_run`` makes and checks the plates without writing.
 
-    Raises InputError where plates of another export stand in the folder, before anything is written, and
-    StorageError where the folder cannot be written; finished files stay.
+    Raises InputError, before anything is written, where the folder holds plates of another export, and
+    StorageError where the folder cannot be written; finished files are kept.
     """
     unknown = _unknown_files(layout, store.local_folder_path(out))
-    # The table first: it says most clearly whether these are the plates of another export.
+    # The table first, because it shows whether the folder holds another export.
     export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [
         Product(solid, (solid, picture), partial(_made, layout, number))
@@ -103,13 +102,13 @@ def write_plates(
     written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     if not dry_run:
-        # Last: what it lists is there and was checked.
+        # Last, so that it lists only files that exist and were checked.
         export([_table_product(rows, unknown)], out, overwrite=True)
     return PlateExport(made.files, (*layout.failures, *made.failed), rows, unknown)
 
 
 def _names(layout: PlateLayout) -> list[tuple[str, str]]:
-    """Return the files of each plate: its solids and its map."""
+    """Return the file names of each plate: solids and map."""
     ending = "3mf" if layout.physics is None else "xml"
     plates = [f"plate-{number:02d}" for number in range(1, len(layout.plates) + 1)]
     return [(f"{plate}.{ending}", f"{plate}.png") for plate in plates]
@@ -124,7 +123,7 @@ def _made(layout: PlateLayout, number: int) -> Made[PlateFile]:
     if layout.physics is None:
         content = write_build(items)
     else:
-        # A scene: where things lie on the plate, they lie on the ground.
+        # A scene: positions on the plate are positions on the ground.
         places_m = [(each.offset_mm[0] / MM_PER_M, each.offset_mm[1] / MM_PER_M) for each in items]
         bodies = [body_of(each.name, each.mesh, layout.physics) for each in items]
         content = pack_mjcf(list(zip(bodies, places_m, strict=True)), "plate", floor=True)
@@ -137,7 +136,7 @@ def _made(layout: PlateLayout, number: int) -> Made[PlateFile]:
 
 
 def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout) -> None:
-    """Raise ItemError where a plate does not hold these objects as the same solids, within its margins."""
+    """Raise ItemError unless a plate holds these objects as the same solids, within its margins."""
     meant = {
         each.name: Mesh(each.mesh.vertices_m + np.divide(each.offset_mm, MM_PER_M), each.mesh.faces)
         for each in items
@@ -165,7 +164,7 @@ def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout
 
 
 def _rows(layout: PlateLayout) -> Iterator[dict[str, Any]]:
-    """Yield the rows of the table; x and y are the lower left corner of the bounding box on the plate."""
+    """Yield the rows of the table; x and y are the lower left corner of the bounding box."""
     for number, (plate, (solid, _)) in enumerate(zip(layout.plates, _names(layout), strict=True), 1):
         for placed in plate:
             item = placed.item
@@ -177,7 +176,7 @@ def _rows(layout: PlateLayout) -> Iterator[dict[str, Any]]:
 
 
 def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Product[str]:
-    """Return the table as a product, which plates that it does not list are not to stand next to."""
+    """Return the table as a product; ``unknown`` are plates that it does not list, which are removed."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
     writer.writeheader()
@@ -187,14 +186,14 @@ def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Pr
 
 
 def _no_formula(value: Any) -> Any:
-    """Return what a spreadsheet shows as text, where it would run a formula."""
+    """Quote text that a spreadsheet would run as a formula."""
     is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
     return f"'{value}" if is_formula else value
 
 
 def _unknown_files(layout: PlateLayout, folder: Path) -> tuple[str, ...]:
-    """Name plates and maps of the export whose table is in the folder that this layout has not."""
-    # Files that only have such a name may be any user's.
+    """List plates and maps of an earlier export in the folder that this layout does not have."""
+    # Only those in its table: other files with such names may belong to the user.
     table = (content_of(folder / TABLE_FILE) or b"").decode(errors="replace")
     listed = re.findall(r"^\d+,(plate-\d{2,})\.(3mf|xml),", table, re.ASCII | re.MULTILINE)
     before = {f"{plate}.{each}" for plate, ending in listed for each in (ending, "png")}

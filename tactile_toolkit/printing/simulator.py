@@ -1,6 +1,6 @@
 """Bodies for simulators: MJCF, URDF and USD with true mass and inertia, and convex parts for contacts.
 
-A simulator that is given the mesh alone takes its convex hull for contacts, and may take another mass.
+Given the mesh alone, a simulator uses its convex hull for contacts, and may assume another mass.
 """
 
 from __future__ import annotations
@@ -22,19 +22,19 @@ from tactile_toolkit.printing.convex import convex_parts
 from tactile_toolkit.printing.physics import Physics
 
 TOO_LIGHT = "too-light"
-"""What is wrong with a body beyond :data:`tactile_toolkit.mesh.PROBLEMS`."""
-# MuJoCo refuses bodies with a moment below.
+"""Problem of a body; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
+# MuJoCo refuses bodies with a smaller moment of inertia.
 _LEAST_MOMENT_KG_M2 = 1e-14
 
 _USD_INDENT = " " * 4
 
-# The moments of inertia, by their name in URDF, in the order of MJCF.
+# Moments of inertia by name in URDF, in the order of MJCF.
 _MOMENTS = {"ixx": (0, 0), "iyy": (1, 1), "izz": (2, 2), "ixy": (0, 1), "ixz": (0, 2), "iyz": (1, 2)}
 
 
 @dataclass(frozen=True, slots=True)
 class RigidBody:
-    """One rigid body, metres, kilograms, in the frame of its mesh.
+    """A rigid body in metres and kilograms, in the frame of its mesh.
 
     ``inertia_kg_m2``, shape (3, 3), is about the centre of mass ``center_m``, along the axes of the mesh.
     """
@@ -49,9 +49,9 @@ class RigidBody:
 
 
 def body_of(name: str, mesh: Mesh, physics: Physics) -> RigidBody:
-    """Weigh an evenly filled solid and cut it into convex parts.
+    """Compute mass and inertia of a filled solid, and divide it into convex parts.
 
-    Raises ItemError where it is none, or so light that MuJoCo refuses it.
+    Raises ItemError for a mesh that is not a solid, or that is too light for MuJoCo.
     """
     parts = tuple(convex_parts(mesh))
     measured = mesh.to_trimesh()
@@ -70,7 +70,7 @@ def body_of(name: str, mesh: Mesh, physics: Physics) -> RigidBody:
 
 
 def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[str, bytes]:
-    """Write a solid as a body: the files by path, the model last, behind what it refers to."""
+    """Return the files of a body by path; the model is last, after the files that it refers to."""
     body = body_of(name, mesh, physics)
     if ending == ".urdf":
         return _pack_urdf(body, name)
@@ -80,11 +80,11 @@ def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[st
 def pack_mjcf(
     bodies: Sequence[tuple[RigidBody, tuple[float, float]]], model: str, floor: bool = False
 ) -> bytes:
-    """Write bodies, each with its place on the ground in metres, as one MJCF file that needs no other.
+    """Write bodies, each with its position on the ground in metres, as one self-contained MJCF file.
 
-    ``floor`` adds a plane to lie on, and light. The same bodies give the same bytes.
+    ``floor`` adds a ground plane and light. Equal bodies give equal bytes.
     """
-    # The plane without end, and 5 cm between the lines that are drawn on it.
+    # An infinite plane, with 5 cm between grid lines.
     light = _tag("light", pos="0 0 1", dir="0 0 -1", directional="true")
     ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")] if floor else []
     assets, elements = [], []
@@ -96,9 +96,9 @@ def pack_mjcf(
             _tag("mesh", name=name, vertex=_text(part.vertices_m.ravel())) for name, part in parts.items()
         ]
         moments = _text(body.inertia_kg_m2[place] for place in _MOMENTS.values())
-        # Group 2 is drawn and group 3 is not, as in the models that MuJoCo's own viewer comes with.
+        # Group 2 is drawn and group 3 is not, by convention of the models of MuJoCo.
         drawn = {"type": "mesh", "contype": "0", "conaffinity": "0", "group": "2", "mass": "0"}
-        # Against turning and rolling, MuJoCo's own defaults.
+        # Torsional and rolling friction are the defaults of MuJoCo.
         felt = {"type": "mesh", "group": "3", "mass": "0", "friction": _text((body.friction, 0.005, 1e-4))}
         elements.append(
             _tag(
@@ -116,7 +116,7 @@ def pack_mjcf(
 
 
 def _pack_urdf(body: RigidBody, folder: str) -> dict[str, bytes]:
-    """Write a body as a URDF file and its meshes, OBJ in metres, by path; the URDF file is the last one."""
+    """Return a URDF file and its meshes, OBJ in metres, by path; the URDF file is last."""
     meshes = {"visual": body.mesh} | {f"part-{number:02d}": part for number, part in enumerate(body.parts)}
     files = {
         f"{folder}/{name}.obj": mesh.to_trimesh().export(file_type="obj", header=None).encode()
@@ -135,16 +135,16 @@ def _pack_urdf(body: RigidBody, folder: str) -> dict[str, bytes]:
     ]
     contact = _tag("contact", _tag("lateral_friction", value=_text((body.friction,))))
     link = _tag("link", inertial, *shapes, contact, name=body.name)
-    # Without this, MuJoCo before 4.0 looks for meshes next to the URDF file, by their names alone.
+    # Otherwise MuJoCo before 4.0 ignores the folders of meshes.
     paths = _tag("mujoco", _tag("compiler", strippath="false"))
     return {**files, f"{folder}.urdf": _written(_tag("robot", paths, link, name=body.name))}
 
 
 def _pack_usd(body: RigidBody) -> bytes:
-    """Write a body as one USD file in words, metres and kilograms."""
-    prim = re.sub(r"\W|^(?=\d)", "_", body.name, flags=re.ASCII)  # USD knows no other names
+    """Write a body as a USD text file, in metres and kilograms."""
+    prim = re.sub(r"\W|^(?=\d)", "_", body.name, flags=re.ASCII)  # USD allows no other names
     moments, axes = np.linalg.eigh(body.inertia_kg_m2)
-    # An axis and its opposite are one: taken is the one whose largest share is positive.
+    # The sign of an axis is arbitrary: its largest component is made positive.
     axes = axes * np.sign(np.take_along_axis(axes, np.abs(axes).argmax(axis=0)[None], axis=0))
     axes[:, 2] = np.cross(axes[:, 0], axes[:, 1])
     x, y, z, w = Rotation.from_matrix(axes).as_quat(canonical=True)
@@ -162,7 +162,7 @@ def _pack_usd(body: RigidBody) -> bytes:
         f"float physics:mass = {_text((body.mass_kg,))}",
         f"point3f physics:centerOfMass = ({_text(body.center_m, ', ')})",
         f"float3 physics:diagonalInertia = ({_text(moments, ', ', 7)})",
-        # LAPACK rounds otherwise on other processors.
+        # Few digits, because LAPACK rounds differently between processors.
         f"quatf physics:principalAxes = ({_text((w, x, y, z), ', ', 6)})",
         _prim("Material", "material", ("PhysicsMaterialAPI",), *friction),
         _prim("Mesh", "visual", (), *_usd_surface(body.mesh)),
@@ -176,7 +176,7 @@ def _pack_usd(body: RigidBody) -> bytes:
 
 
 def _prim(kind: str, name: str, schemas: Sequence[str], *content: str) -> str:
-    """Write a thing of USD: the schemas that it follows, its attributes, and the things in it."""
+    """Write a prim of USD: its schemas, attributes and children."""
     listed = ", ".join(f'"{schema}"' for schema in schemas)
     applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" if schemas else ""
     inside = indent("\n".join(content), _USD_INDENT)

@@ -22,15 +22,15 @@ from tactile_toolkit.printing.objects import PrintObject, place_on_plate, requir
 from tactile_toolkit.printing.physics import MODELS, Physics
 from tactile_toolkit.printing.simulator import model_files
 
-# Names of the meshes that a file for simulators refers to; other files next to them are not replaced.
+# Meshes that a file for simulators refers to; other files next to them are never replaced.
 _MESHES = ("visual", "part-[0-9][0-9]", "part-[0-9][0-9][0-9]")
 
 
 @dataclass(frozen=True, slots=True)
 class WrittenFile:
-    """A file that was found to hold the solid: which object, which file, sizes in mm.
+    """A file that holds the solid: object, file name, and sizes in mm.
 
-    ``state`` is as :class:`Made` has it.
+    ``state`` is as in :class:`Made`.
     """
 
     name: str
@@ -83,20 +83,19 @@ def export_files(
     workers: int = 1,
     on_progress: Progress = lambda _done, _total: None,
 ) -> FileExport[WrittenFile]:
-    """Write one file per object, in the pose that it has, its lowest point at z = 0.
+    """Write one file for each object, without rotation, with its lowest point at z = 0.
 
-    Each file has to hold the same solid, and to read back from disk as it was written, before it gets its
-    name. A file that is
-    there already with the very same bytes is kept, so a stopped export continues where it was.
+    Each file must hold the same solid, and read back from disk as it was written, before it gets its name.
+    Existing files with the same bytes are kept, so an interrupted export continues.
 
-    Objects that are not solids are listed in the result, and do not stop the others. ``kind`` is ``"stl"``,
+    Objects that are not solids are listed in the result and do not stop the others. ``kind`` is ``"stl"``,
     ``"3mf"``, ``"ply"``, ``"obj"`` (millimetres), ``"glb"``, or ``"mjcf"``, ``"urdf"`` or ``"usd"`` for
-    simulators (metres), whose masses follow from ``physics``; ``scale`` is a factor on all lengths.
-    With ``overwrite``, files of the same name that hold something else are replaced, and that of an object
-    that fails is removed. A ``dry_run`` makes and checks the same files and writes none.
+    simulators (metres), whose masses follow from ``physics``; ``scale`` multiplies all lengths. With
+    ``overwrite``, files of the same name with other content are replaced, and those of objects that fail are
+    removed. A ``dry_run`` makes and checks the files without writing.
 
-    Raises InputError for an unknown format, a scale that is not positive, or files in the way, before
-    anything is written, and StorageError where the folder cannot be written; finished files stay.
+    Raises InputError, before anything is written, for an unknown format, a scale that is not positive, or
+    files in the way, and StorageError where the folder cannot be written; finished files are kept.
     """
     name = kind.lower().removeprefix(".")
     ending = MODELS.get(name, f".{name}")

@@ -1,4 +1,4 @@
-"""Where tasks run: in one process, in several, or (:mod:`tactile_toolkit.run.ray`) on many machines.
+"""Runners: tasks in one process, in several, or (:mod:`tactile_toolkit.run.ray`) on many machines.
 
 A task is a small picklable value; running it anywhere, any number of times, writes the same bytes. A
 :class:`Runner` therefore only decides where tasks run and repeats those whose worker died.
@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import islice
-from multiprocessing.connection import wait
+from multiprocessing.connection import Connection, wait
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
@@ -35,8 +35,8 @@ R = TypeVar("R")
 class Runner(Protocol):
     """Maps a function over tasks.
 
-    Of a function, runners that leave this machine use an attribute, where it has it: ``libraries``, the
-    distributions whose versions decide what it returns.
+    A function may have an attribute ``libraries``, the distributions whose versions decide what it returns;
+    runners that leave this machine compare them.
     """
 
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
@@ -54,7 +54,7 @@ class InlineRunner:
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield the result of each task in order."""
         for task in tasks:
-            # As in a worker: small matrix products lose more to threads that wait than they gain.
+            # As in a worker: for small matrix products, threads cost more than they save.
             with _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas"):
                 result = function(task)
             yield result
@@ -62,20 +62,20 @@ class InlineRunner:
 
 @lru_cache(1)
 def _thread_pools(_modules: int) -> Any:
-    """Find the libraries that start threads; again only after further modules brought further libraries."""
+    """Find the libraries that start threads; again only after modules were imported, which may bring more."""
     from threadpoolctl import ThreadpoolController
 
     return ThreadpoolController()
 
 
-# Tried instead (2 cores, Linux): concurrent.futures needs shared memory, loses all workers with the one that
-# died, and has no public way to stop them; loky 3.7 takes 1.7 s to start two workers.
+# Alternatives (2 cores, Linux): concurrent.futures needs shared memory, loses all workers if one dies, and
+# has no public way to stop them; loky 3.7 takes 1.7 s to start two workers.
 @dataclass(frozen=True)
 class ProcessRunner:
     """Runs tasks in local worker processes.
 
-    A task is tried ``attempts`` times when its worker dies (killed by the system for want of memory, say)
-    before the run gives up. An exception raised by the task itself is never retried.
+    If the worker of a task dies (for example, because the system runs out of memory), the task is tried
+    again, ``attempts`` times in all. An exception raised by the task itself is not retried.
 
     Raises
     ------
@@ -95,8 +95,8 @@ class ProcessRunner:
         waiting = deque((task, 1) for task in tasks)
         called = pickle.dumps(function)
         hide_main = b"__main__" not in called + pickle.dumps(list(islice(waiting, 1)))
-        workers: dict[Any, BaseProcess] = {}  # by our ends of their pipes
-        held: dict[Any, tuple[T, int]] = {}  # what each of them works on
+        workers: dict[Connection, BaseProcess] = {}  # by our end of the pipe
+        held: dict[Connection, tuple[T, int]] = {}  # the task of each worker, and which attempt it is
         answers: list[bytes] = []
         try:
             while True:
@@ -105,7 +105,7 @@ class ProcessRunner:
                     workers[pipe] = process
                 for pipe in list(islice(workers.keys() - held.keys(), len(waiting))):
                     held[pipe] = waiting.popleft()
-                    with contextlib.suppress(OSError):  # it has died, as the end of its pipe shows
+                    with contextlib.suppress(OSError):  # it has died; the end of its pipe shows it
                         pipe.send_bytes(pickle.dumps(held[pipe][0]))
                 yield from map(unpack_result, answers)  # only now, so that no worker waits for the caller
                 if not held:
@@ -131,15 +131,15 @@ class ProcessRunner:
 
 
 def runner_for(workers: int | Runner) -> Runner:
-    """Return a runner as it is, or that for a number of workers; one means the calling process itself."""
+    """Return a runner as it is, or a runner for a number of workers; 1 means the calling process."""
     if not isinstance(workers, int):
         return workers
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
 
 
-def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
-    """Start a process, and return our end of the pipe that carries its tasks, its answers and its life."""
-    # spawn: workers start clean whatever threads and file handles the caller's notebook holds.
+def _start_worker(function: bytes, hide_main: bool) -> tuple[Connection, BaseProcess]:
+    """Start a process, and return our end of its pipe, which also closes when either side dies."""
+    # spawn: workers inherit no threads or file handles of the caller.
     if multiprocessing.current_process().daemon:
         raise InputError(
             "this process is a worker of another program (daemonic), which may start no processes",
@@ -151,7 +151,7 @@ def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
     process = context.Process(target=_work, args=(theirs, function), daemon=True)
     with _main_hidden() if hide_main else contextlib.nullcontext():
         process.start()
-    theirs.close()  # it ends with the worker only where no other process has it open
+    theirs.close()  # so that it closes with the worker
     return ours, process
 
 
@@ -159,11 +159,11 @@ def _start_worker(function: bytes, hide_main: bool) -> tuple[Any, BaseProcess]:
 def _main_hidden() -> Iterator[None]:
     """Start workers without running the caller's script again.
 
-    Spawned processes import the main script; one without an ``if __name__ == "__main__"`` guard, or typed
-    into an interpreter, would fail or start the work again in each of them. No task needs the script.
+    Spawned processes import the main script. Without an ``if __name__ == "__main__"`` guard, or typed into an
+    interpreter, it would fail or start the work again in each worker. No task needs the script.
     """
     main = sys.modules["__main__"].__dict__
-    hidden: dict[str, Any] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
+    hidden: dict[str, object] = {name: main[name] for name in ("__spec__", "__file__") if name in main}
     main.update(dict.fromkeys(hidden))
     try:
         yield
@@ -171,19 +171,19 @@ def _main_hidden() -> Iterator[None]:
         main.update(hidden)
 
 
-def _work(pipe: Any, function: bytes) -> None:
-    """Carry out tasks until the parent ends this process."""
-    # Ctrl-C goes to the whole process group: the parent alone decides what happens to the work.
+def _work(pipe: Connection, function: bytes) -> None:
+    """Run tasks until the parent ends this process."""
+    # Ctrl-C reaches the whole process group; the parent alone decides what happens to the work.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     inbox: SimpleQueue[bytes] = SimpleQueue()
     threading.Thread(target=_listen, args=(pipe, inbox), daemon=True).start()
-    with contextlib.suppress(OSError):  # a parent that has died takes no answer
+    with contextlib.suppress(OSError):  # the parent has died
         while True:
             pipe.send_bytes(run_pickled(function, inbox.get()))
 
 
-def _listen(pipe: Any, inbox: SimpleQueue[bytes]) -> None:
-    # Also in the middle of a task: no worker may write into the folder of a parent that was killed.
+def _listen(pipe: Connection, inbox: SimpleQueue[bytes]) -> None:
+    # Also during a task: no worker may write into the folder of a parent that was killed.
     with contextlib.suppress(EOFError, OSError):
         while True:
             inbox.put(pipe.recv_bytes())
@@ -198,7 +198,7 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
     except Exception as error:
         where = traceback.format_exc()
         for kept in (error, ToolkitError(f"{type(error).__name__}: {error}")):
-            with contextlib.suppress(Exception):  # one that cannot travel
+            with contextlib.suppress(Exception):  # it cannot be pickled
                 kept.add_note(where)
                 pickle.loads(packed := dumps((None, kept)))
                 return packed
@@ -207,9 +207,9 @@ def run_pickled(function: bytes, task: bytes, dumps: Callable[[Any], bytes] = pi
 
 @cache
 def _prepare_worker() -> None:
-    """Keep a worker to its one core; once, since it carries out many tasks."""
+    """Limit a worker to one core, once for all its tasks."""
     prepare_batch_process()
-    # In Ray numpy is there before the variables are set.
+    # Under Ray, numpy is imported before the variables are set.
     _thread_pools(len(sys.modules)).limit(limits=1, user_api="blas")
 
 

@@ -1,8 +1,8 @@
 """Tasks on the machines of a Ray cluster.
 
-The cluster is another user's: it is joined, never started, and left as it was. What runs on its nodes is the
-toolkit as installed there, so every worker compares versions before it works; the few lines that do so travel
-with the first task, because a node may not have the toolkit at all.
+The cluster belongs to another user: this process joins it, never starts it, and leaves it as it was. Its
+nodes run the toolkit that is installed there, so every worker compares versions before it works. The few
+lines that compare them travel with the first task, because a node may not have the toolkit at all.
 """
 
 from __future__ import annotations
@@ -25,23 +25,23 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 _DISTRIBUTION = "tactile-toolkit"
-# How long a cluster may take to answer at all.
+# Longest time that a cluster may take to answer, seconds.
 _ANSWER_S = 5.0
-# How long a cancelled task may take to clean up before its worker is killed.
+# Longest time that a cancelled task may clean up before its worker is killed, seconds.
 _CANCEL_S = 3.0
-# How often the cores of the cluster are counted while nothing finishes: nodes come and go.
+# Seconds between counts of the cluster's cores while nothing finishes: nodes come and go.
 _LOOK_AGAIN_S = 5.0
-_TASKS_PER_CORE = 2  # one at work, one that waits: a core never waits for an answer to travel
+_TASKS_PER_CORE = 2  # one running and one waiting, so that no core waits for an answer to travel
 _ADDRESS = re.compile(r"\[?(?P<host>[^/\[\]]+)\]?:(?P<port>[0-9]{1,5})")
 
 _SETTINGS = {
-    # No prompt, no banner, no reports to the makers of Ray, and no word of Ray's inner life on the terminal:
-    # whatever its logging settings, it prints those of a dead node on stdout.
+    # No prompt, no banner, no usage reports, and no messages of Ray's own on the terminal: whatever its
+    # logging settings, it prints those of a dead node on stdout.
     "RAY_USAGE_STATS_ENABLED": "0",
     "RAY_USAGE_STATS_PROMPT_ENABLED": "0",
     "RAY_ACCEL_ENV_VAR_OVERRIDE_ON_ZERO": "0",
     "RAY_DEDUP_LOGS_SKIP_REGEX": ".",
-    # Where something else answers, Ray tries for 40 s; by itself it would 20 times.
+    # If something else answers at the address, one try takes 40 s; the default is 20 tries.
     "RAY_NUM_REDIS_GET_RETRIES": "1",
 }
 
@@ -57,10 +57,10 @@ class RayRunner:
     Parameters
     ----------
     address : str or None
-        ``"HOST:PORT"`` of the head of the cluster, of which this machine must be a node. None means
-        ``$RAY_ADDRESS``, else the cluster that was started on this machine.
+        ``"HOST:PORT"`` of the head of the cluster; this machine must be one of its nodes. None means
+        ``$RAY_ADDRESS``, or else the cluster that was started on this machine.
     workers : int
-        Most tasks at once; 0 means as many as the cluster has cores, also when nodes come and go.
+        Largest number of tasks at once; 0 means one per core of the cluster, even if nodes come and go.
     attempts : int
         How often a task is tried.
 
@@ -92,7 +92,7 @@ class RayRunner:
         if not waiting:
             return
         with _connected(self.address) as ray:
-            # Tried again here: Ray itself repeats a task that ran out of memory without end.
+            # Retried here: Ray itself repeats a task that ran out of memory without end.
             names = (_DISTRIBUTION, *getattr(function, "libraries", ()))
             work = ray.remote(num_cpus=1, max_retries=0)(_travelling(names))
             # Pickled here, not by Ray, so that what cannot be unpickled there is an error like any other.
@@ -120,7 +120,7 @@ class RayRunner:
                             raise _other_versions(node, differing)
                         yield unpack_result(answer, f"raised on node {node}")
             finally:
-                # Interrupted, tasks remove what is half-written; then the workers of those left are killed.
+                # Interrupted tasks remove partial files; then the workers of the others are killed.
                 left = list(running)
                 for force in (False, True):
                     for reference in left:
@@ -129,10 +129,10 @@ class RayRunner:
 
 
 def _travelling(names: Iterable[str]) -> Callable[..., Any]:
-    """Return what nodes run: it carries its own code and needs no package of this project.
+    """Return the function that nodes run; it carries its own code and needs no package of this project.
 
-    It returns the name of its machine, the versions that differ (on the node, here), and,
-    where none does, the answer of a task.
+    It returns the name of its machine, the versions that differ (there, here), and, if none differs, the
+    packed result of a task.
     """
 
     def versions() -> dict[str, str]:
@@ -141,7 +141,7 @@ def _travelling(names: Iterable[str]) -> Callable[..., Any]:
         return {name: next((d.version for d in distributions(name=name)), "not installed") for name in names}
 
     wanted = versions()
-    known: dict[str, str] = {}  # to one worker process, which carries out many tasks
+    known: dict[str, str] = {}  # kept by a worker process, which runs many tasks
 
     def work(function: bytes, task: bytes) -> tuple[str, dict[str, tuple[str, str]], bytes]:
         import socket
@@ -175,7 +175,7 @@ def _other_versions(machine: str, differing: Mapping[str, tuple[str, str]]) -> I
 
 @contextlib.contextmanager
 def _connected(address: str | None) -> Iterator[Any]:
-    """Join a cluster and leave it again. Raises InputError where none answers."""
+    """Join a cluster and leave it again; InputError if none answers."""
     for name, value in _SETTINGS.items():
         os.environ.setdefault(name, value)
     import ray
@@ -186,7 +186,7 @@ def _connected(address: str | None) -> Iterator[Any]:
     address = address or os.environ.get("RAY_ADDRESS") or "auto"
     place = None if address == "auto" else _host_and_port(address)
     try:
-        if place is not None:  # Ray itself waits for long where nothing listens
+        if place is not None:  # Ray itself waits for long if nothing listens
             socket.create_connection(place, _ANSWER_S).close()
         ray.init(address, log_to_driver=False, logging_level=logging.CRITICAL)
     except Exception as error:  # of many types, RuntimeError for other versions of Ray or Python among them

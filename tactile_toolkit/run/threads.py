@@ -1,6 +1,6 @@
-"""Threads: work that waits for disks and networks, or hashes; and processes of one thread that only work.
+"""Threads for work that waits for disks and networks; and the setup of processes that use a single thread.
 
-Apart from the runners, because every command line starts with it and needs no :mod:`multiprocessing`.
+Separate from the runners, because every command imports it and needs no :mod:`multiprocessing`.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS
 
 
 def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> Iterator[R]:
-    """Yield what a function gives for each item, in their order; one worker is the calling thread itself.
+    """Yield the result of a function for each item, in order; one worker is the calling thread itself.
 
-    Items are taken as they are needed, in the calling thread. An exception ends the work.
+    Items are taken as needed, in the calling thread. An exception ends the work.
     """
     if workers == 1:
         yield from map(function, items)
@@ -42,22 +42,22 @@ def in_threads(function: Callable[[T], R], items: Iterable[T], workers: int) -> 
 
 
 def prepare_batch_process() -> None:
-    """Set up a process that only works off tasks and then ends: one thread of work, a quick start."""
+    """Set up a process that runs tasks and then ends: one thread of work, a quick start."""
     limit_threads()
     keep_memory()
     skip_pandas()
 
 
 def limit_threads() -> None:
-    """Keep this process, and those that it starts, to one thread of work.
+    """Limit this process, and those that it starts, to one thread of work.
 
-    Work is spread over processes; threads inside them only wait for one another. Measured on two cores, a
-    mesh is checked in 13.4 ms of processor time with one thread and in 17.8 ms with manifold3d's own.
+    Work is spread over processes, in which further threads only wait for one another. On two cores, checking
+    a mesh takes 13.4 ms of processor time with one thread and 17.8 ms with those of manifold3d.
     """
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
-    # oneTBB, which manifold3d runs on, knows no setting for this: it counts the processors that the process
-    # may use, once, when it first works.
+    # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
+    # that the process may use.
     if not hasattr(os, "sched_setaffinity"):
         return
     allowed = os.sched_getaffinity(0)
@@ -73,8 +73,8 @@ def limit_threads() -> None:
 def keep_memory() -> None:
     """Keep freed memory of up to 64 MB in this process, where the C library is glibc.
 
-    Otherwise the pages of arrays go back to the system after each item and are cleared again for the next:
-    500 of them take a twenty-fifth of the time of a digit. The peak of the memory stays the same.
+    Otherwise the pages of arrays return to the system after each item and are cleared again for the next:
+    500 of them take 4 % of the time of a digit. The peak of memory use stays the same.
     """
     import ctypes  # not for every command line
 
@@ -86,16 +86,16 @@ def keep_memory() -> None:
 
 
 def skip_pandas() -> None:
-    """Keep pyarrow from importing pandas at its first array, to see whether it was given a Series.
+    """Keep pyarrow from importing pandas, which it does at its first array to recognise a Series.
 
-    That takes 0.9 s and 60 MB in every process. For processes that end with their work: pyarrow knows no
-    pandas in this one afterwards, unless it was imported before.
+    The import takes 0.9 s and 60 MB in every process. Only for processes that end with their work: afterwards
+    pyarrow does not see pandas, unless it was imported before.
     """
     if "pandas" in sys.modules:
         return
     import pyarrow as pa
 
-    # pyarrow looks once, and has no setting for it: here it finds none.
+    # pyarrow looks once, and has no setting for it: it finds nothing here.
     finder = _NoPandas()
     sys.meta_path.insert(0, finder)
     try:
@@ -107,4 +107,4 @@ def skip_pandas() -> None:
 class _NoPandas(MetaPathFinder):
     def find_spec(self, name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> None:
         if name == "pandas":
-            raise ModuleNotFoundError("pandas is left out of this process", name=name)
+            raise ModuleNotFoundError("pandas is hidden in this process", name=name)

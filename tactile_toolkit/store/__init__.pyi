@@ -127,6 +127,7 @@ from .shards import (
     shard_ranges as shard_ranges,
 )
 from .task import (
+    AnyTask as AnyTask,
     ShardContent as ShardContent,
     ShardTask as ShardTask,
 )

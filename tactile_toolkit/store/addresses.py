@@ -14,7 +14,7 @@ _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
 
 
 def scheme_of(place: str) -> str:
-    """Return the scheme of an address, such as ``s3``; empty for a local path, also in the form ``file://``."""
+    """Return the scheme of an address, such as ``s3``; empty for a local path or a ``file://`` address."""
     match = _SCHEME.fullmatch(place)
     scheme = match["scheme"].lower() if match else ""
     return "" if scheme in _LOCAL_SCHEMES else _OTHER_NAMES.get(scheme, scheme)
@@ -26,7 +26,7 @@ def is_remote(place: str) -> bool:
 
 
 def normalize_uri(place: str) -> str:
-    """Return a local path without ``file://``, or an address in its one form, without a slash at its end.
+    """Return a local path without ``file://``, or an address in canonical form, without a trailing slash.
 
     Raises InputError for an address that names no bucket, is of the web, or may hold a key or a signature.
     """

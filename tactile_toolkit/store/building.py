@@ -1,11 +1,11 @@
-"""Making a data set folder: begin, work, finish. The order of effects is what makes it safe.
+"""Making a data set folder: begin, work, finish. The order of writes makes it safe.
 
-begin   creates the manifest (complete: false, no shards) if there is none, and reads it back
-work    makes a shard; then, under the shared lock: same job? rows, report rows, files, record
+begin   create the manifest (complete: false, no shards) if there is none, and read it back
+work    make a shard; then, under the shared lock: same job? rows, report rows, files, record
 finish  under the lock: every task has its record; report, further files, card, manifest
 
-The kinds of data bring a :class:`~tactile_toolkit.store.BuildPlan`. What is interrupted continues when
-the same is asked for again: a task whose record is intact is done.
+A kind of data set brings a :class:`~tactile_toolkit.store.BuildPlan`. An interrupted run continues when the
+same is asked for again: a task with an intact record is done.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ WriteCard = Callable[[DataFolder, Manifest], None]
 
 @dataclass(frozen=True)
 class _WriteShard:
-    """Picklable: make one shard of a job, and write it with its record."""
+    """Make one shard of a job, and write it with its record; picklable."""
 
     folder: DataFolder
     identity: str
@@ -47,7 +47,7 @@ class _WriteShard:
     libraries: tuple[str, ...]
 
     def __call__(self, task: AnyTask) -> ShardRecord:
-        """Write rows, then report rows, then further files, then the record that proves them all."""
+        """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()
         data = encode_parquet(content.table, self.style) if content.encoded is None else content.encoded
@@ -63,7 +63,7 @@ class _WriteShard:
             unpacked_bytes=content.table.nbytes,
             source_digest=content.source_digest,
         )
-        # As late as can be: hours may have passed, and another data set may be in the folder now.
+        # As late as possible: hours may have passed, and the folder may hold another data set now.
         with folder.locked(shared=True, is_patient=True):
             require_same_job(folder, self.identity)
             folder.write_bytes(shard.data_path, data)
@@ -126,7 +126,7 @@ def _begun(
     with contextlib.ExitStack() as hold:
         try:
             resume_promotion(folder)
-            # Parts begin as they write shards: of many at once, one would never find the folder free.
+            # Parts begin under the lock for shards: with many at once, the folder would never be free.
             with folder.locked(shared=options.part is not None):
                 is_replaced = options.overwrite and require_replaceable(folder, plan)
                 if is_replaced and isinstance(folder, LocalFolder):
@@ -136,7 +136,7 @@ def _begun(
                 job = begin_job(target, plan, options)
             yield job, hold
         except BaseException as error:
-            # Who has waited in vain does not wait again.
+            # A run that waited in vain does not wait again.
             patience_s = 0.0 if isinstance(error, BusyError) else None
             # The first error is the one to report, even if the disk does not let us remove anything.
             with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
@@ -168,7 +168,7 @@ def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
 
 
 def _finish_partial_run(job: BuildJob, records: Sequence[ShardRecord]) -> Manifest:
-    """Return what the manifest would hold of a part, or that of a set that other runs have finished."""
+    """Return a manifest with the shards of a part, or that of a set that other runs have finished."""
     if job.remaining:
         current = require_same_job(job.folder, job.manifest.identity)
         listed = {record.shard for record in current.shards}
@@ -190,7 +190,7 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
     manifest = replace(job.manifest, shards=current.shards, files=current.files).with_shards(records)
     files = dict(manifest.files)
     if current.shards and current.shards != manifest.shards:
-        # The report below is of all splits, and no longer the one that this manifest lists.
+        # The report below covers all splits; the current manifest must not list it as its own.
         others = {path: checksum for path, checksum in files.items() if path != plan.report_file}
         write_manifest(folder, replace(current, complete=False, files=others))
     if plan.report_file is not None:
@@ -200,7 +200,7 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:
         write_card(folder, finished)
-    # A run that had nothing to do leaves the file as it is, with its time.
+    # A run that had nothing to do leaves the file unchanged.
     if current != finished:
         write_manifest(folder, finished)
         if read_manifest(folder) != finished:
@@ -215,8 +215,8 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
 def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     """Roll back a run that failed before any row was written.
 
-    A run that cannot be finished (scenes that do not fit, an unreadable source) would otherwise leave a
-    folder that holds nothing and refuses every other specification.
+    Otherwise a run that cannot finish (scenes that do not fit, an unreadable source) would leave an empty
+    folder that refuses every other specification.
     """
     manifest = read_manifest(folder)
     if manifest is None:
@@ -227,7 +227,7 @@ def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     pending = pending_records(folder, manifest.identity)
     if any(record.rows for shard, record in pending.items() if shard not in listed):
         return
-    # A shard without rows is soon made again.
+    # Shards without rows are quickly made again.
     for shard in pending.keys() - listed:
         for path in (shard.record_path, shard.report_path, shard.data_path):
             folder.remove(path)
@@ -239,16 +239,16 @@ def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
 
 
 def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:
-    """Refuse to continue where a task has no record, or this machine does not see the file of a record."""
+    """Raise MissingPartsError if a task has no record, or this machine does not see the file of a record."""
     job.folder.refresh(DATA_FOLDER)
     sizes = job.folder.sizes(DATA_FOLDER)
     require_parts(job, [record for record in records if record.is_size_of(sizes)])
 
 
 def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
-    """Refuse a run that left every item out: its source, not its items, is what is wrong.
+    """Refuse a run that left every item out: then its source is wrong, not its items.
 
-    Takes the rows of each shard, and what was left out.
+    Takes the number of rows of each shard, and its skipped items.
     """
     skipped = [item for _, left_out in shards for item in left_out]
     if skipped and not any(rows for rows, _ in shards):

@@ -1,7 +1,7 @@
-"""The record of the download that fills a folder: from where, which commit, which files.
+"""The record of the download that fills a folder: its origin, commit and files.
 
-The Hub names the content of a file by a digest, which is all that a folder without a manifest can be checked
-by: SHA-256 for large files, git's own SHA-1 for files in git. Their lengths distinguish them.
+The Hub names the content of a file by a digest, the only check for a folder without a manifest: SHA-256 for
+large files, git's own SHA-1 for files in git. Their lengths distinguish them.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ _STORED_NAMES = {"repo_id": "repository", "metadata_files": "labels"}
 
 
 def digest_algorithm(digest: str) -> str:
-    """Return the kind of a digest, in a word for messages."""
+    """Return the algorithm of a digest, for messages."""
     return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
 
 
 def digest_like(stream: IO[bytes], digest: str) -> str:
-    """Return the digest of an open file, of the same kind as another, in hexadecimal digits."""
+    """Return the digest of an open file in hexadecimal, by the algorithm of another digest."""
     if len(digest) == _SHA256_DIGITS:
         found = hashlib.sha256()
-    else:  # git hashes a head with the size before the content
+    else:  # git hashes a header with the size before the content
         found = hashlib.sha1(b"blob %d\0" % stream.seek(0, io.SEEK_END), usedforsecurity=False)
     stream.seek(0)
     hashlib.file_digest(stream, lambda: found)  # type: ignore[arg-type]
@@ -49,7 +49,7 @@ def has_digest(path: Path, digest: str) -> bool:
 
 
 class HubFile(msgspec.Struct, frozen=True, omit_defaults=True):
-    """A file of a repository; ``digest`` is None where only a cached copy without one is known."""
+    """A file of a repository; ``digest`` is None if only a cached copy without a digest is known."""
 
     path: str = ""
     size_bytes: Count = msgspec.field(name="bytes", default=0)
@@ -63,9 +63,9 @@ class HubFile(msgspec.Struct, frozen=True, omit_defaults=True):
 class DownloadRecord(msgspec.Struct, frozen=True, rename=_STORED_NAMES):
     """Origin of a downloaded folder.
 
-    ``revision`` is the branch or tag that was asked for; ``files`` those that were or are being fetched;
-    ``splits`` all of the repository, downloaded or not; ``metadata_files`` which of card and manifest the
-    repository has. ``finished`` is False while the download is under way or after it was interrupted.
+    ``revision`` is the branch or tag that was asked for; ``files`` are those of the folder; ``splits`` are
+    all of the repository, downloaded or not; ``metadata_files`` states which of card and manifest the
+    repository has. ``finished`` is False during the download or after it was interrupted.
     """
 
     repo_id: str

@@ -1,4 +1,4 @@
-"""Single local files: written completely or not at all, and what the system says in words."""
+"""Single local files: written completely or not at all; and plain-language messages for OS errors."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, StorageError, req
 
 TEMPORARY_PREFIX = ".writing-"
 DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
-"""How the name of every unfinished file begins, as a pattern: what has no such number may be any user's."""
+"""Start of the names of unfinished files, as a pattern; a file without such a number may be a user's."""
 
 T = TypeVar("T")
 
@@ -32,15 +32,15 @@ def named_failures(address: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise StorageError(
-            f"cannot write {address!r}: {error.strerror or error}; nothing half-written was left, finished "
-            "files stay",
+            f"cannot write {address!r}: {error.strerror or error}; no partial file remains, finished "
+            "files are kept",
             next="make room there, or change its permissions, and run the same command again; or choose "
             "another folder (--out or OUT)",
         ) from error
 
 
 def resource_shortage(error: Exception) -> str | None:
-    """Return, in words, of what this process or machine has too little; None for any other error."""
+    """Return a message for an error of scarce resources (memory, file handles); None for other errors."""
     if isinstance(error, MemoryError):
         error = OSError(errno.ENOMEM, os.strerror(errno.ENOMEM))
     if not isinstance(error, OSError) or error.errno not in _OF_THE_PROCESS:
@@ -53,7 +53,7 @@ def resource_shortage(error: Exception) -> str | None:
 
 @contextlib.contextmanager
 def readable(address: str) -> Iterator[None]:
-    """Turn errors that are not about the content of a file or folder into InputError."""
+    """Turn errors that do not concern the content of a file or folder into InputError."""
     try:
         yield
     except (OSError, MemoryError) as error:
@@ -66,9 +66,9 @@ def readable(address: str) -> Iterator[None]:
 
 
 def path_exists(path: Path) -> bool:
-    """Return whether there is such a file or folder; PermissionError where this user may not know.
+    """Return whether a file or folder exists; PermissionError if this user may not know.
 
-    `Path.exists` says so too, but from Python 3.14 on it answers no.
+    From Python 3.14 on, `Path.exists` returns False then.
     """
     try:
         path.stat()
@@ -80,11 +80,11 @@ def path_exists(path: Path) -> bool:
 
 
 def expanded(place: str | Path, what: str = "path") -> Path:
-    """Return a local path with ``~`` at its start as the home folder; InputError where none is known.
+    """Return a local path in which a leading ``~`` is expanded; InputError if no home folder is known.
 
-    An address that may hold a key is an InputError, too. Where the text as given has the ``~`` later, as in
-    ``./~``, the path is returned in full: pathlib drops the ``./``, and what expands the path again would
-    then take the folder for the home folder.
+    An address that may hold a key is an InputError, too. For a folder that is called ``~``, given as ``./~``,
+    the absolute path is returned: pathlib drops the ``./``, and a second expansion would give the home
+    folder.
     """
     require_public(str(place))
     path = Path(place)
@@ -101,12 +101,12 @@ def expanded(place: str | Path, what: str = "path") -> Path:
 
 
 def open_regular(path: Path, below: Path | None = None) -> IO[bytes]:
-    """Open a local file for reading; IntegrityError for what is not one, or a link out of a folder.
+    """Open a regular local file for reading; IntegrityError for any other, or a link out of ``below``.
 
-    A pipe would be waited for, and a device may have no end. ``below`` is a folder whose files are of anyone:
-    a link in it may lead to what its reader alone can read.
+    Reading a pipe would wait, and a device may have no end. ``below`` is a folder with files of anyone: a
+    link in it may lead to a file that only the reader can read.
     """
-    # Not `Path.resolve`, which fails for links in a circle.
+    # Not `Path.resolve`, which fails for circular links.
     if below is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(below)):
         raise IntegrityError(f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it")
     unwaiting = getattr(os, "O_NONBLOCK", 0)
@@ -120,7 +120,7 @@ def open_regular(path: Path, below: Path | None = None) -> IO[bytes]:
 
 
 def sync_folder(folder: Path) -> None:
-    """Bring the names in a folder to the disk: a rename survives a power cut only once they are there."""
+    """Flush the names in a folder to the disk, so that a rename survives a power cut."""
     if os.name == "nt":  # Windows opens no folders
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -131,9 +131,9 @@ def sync_folder(folder: Path) -> None:
 
 
 def make_folder(path: Path) -> None:
-    """Make a folder and those above it, where other writers may remove empty ones at the same time."""
+    """Make a folder and its parents, although other writers may remove empty folders at the same time."""
     for _ in range(_TRIES):
-        # pathlib says that the folder exists where it goes between its attempt and its look at what is there.
+        # pathlib raises FileExistsError if the folder is removed between its attempt and its check.
         with contextlib.suppress(FileExistsError, FileNotFoundError):
             path.mkdir(parents=True, exist_ok=True)
             return
@@ -141,9 +141,9 @@ def make_folder(path: Path) -> None:
 
 
 def new_file(path: Path) -> IO[bytes]:
-    """Open a file that is not there yet for writing, making its folder."""
+    """Create a file and its folder, and open it for writing."""
     for _ in range(_TRIES):
-        # Another run that has come to its end may remove an empty folder in between.
+        # Another run that ends may remove an empty folder in between.
         with contextlib.suppress(FileNotFoundError):
             return path.open("xb")
         make_folder(path.parent)
@@ -158,12 +158,11 @@ def write_file(
     durable: bool = True,
     publish: Callable[[Path, Path], object] = lambda draft, path: draft.replace(path),
 ) -> T:
-    """Write a local file, which appears under its name when all of it is there, or never.
+    """Write a local file, which appears under its name complete or not at all.
 
-    ``fill`` writes to a stream, and what it returns is returned. Any program may remove the temporary file,
-    ``draft``: it is written again. Folders are made. What is not ``durable`` is not flushed: a power cut may
-    leave damaged content under the name. Raises OSError as the file system does; nothing is left behind but
-    by a process that is killed.
+    ``fill`` writes to a stream; its result is returned. If the temporary file ``draft`` is removed, it is
+    written again. Parent folders are made. Without ``durable`` the file is not flushed: a power cut may leave
+    damaged content under its name. Raises OSError; only a process that is killed leaves a temporary file.
     """
     draft = draft or draft_of(path)
     for tries_left in reversed(range(_TRIES)):
@@ -188,21 +187,21 @@ def write_file(
 
 
 def draft_of(path: Path) -> Path:
-    """Return a new temporary name next to a file or folder."""
+    """Return a new temporary path next to a file or folder."""
     return path.with_name(f"{TEMPORARY_PREFIX}{uuid.uuid4().hex}-{path.name}")
 
 
 def remove_drafts(folder: Path) -> None:
-    """Remove the temporary files directly in a local folder; one that is being written is written again."""
+    """Remove the temporary files directly in a local folder; their writers write them again."""
     for path in folder.iterdir():
-        with contextlib.suppress(OSError):  # of other users it stays
+        with contextlib.suppress(OSError):  # it belongs to another user
             if re.match(DRAFT, path.name):
                 path.unlink()
 
 
 @contextlib.contextmanager
 def scratch_folder() -> Iterator[Path]:
-    """Make a folder in ``$TMPDIR`` that goes at the end."""
+    """Make a folder in ``$TMPDIR`` that is removed at the end."""
     with contextlib.ExitStack() as stack:
         with named_failures(tempfile.gettempdir()):
             folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="tactile-toolkit-"))

@@ -1,7 +1,7 @@
-"""Files below a folder that someone else made: every importer opens them here.
+"""Files below a folder of unknown origin: every importer opens them here.
 
-A table, a tar or a group names files of its folder. A link may lead to any file of this machine, whose bytes
-would then be stored as a picture and published; a pipe is waited for, and a device has no end.
+A table, a tar or a Zarr group names files of its folder. A link may lead to any file of this machine, whose
+bytes would then be stored as a picture and published. Reading a pipe would wait, and a device has no end.
 """
 
 from __future__ import annotations
@@ -70,7 +70,7 @@ def _require_inside(folder: DataFolder, path: str) -> None:
     place, step = folder.address(path), folder.root
     for part in path.split("/") if folder.is_local else ():
         step = f"{step}/{part}"
-        # Not pathlib, and resolved only where there is a link: this is asked for each image.
+        # Not pathlib, and resolved only if there is a link: this runs for each image.
         if os.path.islink(step):  # noqa: PTH114
             if not Path(place).resolve().is_relative_to(Path(folder.root).resolve()):
                 problem = "a link leads out of the folder; expected a file below it, such as a copy"

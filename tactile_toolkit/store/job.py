@@ -29,10 +29,10 @@ _DIFFERENCES_SHOWN = 5
 
 
 class MissingPartsError(IntegrityError):
-    """Parts of a data set that cannot be finished yet.
+    """A data set cannot be finished, because shards are missing.
 
-    ``shards`` is how many are missing of ``parts`` in all; ``array`` are the parts that make them, one a
-    shard, as Slurm writes numbers of an array.
+    ``shards`` of ``parts`` shards are missing; ``array`` names the parts that make them, one part a shard, as
+    Slurm writes the numbers of an array.
     """
 
     def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
@@ -60,8 +60,8 @@ def array_text(numbers: Sequence[int]) -> str:
 class BuildJob:
     """A run of a plan in a folder, or of the tasks of one part.
 
-    ``manifest`` is that of the folder, or the one that it is to get; ``finished`` are the records of shards
-    that are intact, ``remaining`` the tasks of all others.
+    ``manifest`` is that of the folder, or the one to be created; ``finished`` are the records of intact
+    shards, ``remaining`` the tasks of all others.
     """
 
     folder: DataFolder
@@ -72,13 +72,13 @@ class BuildJob:
 
     @property
     def remaining(self) -> tuple[AnyTask, ...]:
-        """The tasks whose shards are to be made."""
+        """Tasks whose shards are missing."""
         finished = {record.shard for record in self.finished}
         return tuple(task for task in self.tasks if task.shard not in finished)
 
 
 def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> BuildJob:
-    """Find out what a run has to do in a folder, and create its manifest where there is none.
+    """Find out what a run has to do in a folder, and create its manifest if there is none.
 
     Raises as :func:`inspect_job`.
     """
@@ -95,9 +95,9 @@ def begin_job(folder: DataFolder, plan: BuildPlan, options: RunOptions) -> Build
 
 
 def _remove_outdated_records(folder: DataFolder, plan: BuildPlan, manifest: Manifest) -> None:
-    """Remove records of a job whose manifest was removed, where their files are not what they state.
+    """Remove records of a job whose manifest was removed, if their files differ from what they state.
 
-    Another set may have been begun on top of them, and removed: from here on only sizes are compared.
+    Another set may have been begun on top of them, and removed. From here on only sizes are compared.
     """
     records = pending_records(folder, manifest.identity)
     intact = _intact_records(folder, plan, manifest, {task.shard: task for task in plan.tasks}, check=True)
@@ -149,10 +149,10 @@ def require_parts(job: BuildJob, records: Sequence[ShardRecord]) -> None:
 
 
 def require_same_job(folder: DataFolder, identity: str) -> Manifest:
-    """Return the manifest of a folder; InputError where it is gone, or has another identity by now.
+    """Return the manifest of a folder; InputError if it is gone or has another identity by now.
 
-    Names of shards are the same in every data set of a kind: a slower run would put its rows among those of a
-    run that has replaced its set.
+    All data sets of a kind name their shards alike: a slower run would write its rows among those of a run
+    that has replaced its set.
     """
     version = folder.version(MANIFEST_FILE)
     manifest = None if version is None else _manifest_of_version(folder.root, version)
@@ -172,7 +172,7 @@ def require_same_job(folder: DataFolder, identity: str) -> Manifest:
 
 @lru_cache(maxsize=1)
 def _manifest_of_version(root: str, version: object) -> Manifest | None:
-    """Read a manifest again only where it has changed: shards follow each other quickly."""
+    """Read a manifest again only if it has changed: shards follow each other quickly."""
     return read_manifest(open_folder(root))
 
 
@@ -185,8 +185,7 @@ def _intact_records(
 ) -> dict[ShardName, ShardRecord]:
     """Return the record of each shard whose files are intact: by size or, to check, by content.
 
-    To check is also to compare what the shard was made of. A pending record counts before that of the
-    manifest.
+    With ``check``, sources are compared, too. A pending record takes precedence over that of the manifest.
     """
     sizes, report = folder.sizes(DATA_FOLDER), plan.report_file
     has_report = report is not None and folder.exists(report)
@@ -205,7 +204,7 @@ def _intact_records(
                 if sha256 is not None and file_sha256(folder, path) != sha256:
                     return False
             return tasks[record.shard].source_digest() == record.source_digest
-        except (IntegrityError, FileNotFoundError):  # damaged in the same size, or gone at this moment
+        except (IntegrityError, FileNotFoundError):  # damaged without a change of size, or just removed
             return False
 
     intact = {}
@@ -221,9 +220,9 @@ def _intact_records(
 
 
 def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> None:
-    """Refuse a folder without manifest that holds files: a run must never mix with those of a user.
+    """Refuse a folder that has files but no manifest: a run must never mix its files with those of a user.
 
-    Where there are records of a run of the plan, the files are of that run, and its manifest was removed.
+    If there are records of a run of the plan, the files belong to that run, and its manifest was removed.
     """
     if plan is not None and pending_records(folder, plan.new_manifest().identity):
         return
@@ -262,7 +261,7 @@ def _differences(found: object, wanted: object, path: str = "") -> list[str]:
 
 
 def _short(value: object) -> str:
-    """Return a value as text, with a digest of one that is cut short, such as the files of a source."""
+    """Return a value as text; a long one, such as the files of a source, is cut and gets a digest."""
     text = repr(value)
     if len(text) <= _LONGEST_SHOWN:
         return text
@@ -271,9 +270,9 @@ def _short(value: object) -> str:
 
 
 def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan) -> None:
-    """Refuse a file among the shards that is none, which would be found to be wrong ever after.
+    """Refuse a stray file in the data folder; `verify` would report it forever.
 
-    A shard of a split that is not asked for may be of a run that is at work on it.
+    A shard of another split may belong to a run that is at work on it.
     """
     planned = {task.shard for task in plan.tasks}
     others = set(plan.split_order) - {shard.split for shard in planned}

@@ -1,6 +1,6 @@
-"""One process at a time: locks of files and folders, how long to wait for one, and who holds it.
+"""Locks of files and folders: how long to wait for one, and which process holds it.
 
-No other module of the project imports what only some systems have, but for signals.
+No other module of the project imports modules that only some systems have, except for signals.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.files import open_regular
 
 LOCK_FILE = ".lock"
-"""Is in a folder while a process holds it where the system or the file system knows no locks of folders."""
+"""Marks a folder as held if the system or the file system has no locks of folders."""
 PATIENCE_S = 60.0
-"""How long to wait for a lock; a process that was stopped (Ctrl-Z) never releases the one that it holds."""
+"""How long to wait for a lock, seconds; a stopped process (Ctrl-Z) never releases the one it holds."""
 
 _LOOK_AGAIN_S = 0.02
-_STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # states of processes, as Linux writes them
+_STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # process states of Linux
 _LONGEST_NOTE_BYTES = 300
 _LONGEST_COMMAND = 60
 
@@ -36,15 +36,16 @@ _LONGEST_COMMAND = 60
 def locked(
     path: Path, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
 ) -> Iterator[None]:
-    """Wait for the lock of a file, which is made, or of a folder that is there, and hold it.
+    """Wait for the lock of a file, which is created, or of an existing folder, and hold it.
 
-    Held by the open file: threads wait for one another too, and a killed process lets go. Any number hold it
-    ``shared`` at once, where the system knows that. A folder that cannot be locked is held by a file in it,
-    which a killed process leaves; for a file that cannot be locked, no one waits.
+    The lock belongs to the open file: threads wait for one another too, and a killed process releases it. Any
+    number of processes hold it ``shared`` at once, if the system supports that. A folder that cannot be
+    locked is held by a file in it, which a killed process leaves behind; a file that cannot be locked is not
+    waited for.
 
-    Raises BusyError, which says who holds the lock, where others have held it for ``patience_s``,
-    :data:`PATIENCE_S` by default; who ``is_patient`` waits on while the holder is known to be at work. Raises
-    OSError where the file cannot be opened, and FileNotFoundError for a folder that was removed meanwhile.
+    Raises BusyError, which names the holder, after ``patience_s`` (:data:`PATIENCE_S` by default); with
+    ``is_patient`` it waits on while the holder is known to be at work. Raises OSError if the file cannot be
+    opened, and FileNotFoundError for a folder that was removed meanwhile.
     """
     patience_s = PATIENCE_S if patience_s is None else patience_s
     deadline_s = time.monotonic() + patience_s
@@ -69,7 +70,7 @@ class _Holder(NamedTuple):
 
     @property
     def state(self) -> str:
-        """The state of the process, a letter; empty where it is not known, as on another machine."""
+        """State of the process, a letter; empty if it is not known, as on another machine."""
         with contextlib.suppress(OSError, IndexError):
             if self.host == socket.gethostname():
                 return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()[0]
@@ -80,14 +81,14 @@ class _Holder(NamedTuple):
         if self.state:
             with contextlib.suppress(OSError):
                 first, *words = os.fsdecode(Path(f"/proc/{self.pid}/cmdline").read_bytes()).split("\0")
-                # No options: these may hold what is not to be shown.
+                # No options: they may hold secrets.
                 shown = [Path(first).name, *takewhile(lambda word: word[:1] not in ("-", ""), words)]
                 return f"{name} (`{redact(shlex.join(shown))[:_LONGEST_COMMAND]}`)"
         return name
 
 
 def _holders_of(path: Path) -> list[_Holder]:
-    """Return who holds the lock of a file or folder; empty where that is not known."""
+    """Return the holders of the lock of a file or folder; empty if they are not known."""
     with contextlib.suppress(OSError, ValueError, IntegrityError):
         with (
             contextlib.suppress(FileNotFoundError, NotADirectoryError),
@@ -128,7 +129,7 @@ def _locked_now(path: Path, shared: bool) -> Iterator[None]:
             try:
                 if fcntl is not None:
                     fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-                    # Not left to closing: a child forked meanwhile has the file open too.
+                    # Not left to closing: a forked child may have the file open, too.
                     stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
                 elif msvcrt is not None:
                     msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
@@ -159,7 +160,7 @@ def _lock_file(path: Path) -> Iterator[None]:
 
 
 def _module(name: str) -> Any:
-    """Return a module of Python's that this system may not have."""
+    """Return a module of Python that this system may lack."""
     try:
         return import_module(name)
     except ImportError:

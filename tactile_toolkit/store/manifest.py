@@ -1,7 +1,7 @@
 """``manifest.json``: what made a data set folder, and what is in it.
 
-While a run is under way, what it has finished is in pending records instead, one file for each shard, so that
-two writers never share a file (:mod:`tactile_toolkit.store.job`).
+During a run, finished shards have pending records instead, one file each, so that two writers never share a
+file (:mod:`tactile_toolkit.store.pending`).
 """
 
 from __future__ import annotations
@@ -13,9 +13,9 @@ import json
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.shown_text import printable_json
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.names import names_inside
@@ -25,8 +25,8 @@ from tactile_toolkit.wording import with_count
 
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 3
-"""The one version that is written and read."""
-# What the text of a manifest leaves out where there is none.
+"""The only version that is written and read."""
+# Fields that are left out of the text if they are empty.
 _OPTIONAL = ("libraries", "planned", "statistics", "trees")
 
 
@@ -36,14 +36,14 @@ class Manifest:
 
     Equal ``spec`` (JSON values) and ``toolkit_version`` give equal rows. ``shards`` are in order of split and
     index. ``files`` are checksums of further data files, such as reports, by path. ``complete`` is False
-    while a run is under way or after it was interrupted; ``planned`` are then the shards that it was to make,
-    by split. ``trees`` are the ``extra_dirs`` of the build plan. ``libraries`` are the versions of the
-    libraries that decide bytes, none where a manifest does not say.
+    during a run or after it was interrupted; ``planned`` is then the number of shards of each split.
+    ``trees`` are the ``extra_dirs`` of the build plan. ``libraries`` are the versions of the libraries that
+    decide bytes; empty if a manifest does not state them.
     """
 
     kind: str
     toolkit_version: str
-    spec: Mapping[str, Any]
+    spec: JsonObject
     split_order: tuple[str, ...]
     shards: tuple[ShardRecord, ...] = ()
     files: Mapping[str, Sha256] = field(default_factory=dict)
@@ -76,7 +76,7 @@ class Manifest:
 
     @property
     def progress(self) -> str:
-        """How many shards are finished, such as ``"3 of 8 shards"``."""
+        """Number of finished shards, such as ``"3 of 8 shards"``."""
         planned = sum(self.shards_planned().values())
         return f"{len(self.shards):,} of {with_count(planned, 'shards')}"
 
@@ -98,23 +98,23 @@ class Manifest:
         reasons = Counter(item.reason for record in self.shards for item in record.skipped)
         return dict(sorted(reasons.items()))
 
-    def statistics(self) -> dict[str, dict[str, Any]]:
-        """Add up the statistics of each split's shards; splits without any are left out."""
-        counted: dict[str, list[Mapping[str, Any]]] = {}
+    def statistics(self) -> dict[str, JsonObject]:
+        """Add up the statistics of the shards of each split; splits without any are left out."""
+        counted: dict[str, list[JsonObject]] = {}
         for record in self.shards:
             if record.statistics is not None:
                 counted.setdefault(record.split, []).append(record.statistics)
         return {split: add_up(parts) for split, parts in counted.items()}
 
     def with_shards(self, records: Iterable[ShardRecord]) -> Manifest:
-        """Return a manifest that holds these records next to its own, each shard once, in order."""
+        """Return a manifest with these records next to its own, each shard once, in order."""
         merged = {record.shard: record for record in (*self.shards, *records)}
         order = {split: rank for rank, split in enumerate(self.split_order)}
         ordered = sorted(merged.values(), key=lambda record: (order[record.split], record.shard.index))
         return replace(self, shards=tuple(ordered))
 
-    def sums(self) -> dict[str, dict[str, Any]]:
-        """Return what the text of the manifest repeats of the shards, by its name in the text."""
+    def sums(self) -> dict[str, JsonObject]:
+        """Return the sums over shards that the text of the manifest states, by name."""
         return {
             "splits": self.split_table(),
             "skipped": self.skipped_reasons(),
@@ -180,7 +180,7 @@ def read_manifest(folder: DataFolder) -> Manifest | None:
 
 @contextlib.contextmanager
 def without_collecting() -> Iterator[None]:
-    """Make many objects at once, all to be kept; looking for garbage among them takes a third of the time."""
+    """Pause garbage collection, a third of the time, while many objects are made that all stay."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:

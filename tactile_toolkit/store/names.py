@@ -16,7 +16,7 @@ _PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0
 _WINDOWS_DEVICES = _PORTS | {"con", "prn", "aux", "nul", "conin$", "conout$"}
 _SHOWN = 80
 _STEPS = frozenset({".", ".."})
-# What systems leave in folders and archives, in lower case; names that begin with a dot are hidden anyway.
+# Files that systems leave in folders and archives, in lower case; names with a leading dot are hidden anyway.
 _LEFT_BY_SYSTEMS = frozenset(
     {
         "__macosx",
@@ -32,9 +32,9 @@ _LEFT_BY_SYSTEMS = frozenset(
 
 
 def is_hidden(path: str) -> bool:
-    """Return whether a listing passes over a relative path, with slashes.
+    """Return whether listings skip a relative path, with slashes.
 
-    It does where a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
+    They do if a part of the path begins with a dot (``._a.png``, ``.DS_Store``) or is one that systems
     leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...). A path that
     leads elsewhere (``../a.png``) is not hidden, but wrong.
     """
@@ -43,7 +43,7 @@ def is_hidden(path: str) -> bool:
 
 
 def problem_of_name(name: object) -> str:
-    """Return why a name, a path with slashes, cannot be that of a file of a data set; empty where it can."""
+    """Return why a path with slashes cannot name a file of a data set; empty if it can."""
     is_plain = (
         isinstance(name, str)
         and name.isprintable()
@@ -65,11 +65,11 @@ def _is_plain_part(part: str) -> bool:
 
 
 def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
-    """Return names of files that belong together, if each is that of one file in a data set folder.
+    """Return names of files without repetition, if each can name a file in a data set folder.
 
-    ``where`` says, for the message, who gave the names. Raises IntegrityError for one that cannot (it leads
-    out of the folder, is hidden, or is not a name on every system), and for two that are one file where case
-    does not count.
+    ``where`` says in the message who gave the names. Raises IntegrityError for a name that leads out of the
+    folder, is hidden, or is not valid on every system, and for two names of one file where case does not
+    count.
     """
     seen: dict[str, str] = {}
     for name in names:

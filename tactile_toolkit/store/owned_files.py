@@ -1,4 +1,4 @@
-"""Which files of a data set folder are the toolkit's: nothing else in it is ever removed or replaced."""
+"""Which files of a data set folder belong to the toolkit: no other file is ever removed or replaced."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ _USUAL = ("reports/*.parquet", "previews/*.png", "README.md", RECORD_FILE, MANIF
 
 
 def extra_files() -> list[str]:
-    """Return the patterns of files that some kind of data set has next to its rows."""
+    """Return the patterns of files that any kind of data set has next to its rows."""
     return [pattern for kind in kinds() for pattern in kind.extra_files]
 
 
 def is_ours(path: str, further: Iterable[str]) -> bool:
-    """Return whether a file of a data set can have such a path; ``further`` are patterns of its kind."""
+    """Return whether a path is that of a file of a data set; ``further`` are patterns of its kind."""
     place = PurePosixPath(path)
     if is_pending(path) or (len(place.parts) > 1 and re.match(DRAFT, place.name)):
         return True
     if str(place.parent) == DATA_FOLDER:
         return ShardName.parse(place.name) is not None
-    # Not from the right end alone, as `match` compares.
+    # `match` compares from the right; the depth must agree, too.
     return any(
         place.match(pattern) and len(place.parts) == pattern.count("/") + 1 for pattern in (*_USUAL, *further)
     )

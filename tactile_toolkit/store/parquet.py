@@ -58,21 +58,21 @@ class ParquetStyle:
 REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)  # reports are small, and read whole
 
 
-def encode_parquet(table: Any, style: ParquetStyle) -> bytes:
+def encode_parquet(table: pa.Table, style: ParquetStyle) -> bytes:
     """Encode an Arrow table as the bytes of a Parquet file; equal tables, equal bytes."""
     stream = io.BytesIO()
     _write(stream.write, table.schema, [table], style)
     return stream.getvalue()
 
 
-def stream_parquet(stream: IO[bytes], tables: Iterable[Any], style: ParquetStyle) -> str:
+def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: ParquetStyle) -> str:
     """Write tables, one after another, as the bytes that :func:`encode_parquet` gives of all of them at once.
 
     Only a row group is held at a time. Returns the SHA-256 of what was written.
     """
     digest = hashlib.sha256()
 
-    def write(content: Any) -> None:
+    def write(content: bytes) -> None:
         digest.update(content)
         stream.write(content)
 
@@ -82,9 +82,9 @@ def stream_parquet(stream: IO[bytes], tables: Iterable[Any], style: ParquetStyle
     return digest.hexdigest()
 
 
-def _whole_groups(tables: Iterable[Any], rows: int) -> Iterator[Any]:
+def _whole_groups(tables: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
     """Yield tables of so many rows each, the last of fewer."""
-    held: list[Any] = []
+    held: list[pa.Table] = []
     for table in tables:
         held.append(table)
         while sum(map(len, held)) > rows:
@@ -94,7 +94,9 @@ def _whole_groups(tables: Iterable[Any], rows: int) -> Iterator[Any]:
     yield pa.concat_tables(held)
 
 
-def _write(write: Callable[[bytes], object], schema: Any, groups: Iterable[Any], style: ParquetStyle) -> None:
+def _write(
+    write: Callable[[bytes], object], schema: pa.Schema, groups: Iterable[pa.Table], style: ParquetStyle
+) -> None:
     """Write tables of complete row groups as one file, forward only."""
     encodings = dict(style.encodings)
     others = [path for path in _paths(schema) if path not in encodings] if encodings else True
@@ -166,13 +168,13 @@ def named_damage(address: str) -> Iterator[None]:
         raise IntegrityError.in_file(address, problem) from error
 
 
-def open_parquet(folder: DataFolder, path: str) -> Any:
+def open_parquet(folder: DataFolder, path: str) -> pq.ParquetFile:
     """Open a stored Parquet file; IntegrityError when it is missing or damaged."""
     with named_damage(folder.address(path)):
         return open_checked(folder.address(path) if folder.is_local else io.BytesIO(folder.read_bytes(path)))
 
 
-def open_checked(source: str | IO[bytes], metadata: Any = None) -> Any:
+def open_checked(source: str | IO[bytes], metadata: pq.FileMetaData | None = None) -> pq.ParquetFile:
     """Open a Parquet file, by its path or as a stream, so that what was damaged is refused when it is read.
 
     A flipped bit may unpack to other numbers without a word. ``metadata`` is the footer where it was read
@@ -226,7 +228,7 @@ def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
     return folder.exists(path) and file_sha256(folder, path) == sha256
 
 
-def _paths(schema: Any) -> list[str]:
+def _paths(schema: pa.Schema) -> list[str]:
     """Return the paths of a schema's columns in a file, by which pyarrow takes them."""
     file = io.BytesIO()
     pq.write_table(schema.empty_table(), file)

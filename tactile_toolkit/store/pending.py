@@ -25,7 +25,7 @@ is_pending = re.compile(
 
 
 class _Pending(msgspec.Struct):
-    """What the record of a pending shard states besides: its job, and the size of its report rows."""
+    """Further fields of the record of a pending shard: its job, and the size of its report rows."""
 
     of: str
     report_bytes: Count | None = None
@@ -38,7 +38,7 @@ def write_record(folder: DataFolder, record: ShardRecord, of: str, report_bytes:
 
 
 def pending_shards(waiting: Iterable[str]) -> list[ShardName]:
-    """Return the shards of which there are records, by names of files, that no manifest need hold."""
+    """Return the shards that have a pending record, from the names of files."""
     names = (name.removesuffix(".json") for name in waiting if name.endswith(".json"))
     return [shard for shard in (ShardName.parse(f"{name}.parquet") for name in names) if shard is not None]
 
@@ -46,17 +46,17 @@ def pending_shards(waiting: Iterable[str]) -> list[ShardName]:
 def pending_records(
     folder: DataFolder, of: str, shards: Collection[ShardName] | None = None
 ) -> dict[ShardName, ShardRecord]:
-    """Read the records of a job that no manifest holds yet: of all shards, or of these.
+    """Read the pending records of a job: of all shards, or of these.
 
-    One whose report rows are missing, or of another size, does not count.
+    A record whose report rows are missing, or have another size, does not count.
     """
     waiting = folder.sizes(PENDING_FOLDER)
     chosen = [shard for shard in pending_shards(waiting) if shards is None or shard in shards]
     contents = folder.read_many([shard.record_path for shard in chosen])
     found = {}
     for shard, content in zip(chosen, contents, strict=True):
-        # The shard of one that cannot be read is made again. It may also have been removed since it was
-        # listed, because the run has just ended.
+        # If a record cannot be read, its shard is made again. It may also have been removed since the
+        # listing, because the run has just ended.
         with contextlib.suppress(IntegrityError, ValueError):
             require_seal(content or b"", shard.record_path)
             pending = decode(content or b"", _Pending, shard.record_path)
@@ -82,7 +82,7 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
     """Return the pending records that a manifest does not hold and whose files exist."""
     pending = pending_records(folder, manifest.identity)
     if not pending:
-        return []  # of a finished set no file is looked at: it may have 50,000
+        return []  # the files of a finished set are not listed: there may be 50,000
     listed, sizes = {record.shard for record in manifest.shards}, folder.sizes(DATA_FOLDER)
     return [
         record
@@ -94,7 +94,7 @@ def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:
 def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
     """Remove what a finished set does not need: its pending records and temporary files.
 
-    The records of another split stay until that is finished. What is to replace the set is of another run.
+    Records of another split stay until that is finished.
     """
     shards = [record.shard for record in _begun_records(folder, manifest)]
     kept = {path for shard in shards for path in (shard.record_path, shard.report_path)}

@@ -7,10 +7,10 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import version
-from typing import Any
 
 from tactile_toolkit import __version__
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.manifest import Manifest
 from tactile_toolkit.store.parquet import ParquetStyle
@@ -27,7 +27,7 @@ class BuildPlan:
     kind : str
         Kind of data set, such as ``"mnist3d"``.
     spec : mapping
-        Full specification as JSON values. Two plans with equal ``spec`` agree on every row.
+        Full specification as JSON values; plans with equal ``spec`` give equal rows.
     split_order : tuple of str
         Canonical order of the splits of this kind.
     tasks : tuple of ShardTask
@@ -37,8 +37,7 @@ class BuildPlan:
     report_file : str or None
         Path of the merged report, where shards have one.
     extra_dirs : tuple of str
-        Sub-folders (or files) next to the rows that belong to the data set: what tasks give as ``files`` lies
-        there.
+        Sub-folders or files next to the rows that belong to the data set, such as the ``files`` of tasks.
     files_of : callable
         Takes the folder and the record of a finished shard, and returns the checksum of each of its ``files``
         by path.
@@ -50,7 +49,7 @@ class BuildPlan:
     """
 
     kind: str
-    spec: Mapping[str, Any]
+    spec: JsonObject
     split_order: tuple[str, ...]
     tasks: tuple[AnyTask, ...]
     style: ParquetStyle
@@ -65,7 +64,7 @@ class BuildPlan:
     )
 
     def __post_init__(self) -> None:
-        # As in a manifest: JSON has made lists of tuples.
+        # As in a manifest: in JSON, tuples are lists.
         text = json.dumps(self.spec, ensure_ascii=False)
         object.__setattr__(self, "spec", json.loads(text))
         try:
@@ -87,7 +86,7 @@ class BuildPlan:
                 )
 
     def new_manifest(self) -> Manifest:
-        """Return the manifest of a folder in which nothing is finished."""
+        """Return the manifest of a folder in which no shard is finished."""
         return Manifest(
             self.kind,
             __version__,

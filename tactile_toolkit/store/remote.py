@@ -1,8 +1,8 @@
-"""Calls of servers, object stores and the Hub: tried again where that may help, failures in one sentence.
+"""Calls of servers (object stores, the Hub): retries, and one sentence for each failure.
 
-What fails becomes one error that states the next step, without keys and signatures, which clients may quote.
-The clients' own types are known by name alone, so that none of those packages has to be installed; several
-wrap the cause in an error of Python's without naming it.
+A failure becomes one error that states the next step, without keys and signatures, which clients may quote.
+The clients' own exceptions are known by name alone, so none of their packages has to be installed; several
+clients wrap the cause in a builtin exception without naming it.
 """
 
 from __future__ import annotations
@@ -23,21 +23,20 @@ from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.addresses import scheme_of
 
 ASKED_WAIT_S = 120.0
-"""Longest time to wait in all because a server asks for it, seconds."""
+"""Longest total time to wait because a server asks for it, seconds."""
 
 ANSWER_S = 60.0
-"""Longest time that an answer may take, whatever its size, seconds; a server that sends a byte now and then
-would be waited for without end."""
+"""Time that every answer may take, seconds; a server that sends a byte now and then would never end."""
 LEAST_BYTES_PER_S = 10_000
-"""Slower transfers are given up: an answer gets further time by its size."""
+"""Further time is allowed by the size of an answer; slower transfers are given up."""
 
 _READ_AHEAD_BYTES = 1 << 20
 _WAITS_S = (0.5, 1.0, 2.0, 4.0, 8.0)
-# Longest time after which a store is asked once more: what gives no answer twice is asked a third time.
+# Longest time after which a store is asked again: it may fail to answer twice.
 _PATIENCE_S = 45.0
-# Of the client of S3, which would try five times what is tried again here, within one time limit.
+# Of the client of S3: retries are made here, within one time limit.
 _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_attempts": 1}}
-# Of stores with buckets, the client of each.
+# The client of each kind of store with buckets.
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
 
 T = TypeVar("T")
@@ -47,7 +46,7 @@ T = TypeVar("T")
 class CallFailure:
     """The error for what a client raised, and whether the same call may succeed soon.
 
-    ``asked_wait_s`` is for how long the server asks to wait.
+    ``asked_wait_s`` is the time that the server asks to wait, seconds.
     """
 
     error: ToolkitError
@@ -63,10 +62,10 @@ def with_retry(
     patience_s: float = float("inf"),
     on_wait: Callable[[str], None] = lambda _: None,
 ) -> T:
-    """Return what an action gives; a transient failure is tried again after each of these waits.
+    """Return the result of an action; after a transient failure, wait and try again.
 
-    An error without a failure is raised as it is. The action may have had its effect though it failed, where
-    the answer was lost. ``on_wait`` gets a sentence for each wait.
+    An exception for which ``failure_of`` returns None is raised unchanged. A failed action may have had its
+    effect, if only the answer was lost. ``on_wait`` gets a sentence for each wait.
     """
     started_s, asked_s, waits = time.monotonic(), 0.0, list(waits_s)
     while True:
@@ -86,14 +85,13 @@ def with_retry(
 
 
 class TooSlowError(TimeoutError):
-    """An answer, or a part of one, that should be here by now."""
+    """An answer, or a part of one, is late."""
 
 
 def in_time(action: Callable[[], T], size_bytes: int = 0) -> T:
-    """Return what an action gives that asks a server once, or raise TooSlowError.
+    """Return the result of an action that asks a server once, or raise TooSlowError.
 
-    ``size_bytes`` are to be sent or to arrive. The action cannot be ended from outside; what it gives too
-    late is closed, where it can be.
+    ``size_bytes`` are sent or arrive. The action cannot be stopped; a late result is closed, if possible.
     """
     done: Future[T] = Future()
 
@@ -112,7 +110,7 @@ def in_time(action: Callable[[], T], size_bytes: int = 0) -> T:
 
 
 def cause_chain(error: BaseException) -> list[BaseException]:
-    """Return an error and what it was raised from, outermost first."""
+    """Return an exception and its causes, outermost first."""
     chain: list[BaseException] = []
     link: BaseException | None = error
     while link is not None and link not in chain:
@@ -122,12 +120,12 @@ def cause_chain(error: BaseException) -> list[BaseException]:
 
 
 def has_buckets(address: str) -> bool:
-    """Return whether the files of a store lie in buckets."""
+    """Return whether a kind of store has buckets."""
     return scheme_of(address) in _PACKAGES
 
 
 def client_of(address: str) -> Any:
-    """Return the client of a store, shared in this process by all folders of the same kind of store."""
+    """Return the client of a store; folders in the same kind of store share it in this process."""
     import fsspec
 
     scheme = scheme_of(address)
@@ -146,38 +144,38 @@ def client_of(address: str) -> Any:
         ) from error
     if scheme == "s3":
         client.retries = 1  # see _LIMITS
-    # Its failures are reported here; without a handler of its log, gcsfs prints them with tracebacks.
+    # Failures are reported here; without a log handler, gcsfs prints them with tracebacks.
     logging.getLogger(type(client).__module__.partition(".")[0]).addHandler(logging.NullHandler())
     return client
 
 
 def _options(scheme: str) -> dict[str, Any]:
-    """Return what the client of a store is made with: listings are not kept, as others write there too."""
+    """Return options for the client of a store: no listings are kept, because others write there, too."""
     if scheme == "hf":
-        return {}  # a commit never changes, and others are looked up by name
+        return {}  # a commit never changes
     if scheme != "s3":
         return {"use_listings_cache": False}
     from fsspec.config import conf
 
-    # What the user sets in fsspec's own configuration holds; given here, it would be passed over.
+    # Options given here override fsspec's own configuration; what the user sets there must hold.
     own = conf.get("s3", {}).get("config_kwargs", {})
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
 
 
 def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int = 0) -> T:
-    """Do something with a file of a store; ``doing`` names it for messages, such as ``"reading"``.
+    """Do something with a file of a store; ``doing`` names it in messages, such as ``"reading"``.
 
-    ``size_bytes`` are sent or arrive, by which its time is limited. Raises FileNotFoundError and
-    FileExistsError as they are, all else as RemoteError.
+    ``size_bytes`` are sent or arrive; they limit its time. Raises FileNotFoundError and FileExistsError
+    unchanged, and RemoteError for all other failures.
     """
     failure = partial(_store_failure, doing=doing, address=address)
     return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
 
 
 def open_in_store(client: Any, key: str, address: str) -> IO[bytes]:
-    """Open a file for reading piece by piece; FileNotFoundError where there is none."""
+    """Open a file for reading piece by piece; FileNotFoundError if there is none."""
     stream = ask_store(lambda: client.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", address)
-    # Failures of the Hub get their messages in `tactile_toolkit.hub`.
+    # `tactile_toolkit.hub` has the messages for failures of the Hub.
     return cast(IO[bytes], stream if scheme_of(address) == "hf" else _Stream(stream, address))
 
 
@@ -215,13 +213,13 @@ class _Stream(io.BufferedIOBase):
 
 _CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
 _CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
-# What stores and their clients call their failures; numbers are those of HTTP.
+# Names of failures in stores and their clients; numbers are HTTP status codes.
 _TRANSIENT = re.compile(
     "SlowDown|InternalError|Unavailable|RequestTimeout|Aborted|Throttling|Conflict|LimitExceeded|408|429|5.."
 )
 _CONNECTION = re.compile("Connect|Timeout|Incomplete|Payload|Streaming|HTTPClientError|ClientOSError")
 _NO_ANSWER = "NoAnswer"
-# The first sentence counts whose pattern is found in the status and the names of the errors.
+# The first matching pattern gives the message; it is searched in the status and the names of the exceptions.
 _SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
     ("FileExpired", IntegrityError, "{address!r} was replaced while it was read", "run it again"),
     (
@@ -231,8 +229,7 @@ _SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
         "check it",
     ),
     (
-        # 400 is the answer of S3 to a question for the head of a file; a client that is redirected without
-        # end raises a RecursionError.
+        # S3 answers 400 to a HEAD request; a client in an endless redirection raises a RecursionError.
         "Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400",
         RemoteError,
         "{address!r} lies in another region ({code}), or the credentials have expired",
@@ -259,7 +256,7 @@ _SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
 
 
 def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | None:
-    """Return the failure for what the client of a store raised; None for an error of another origin."""
+    """Return the failure for an exception of the client of a store; None for any other exception."""
     chain = cause_chain(error)
     if isinstance(error, (FileNotFoundError, FileExistsError)) or any(
         isinstance(link, ToolkitError) for link in chain
@@ -285,7 +282,7 @@ def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | 
 
 
 def _code_of(link: BaseException) -> str | None:
-    """Return the word or number that a store gives for a failure."""
+    """Return the code or status that a store gives for a failure."""
     response = getattr(link, "response", None)
     if isinstance(response, Mapping):
         return str(response.get("Error", {}).get("Code", ""))
@@ -296,12 +293,12 @@ def _code_of(link: BaseException) -> str | None:
 
 
 def _is_connection_error(link: BaseException) -> bool:
-    """Return whether a store gave no answer, or broke off in the middle of one."""
+    """Return whether a store gave no answer, or the connection broke during one."""
     return bool(_CONNECTION.search(type(link).__name__)) or isinstance(link, (ConnectionError, TimeoutError))
 
 
 def _is_of_client(link: BaseException) -> bool:
-    # The parser of aiohttp numbers what it cannot read (an answer that ends too early) like a status of HTTP.
+    # The parser of aiohttp gives what it cannot read (an answer that ends too early) the number of a status.
     if type(link).__module__ == "aiohttp.http_exceptions":
         return False
     return any(kind.__module__.partition(".")[0] in _CLIENTS for kind in type(link).__mro__)

@@ -1,4 +1,4 @@
-"""Replacing a data set: the next one is made in ``.next``, then takes the place of that around it."""
+"""Replacing a data set: the next one is made in ``.next``, then moved into its place."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from tactile_toolkit.store.sealed_json import decode
 from tactile_toolkit.store.shards import DATA_FOLDER
 
 PROMOTION_FILE = f"{NEXT_FOLDER}/.promotion.json"
-"""Lists the files of the former data set that the next one does not have."""
+"""Lists the files of the former data set that the next one lacks."""
 
 
 def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> list[str]:
-    """Return the files of the data set that a run may replace, none where there is none; changes nothing.
+    """Return the files of the data set that a run may replace; empty if there is none; changes nothing.
 
-    All files of a data set are known by their names; other hidden files stay. What a run of the plan has left
-    is not replaced but continued. Raises InputError for any other file, a symbolic link above all, and for a
-    set in an object store, which moves no file.
+    Files of a data set are known by their names; other hidden files stay. An interrupted run of the plan is
+    continued, not replaced. Raises InputError for any other file or symbolic link, and for a set in an object
+    store, where files cannot be moved.
     """
     if not folder.exists(MANIFEST_FILE):
         refuse_unknown_files(folder, plan)
@@ -40,14 +40,14 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
             next="choose another folder (--out or OUT), or remove that one with the store's own tools",
         )
     manifest = _manifest(folder)
-    # A manifest may be any user's, of a data set from the Hub: what it names counts where kinds know it.
+    # The manifest may come from the Hub, from anyone: what it names counts only if a kind declares it.
     named = () if manifest is None else manifest.trees
     further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
     found = [path for path in folder.walk() if path.partition("/")[0] in shown]
     strange = [path for path in found if folder.local_path(path) and not is_ours(path, further)]
-    # A damaged manifest of a data set has shards next to it; other programs have files of that name, too.
+    # A damaged manifest of a data set has shards next to it; other programs use that file name, too.
     if manifest is None and not {DATA_FOLDER, PENDING_FOLDER} & names:
         strange = [MANIFEST_FILE]
     if strange:
@@ -73,8 +73,8 @@ def _next(folder: LocalFolder) -> LocalFolder:
 def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
     """Return the folder in which the next data set is made, without files of any other one.
 
-    Who makes a data set there holds that folder, shared with other runs of the same. Raises BusyError where
-    another one is being made.
+    A run holds the lock of that folder, shared with other runs of the same job. Raises BusyError if another
+    data set is being made there.
     """
     after = _next(folder)
     after.require_folder()
@@ -96,18 +96,20 @@ def resume_promotion(folder: DataFolder) -> None:
 
 
 def promote(folder: LocalFolder) -> None:
-    """Put the finished data set in ``.next`` in place of that around it; the caller holds the lock.
+    """Move the finished data set in ``.next`` into its place; the caller holds the lock.
 
-    Raises InputError where the folder holds more than a data set by now, and nothing was touched.
+    Raises InputError if the folder holds more than a data set by now; then nothing was changed.
     """
     leave = require_replaceable(folder)
     former = sorted({*leave}.difference(_arriving(folder)))
-    folder.write_bytes(PROMOTION_FILE, msgspec.json.encode(former))  # from here on it can only be completed
+    folder.write_bytes(
+        PROMOTION_FILE, msgspec.json.encode(former)
+    )  # from here on the replacement can only be completed
     _move_files(folder)
 
 
 def _arriving(folder: LocalFolder) -> list[str]:
-    """Return the files of the next data set that were not moved yet."""
+    """Return the files of the next data set that have not been moved yet."""
     return [path for path in _next(folder).walk() if not is_hidden(path)]
 
 
@@ -116,7 +118,7 @@ def _move_files(folder: LocalFolder) -> None:
     manifest = read_manifest(_next(folder))
     if manifest is not None:  # it is the last file to move
         write_manifest(folder, replace(manifest, complete=False))
-        # The list may be any user's, of a folder that was given to us.
+        # The list may come from anyone: the folder may be a copy of another user's.
         every = extra_files()
         for path in leave:
             if is_ours(path, every):
@@ -127,7 +129,7 @@ def _move_files(folder: LocalFolder) -> None:
         sizes = folder.sizes(DATA_FOLDER)
         missing = [record.shard.data_path for record in manifest.shards if not record.is_size_of(sizes)]
         if missing:
-            remove_next(folder)  # the same run makes them again where they are to be
+            remove_next(folder)  # the same run makes them again in their place
             raise IntegrityError(
                 f"{folder.address(missing[0])!r} is missing or of another size, though it was made to take "
                 "the place of a former file",
@@ -141,7 +143,7 @@ def _move_files(folder: LocalFolder) -> None:
 
 
 def remove_next(folder: LocalFolder) -> None:
-    """Remove the data set that was to take the place of the one in a folder."""
+    """Remove the data set in ``.next``."""
     if folder.exists(NEXT_FOLDER):
         every = extra_files()
         folder.remove_tree(

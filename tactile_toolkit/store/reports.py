@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import io
 from collections.abc import Collection, Generator, Iterator, Sequence
-from typing import IO, Any
+from typing import IO
 
 import pyarrow as pa
 import pyarrow.compute as pc
@@ -24,7 +24,7 @@ from tactile_toolkit.store.parquet import (
 from tactile_toolkit.store.shards import ShardName, ShardRecord
 
 
-def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Iterator[Any]:
+def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Iterator[pa.Table]:
     """Yield a report, or some of its columns, as Arrow tables, one for each row group.
 
     Raises IntegrityError when the file is missing or damaged.
@@ -37,7 +37,7 @@ def report_pieces(folder: DataFolder, path: str, columns: Sequence[str] | None =
             yield parquet.read_row_group(group, columns=columns, use_threads=False)
 
 
-def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> Any:
+def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = None) -> pa.Table:
     """Read a report, or some of its columns, as one Arrow table; raises as :func:`report_pieces`."""
     return pa.concat_tables(report_pieces(folder, path, columns))
 
@@ -75,8 +75,8 @@ def _tables(
     folder: DataFolder,
     records: Sequence[ShardRecord],
     pending: Collection[ShardName],
-    stored: Iterator[tuple[str, Any]],
-) -> Iterator[Any]:
+    stored: Iterator[tuple[str, pa.Table]],
+) -> Iterator[pa.Table]:
     """Yield the report rows of each of these shards, in their order, which is that of the stored ones."""
     contents = folder.read_many([each.shard.report_path for each in records if each.shard in pending])
     for record in records:
@@ -97,10 +97,10 @@ def _tables(
             yield table
 
 
-def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, Any], None, None]:
+def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, pa.Table], None, None]:
     """Yield the shards of a report that a run has merged, each with its rows, which are contiguous."""
     last = ""
-    held: list[Any] = []
+    held: list[pa.Table] = []
     for piece in report_pieces(folder, path):
         runs, start = pc.run_end_encode(piece["shard"].combine_chunks()), 0
         for name, end in zip(runs.values.to_pylist(), runs.run_ends.to_pylist(), strict=True):

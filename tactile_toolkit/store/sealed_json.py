@@ -25,7 +25,7 @@ def _decoder(kind: Any) -> msgspec.json.Decoder[Any]:
 
 
 def decode(content: str | bytes, kind: type[T], where: str) -> T:
-    """Return a JSON document as a value of a type; IntegrityError, naming ``where`` it is from, otherwise."""
+    """Return a JSON document as a value of a type; IntegrityError, which names ``where``, if it is none."""
     try:
         decoded: T = _decoder(cast(Any, kind)).decode(content)
     except (msgspec.MsgspecError, UnicodeError, RecursionError) as error:
@@ -34,20 +34,20 @@ def decode(content: str | bytes, kind: type[T], where: str) -> T:
 
 
 def seal(text: str) -> str:
-    """Return the text of a JSON object, one line a field, with a digest of all that follows as its first."""
+    """Return the text of a JSON object, one line a field, with a digest of the rest as its first field."""
     fields = text.removeprefix(_FIRST_LINE)
     return f"{_head(fields.encode())}{fields}"
 
 
 def _head(fields: bytes) -> str:
-    digest = hashlib.sha256(fields.removesuffix(b"\n")).hexdigest()  # editors add or drop that one
+    digest = hashlib.sha256(fields.removesuffix(b"\n")).hexdigest()  # editors add or drop the last line break
     return f'{_FIRST_LINE} "sha256_of_all_below": "{digest}",\n'
 
 
 def require_seal(content: str | bytes, where: str) -> None:
-    """Raise IntegrityError, naming ``where`` a document is from, unless it is as :func:`seal` returned it."""
+    """Raise IntegrityError, which names ``where``, unless a document is as :func:`seal` returned it."""
     found = content.encode(errors="surrogatepass") if isinstance(content, str) else content
-    # Lines may end as git writes them on Windows; within a line JSON has no such character.
+    # Git may have changed line ends on Windows; JSON has no such character within a line.
     found = found.replace(b"\r\n", b"\n")
     length = len(_head(b""))
     if found[:length] != _head(found[length:]).encode():
@@ -55,14 +55,14 @@ def require_seal(content: str | bytes, where: str) -> None:
 
 
 def damaged_error(where: str, problem: object) -> IntegrityError:
-    """Return the error for a document in which a value cannot be right."""
+    """Return the error for a document with an impossible value."""
     return IntegrityError(
         f"{where!r} is damaged: {problem}",
         next="download the data set again, or generate it again with --overwrite",
     )
 
 
-def convert_json(values: Any, kind: type[T], where: str, field: str) -> T:
+def convert_json(values: object, kind: type[T], where: str, field: str) -> T:
     """Return a part of a decoded document as a value of a type; raises as :func:`decode`."""
     try:
         return msgspec.convert(values, kind)

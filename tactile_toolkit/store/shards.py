@@ -11,22 +11,23 @@ from typing import Annotated, Any
 
 import msgspec
 
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.store.data_folder import PENDING_FOLDER
 from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
 
 DAMAGED = "damaged"
-"""Reason to leave an item out whose stored data is damaged."""
+"""Reason to leave out an item whose stored data is damaged."""
 
 DATA_FOLDER = "data"
 VIEWER_FOLDER = "viewer"
-"""Repeats the rows for the Hub's page, see `tactile_toolkit.exchange.viewer`; copies may leave it out."""
+"""Repeats the rows for the Hub's page, see `tactile_toolkit.exchange.copies`; copies may leave it out."""
 MOST_ROWS = 1 << 40
-"""Largest number of rows that a shard may state; more than any disk holds."""
+"""Largest number of rows that a shard may state, more than any disk holds."""
 
 _MANY_SHARDS = 8192
 
-# Numbers have five digits, and more where five are too few: one shard, one name.
+# Numbers have five digits, or more if five are too few; so a shard has one name.
 _NUMBER = "([0-9]{5}|[1-9][0-9]{5,11})"
 _SHARD_PATTERN = re.compile(rf"(\w+)-{_NUMBER}-of-{_NUMBER}\.parquet")
 
@@ -58,7 +59,7 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
 
     @classmethod
     def parse(cls, file_name: str) -> ShardName | None:
-        """Read the name of a shard file; None when the name is not that of a shard."""
+        """Read the name of a shard file; None for any other name."""
         match = _SHARD_PATTERN.fullmatch(file_name)
         if match is None:
             return None
@@ -74,8 +75,8 @@ class ShardName(msgspec.Struct, frozen=True, order=True):
 def rows_per_shard(rows: int, usual: int) -> int:
     """Return the size of the shards of a split with so many rows.
 
-    It is the usual one up to 8,192 shards. Larger splits have larger ones: twice the size whenever the split
-    is four times as large, for each shard costs a request and a record.
+    It is ``usual`` up to 8,192 shards. Larger splits have larger shards, twice the size for every factor of
+    four, because each shard costs a request and a record.
     """
     growth = 1
     while rows > _MANY_SHARDS * usual * growth**2:
@@ -88,9 +89,9 @@ def shard_ranges(
 ) -> list[tuple[ShardName, range]]:
     """Divide the rows of a split into about ``wanted`` shards of ``smallest`` to ``largest`` rows.
 
-    The sizes follow from the split alone, so that any number of workers agrees on them. A shard is what a
-    worker holds in memory and what a kill loses; a small run still has some for each worker. Shards end after
-    a multiple of ``together`` rows, where the largest allows it.
+    The sizes follow from the split alone, so any number of workers agrees on them. A shard is what a worker
+    holds in memory and what is lost if it is killed; even a small run has several for each worker. Shards end
+    after a multiple of ``together`` rows, if the largest size allows it.
     """
     size = max(smallest, -(-rows // wanted))
     size = min(rows_per_shard(rows, largest), -(-size // together) * together)
@@ -102,7 +103,7 @@ def shard_ranges(
 
 
 class Skipped(msgspec.Struct, frozen=True):
-    """An item of a source that gave no row: a stable word for counting, and what was wrong, printable."""
+    """An item of a source that gave no row: a stable word for counting, and a printable message."""
 
     id: Annotated[int, msgspec.Meta(ge=-LARGEST - 1, le=LARGEST)]
     reason: str
@@ -139,7 +140,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
     @cached_property
     def shard(self) -> ShardName:
-        """Which shard it is of; ValueError where the file is not named as that shard is."""
+        """Which shard the record is of; ValueError if the name of the file is not that of a shard."""
         folder, _, name = self.file.rpartition("/")
         shard = ShardName.parse(name)
         if shard is None or folder != DATA_FOLDER or shard.index >= shard.count or shard.split != self.split:
@@ -147,7 +148,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
         return shard
 
     def is_size_of(self, sizes: Mapping[str, int]) -> bool:
-        """Return whether the shard's file is among the sizes of those in ``data``, with the size it had."""
+        """Return whether ``sizes``, those of the files in ``data``, has the shard's file with its size."""
         return sizes.get(self.file.rpartition("/")[2]) == self.bytes
 
     def to_dict(self) -> dict[str, Any]:
@@ -161,17 +162,17 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One thing that is wrong: a path inside the folder, and what was found and expected."""
+    """One problem: a path inside the folder, and what was found and expected."""
 
     file: str
     problem: str
 
 
-def add_up(parts: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+def add_up(parts: Sequence[JsonObject]) -> dict[str, Any]:
     """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.
 
-    Values are numbers, lists of numbers, or mappings of them by name; keys stay in the order in which they
-    are met first.
+    Values are numbers, lists of numbers, or mappings of them by name; keys keep the order of their first
+    occurrence.
     """
     names = dict.fromkeys(name for part in parts for name in part)
     total: dict[str, Any] = {}

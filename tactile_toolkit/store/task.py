@@ -1,12 +1,16 @@
-"""The unit of work: what one shard is made of, and the function that makes its rows."""
+"""The unit of work: the items of one shard, and the function that makes its rows."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.shards import ShardName, Skipped
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 T = TypeVar("T")
 
@@ -16,15 +20,15 @@ class ShardContent:
     """The rows of one shard, an Arrow table.
 
     ``skipped`` are items that gave no row; ``report`` rows are merged over all shards into the plan's
-    ``report_file``; ``statistics`` are JSON values that add up over shards, for the manifest. ``files`` lie
-    next to the rows, by path. ``encoded`` are the bytes of a shard that is copied as it is. ``source_digest``
-    is what the task's ``digest`` gave for what was read.
+    ``report_file``; ``statistics`` are JSON values for the manifest that add up over shards. ``files`` are
+    written next to the rows, by path. ``encoded`` are the bytes of a shard that is copied unchanged.
+    ``source_digest`` is the result of the task's ``digest`` for what was read.
     """
 
-    table: Any
+    table: pa.Table
     skipped: tuple[Skipped, ...] = ()
-    report: Any = None
-    statistics: Mapping[str, Any] | None = None
+    report: pa.Table | None = None
+    statistics: JsonObject | None = None
     files: Mapping[str, bytes] = field(default_factory=dict)
     encoded: bytes | None = None
     source_digest: str | None = None
@@ -39,13 +43,13 @@ class ShardTask(Generic[T]):
     shard : ShardName
         Which shard it makes.
     items : sequence
-        What the rows are made of; may be a view of all items of a split, of which these alone are pickled.
+        What the rows are made of; may be a view of all items of a split, of which only these are pickled.
     work : callable
-        Takes shard and items and returns the content; picklable, touches no file of the data set folder, and
-        refuses a source that was replaced after the task was planned.
+        Takes shard and items and returns the content. It is picklable, touches no file of the data set
+        folder, and refuses a source that was replaced after the task was planned.
     digest : callable, optional
-        Takes the items and returns the SHA-256 of all that is read for them and that the specification does
-        not identify, such as files of which it holds names and sizes; ``--check`` compares it.
+        Takes the items and returns the SHA-256 of everything that is read for them and that the specification
+        does not identify, such as files of which it holds only names and sizes; ``--check`` compares it.
     """
 
     shard: ShardName
@@ -55,7 +59,7 @@ class ShardTask(Generic[T]):
 
     @property
     def size(self) -> int:
-        """How many items it works on, for the progress bar."""
+        """Number of items, for the progress bar."""
         return len(self.items)
 
     def make(self) -> ShardContent:
@@ -63,7 +67,7 @@ class ShardTask(Generic[T]):
         return self.work(self.shard, self.items)
 
     def source_digest(self) -> str | None:
-        """Read what the rows would be made of now; None where the specification says it all."""
+        """Return the digest of the present source; None if the specification identifies all of it."""
         return None if self.digest is None else self.digest(self.items)
 
 

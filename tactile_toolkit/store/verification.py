@@ -10,7 +10,10 @@ from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
+
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
@@ -50,7 +53,7 @@ class Verification:
 
 def verify(
     folder: DataFolder,
-    schema: Any = None,
+    schema: pa.Schema | None = None,
     on_file: Callable[[str], None] = lambda _: None,
     *,
     check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
@@ -83,26 +86,13 @@ def verify(
         When the manifest, or the record of the download, is itself damaged.
     """
     manifest = manifest_so_far(folder)
-    record = read_record(folder) if manifest is None else None
     shards: dict[str, ShardRecord] = {}
-    if manifest is not None:
-        shards = {each.file: each for each in manifest.shards}
-        files = {path: HubFile(path, each.bytes, each.sha256) for path, each in shards.items()}
-        # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
-        files |= {
-            path: HubFile(path, 0, sha256)
-            for path, sha256 in manifest.files.items()
-            if (manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")) or folder.exists(path)
-        }
-        findings, reference = _incomplete(folder, manifest), MANIFEST_FILE
-    elif record is not None:
-        files, reference = record.files, f"{record.repo_id} at {record.commit[:12]}"
-        findings = _unlisted(folder, files, RECORD_FILE)
+    if manifest is None:
+        files, findings, reference = _downloaded_files(folder)
     else:
-        raise InputError(
-            folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
-            next="give the folder of a generated or downloaded data set",
-        )
+        shards = {each.file: each for each in manifest.shards}
+        files, reference = _recorded_files(folder, manifest), MANIFEST_FILE
+        findings = _incomplete(folder, manifest)
 
     def announced() -> Iterator[HubFile]:
         for path, file in files.items():
@@ -114,7 +104,7 @@ def verify(
     findings += [finding for found in checked.values() for finding in found.findings]
     # Ids of other people's data sets are their own, and may be the same in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
-    # What is damaged is named, and cannot be compared with; cards of others are theirs.
+    # A damaged set is not compared with its card; cards of others are theirs.
     if check_card is not None and manifest is not None and not findings:
         findings += check_card(folder)
     rows = sum(each.rows for path, each in checked.items() if path in (shards or files))
@@ -122,22 +112,43 @@ def verify(
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
+def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile]:
+    """Return the files that a manifest lists, by path."""
+    files = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards}
+    for path, sha256 in manifest.files.items():
+        # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
+        is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
+        if is_required or folder.exists(path):
+            files[path] = HubFile(path, 0, sha256)
+    return files
+
+
+def _downloaded_files(folder: DataFolder) -> tuple[dict[str, HubFile], list[Finding], str]:
+    """Return the files that a download recorded, further files among the shards, and the commit."""
+    record = read_record(folder)
+    if record is None:
+        raise InputError(
+            folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
+            next="give the folder of a generated or downloaded data set",
+        )
+    findings = _unlisted(folder, record.files, RECORD_FILE)
+    return record.files, findings, f"{record.repo_id} at {record.commit[:12]}"
+
+
 class _Checked(NamedTuple):
     """What is wrong with a file, its rows, and of a shard its ids, an Arrow array (None: unreadable)."""
 
     findings: list[Finding]
     rows: int = 0
-    ids: Any = None
+    ids: pa.Array | None = None
 
 
 def _check_file(
-    folder: DataFolder, schema: Any, shards: Mapping[str, ShardRecord], file: HubFile
+    folder: DataFolder, schema: pa.Schema | None, shards: Mapping[str, ShardRecord], file: HubFile
 ) -> _Checked:
     """Check one file against what is known of it, and a shard of ours against its record and the schema."""
-    import pyarrow as pa
-
     path, address = file.path, folder.address(file.path)
-    record, ids, findings = shards.get(path), None, []
+    record, ids, findings = shards.get(path), None, list[Finding]()
     try:
         with _intact(folder, file) as stream, named_damage(address):
             if not path.endswith(".parquet"):
@@ -242,11 +253,8 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
         yield stream
 
 
-def _repeated_ids(ids: Mapping[str, Any]) -> Iterator[Finding]:
+def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
     """Yield a finding for each shard in which an id stands twice, or again after an earlier shard."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     readable = {path: each for path, each in ids.items() if each is not None}
     suspects: set[object] = set()
     for kind in {array.type for array in readable.values()}:

@@ -199,7 +199,7 @@ def _read(terminal: int) -> bytes:
 @pytest.mark.parametrize(
     ("account", "name", "words"),
     [
-        (None, NAME, "needs a token that the Hub knows; next: log in with `hf auth login`"),
+        (None, NAME, "needs a valid token; next: log in with `hf auth login`"),
         (("someone", "read"), NAME, "Your token does not have write access"),
         (("stranger", "write"), NAME, "You don't have the rights to write under the namespace 'someone'"),
         (("someone", "write"), "a/b/c", "'a/b/c' is not a name of a repository; next: give USER/NAME"),

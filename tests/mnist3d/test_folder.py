@@ -250,7 +250,7 @@ class TestUnreadable:
         values = bar().astype(np.float32)
         values[3, 3] = np.nan
         path = save(tmp_path / "7" / "a.tif", values)
-        assert item_refusal(tmp_path, "not-finite").startswith(f"{path}: found 1 pixels that are NaN")
+        assert item_refusal(tmp_path, "not-finite").startswith(f"{path}: found NaN or infinity in 1 pixel")
 
     def test_outside_the_grey_scale(self, tmp_path: Path) -> None:
         path = save(tmp_path / "7" / "a.tif", bar().astype(np.int32) - 9)

@@ -105,7 +105,7 @@ def test_pixels_that_are_not_finite(tmp_path: Path, row: int, value: float, reas
     images = stack().astype(np.float32)
     images[row, 7, 9] = value
     made = source(tmp_path, images)
-    with pytest.raises(ItemError, match="found 1 pixel that are NaN or infinite") as caught:
+    with pytest.raises(ItemError, match="found NaN or infinity in 1 pixel") as caught:
         made.image(row)
     assert caught.value.reason == reason
     assert f"Images(500x500).npy, row {row}:" in caught.value.message

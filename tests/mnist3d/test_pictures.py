@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.digit_previews import plan_previews
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.picture_files import ENDINGS, is_picture_name, pages_of

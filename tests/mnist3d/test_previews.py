@@ -14,7 +14,7 @@ from PIL import Image
 
 import mnist3d
 from mnist3d.digit_generation import DigitSetSpec, generate
-from mnist3d.digit_preview_spec import DigitPreviewSpec as PreviewSpec
+from mnist3d.digit_options import DigitPreviewSpec as PreviewSpec
 from mnist3d.digit_previews import plan_previews
 from mnist3d.ink.binarisation import binarise
 from mnist3d.published_splits import SplitSpec

@@ -158,7 +158,7 @@ def test_a_digit_slices_up_to_its_height_without_a_repair(
 
 
 def write_plate(
-    digits: mnist3d.MeshDataset, labels: str, folder: Path
+    digits: mnist3d.DigitDataset, labels: str, folder: Path
 ) -> tuple[tuple[PlacedObject, ...], Path]:
     spec = PlateSpec(PLATE_MM, PLATE_MM, 3.0)
     layout = arrange(choose([("printed_test", digits)], labels=list(labels)), spec)

@@ -7,6 +7,7 @@ import io
 import json
 import os
 import pickle
+import re
 from pathlib import Path
 from typing import Any
 
@@ -315,9 +316,7 @@ def test_the_summary_counts_rounds_and_touches_apart(
     write_table(home, [*lines, {"file": "none.jpg", "session": "one"}])
     words = ("import", home, "--format", "folder", "--round-column", "session", "--out", tmp_path / "out")
     assert call("realtouch", *words, "-w", 1) == 0
-    said = capsys.readouterr()
-    assert "made 1 round, 1 touch left out, in" in said.out + said.err
-    assert "left out 1 touch: missing" in said.out + said.err
+    assert re.search("made 1 round in .*, left out 1 touch; the data set", capsys.readouterr().out)
 
 
 def test_samples_of_several_tars_may_have_equal_keys(tmp_path: Path) -> None:

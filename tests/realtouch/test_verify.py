@@ -14,8 +14,10 @@ import pytest
 import realtouch
 from realtouch.avi import write_avi
 from tactile_toolkit.errors import InputError, IntegrityError
+from tests.command_line import call
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
+from tests.realtouch.images_of_others import line, write_table
 from tests.realtouch.test_damage import damaged_set
 
 Found = tuple[int | None, int | None, str]
@@ -220,3 +222,32 @@ def test_a_clip_that_refers_to_something_else_is_damaged(
         assert found_in(folder, quick=quick) == [(1, 2, "sensor_video")]
     manifest = realtouch.clips_to_images(folder, tmp_path / "single")
     assert [each.id for shard in manifest.shards for each in shard.skipped] == [1]
+
+
+def test_finished_shards_of_an_unfinished_set_are_checked(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    splits = [{**line(f"pictures/{number}.jpg"), "split": f"s{number % 2}"} for number in range(4)]
+    write_table(home, splits)
+    words = ("import", home, "--format", "folder", "--split-column", "split", "--out", tmp_path / "out")
+    assert call("realtouch", *words, "--part", "1/2", "-w", 1) == 0
+    assert call("realtouch", "verify", tmp_path / "out") == 1
+    assert "is not finished: 1 of 2 shards; the same command continues" in capsys.readouterr().err
+    (finding,) = realtouch.verify(tmp_path / "out").findings
+    assert finding.file == "manifest.json"
+    assert realtouch.verify(tmp_path / "out").rounds == 2
+    (shard,) = (tmp_path / "out" / "data").glob("*.parquet")
+    content = bytearray(shard.read_bytes())
+    content[300] ^= 255
+    shard.write_bytes(content)
+    assert call("realtouch", "verify", tmp_path / "out") == 3
+    said = capsys.readouterr().err
+    assert f"damaged: 'data/{shard.name}': sha256 is" in said
+    assert "run the same command with --check, which makes damaged shards again" in said
+
+
+def test_a_cut_file_named_alone_is_to_be_fetched_again(single_folder: Path, tmp_path: Path) -> None:
+    whole = next((single_folder / "data").glob("train-*")).read_bytes()
+    (tmp_path / "cut.parquet").write_bytes(whole[:-100])
+    with pytest.raises(IntegrityError, match=r"cut\.parquet' is damaged.*; next: make or fetch it again"):
+        realtouch.load(tmp_path / "cut.parquet", "train")

@@ -7,7 +7,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from starstruck_gen.proportions import Outline, Proportions
+from starstruck_gen.shape_kinds import Outline, Proportions
 
 
 @dataclass(frozen=True, slots=True)

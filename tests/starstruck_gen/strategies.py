@@ -6,10 +6,9 @@ import math
 
 from hypothesis import strategies as st
 
-from starstruck_gen.outlines import STAR, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.placement import Placement
-from starstruck_gen.proportions import KINDS
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_kinds import KINDS, STAR, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.shapes import Shape
 
 names = st.sampled_from(sorted(KINDS))

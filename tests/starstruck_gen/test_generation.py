@@ -11,7 +11,6 @@ import pyarrow.parquet as pq
 import pytest
 
 from starstruck_gen.acceptance import count_scenes
-from starstruck_gen.outlines import Disc, Star
 from starstruck_gen.placement import Placement
 from starstruck_gen.rejection import SamplingExhausted
 from starstruck_gen.scene_card import summarise
@@ -20,6 +19,7 @@ from starstruck_gen.scene_generation import SceneMaking, SceneSetSpec, generate,
 from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_kinds import Disc, Star
 from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError, SpecMismatchError
 from tactile_toolkit.generation import plan_build
@@ -79,7 +79,7 @@ def test_published_size_is_3000_and_300_balanced():
 
 def test_statistics_are_those_of_all_scenes(whole):
     found = summarise(read_manifest(open_folder(str(whole))))["train"]
-    assert found.classes == (700, 700, 700)
+    assert found.classes == [700, 700, 700]
     rows = make_rows(SceneSpec(), "train", 0, 0, 2_100)
     assert found == count_scenes(SceneSpec(), rows)
     per_object = found.attempts_per_object

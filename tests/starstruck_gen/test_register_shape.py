@@ -10,13 +10,12 @@ from typing import ClassVar
 import numpy as np
 import pytest
 
-from starstruck_gen.outlines import Disc
 from starstruck_gen.prisms import prism, prisms
-from starstruck_gen.proportions import KINDS, Proportions
 from starstruck_gen.scene_checks import validate_folder
 from starstruck_gen.scene_dataset import load
 from starstruck_gen.scene_generation import SceneSetSpec, generate
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_kinds import KINDS, Disc, Proportions
 from starstruck_gen.shape_registry import register_shape
 from starstruck_gen.shapes import Shape, outline
 from tactile_toolkit.errors import InputError

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import pickle
+import re
 from dataclasses import replace
 from itertools import combinations
 
@@ -10,9 +11,7 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from starstruck_gen.collisions import circles_clear, outlines_clear
-from starstruck_gen.placement import Placement
-from starstruck_gen.proportions import KINDS
+from starstruck_gen.placement import Placement, circles_clear, outlines_clear
 from starstruck_gen.rejection import (
     SamplingExhausted,
     is_infeasible,
@@ -22,6 +21,7 @@ from starstruck_gen.rejection import (
 )
 from starstruck_gen.scene_seeds import SPLITS, SceneStreams, scene_id, scene_rng, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_kinds import KINDS
 from starstruck_gen.shapes import Shape
 from tactile_toolkit.errors import InputError
 from tests.starstruck_gen.strategies import specs
@@ -178,26 +178,26 @@ def test_impossible_specification_ends_with_what_failed_and_what_to_change():
     spec = replace(SceneSpec(), stars=(30,), restarts=3, attempts=20)
     with pytest.raises(SamplingExhausted) as caught:
         sample_scenes(spec, "train", 0, 0, 1)
-    error = caught.value
-    assert isinstance(error, InputError)
-    assert (error.shape, error.attempts, error.restarts) == ("star", 20, 3)
-    assert 8 < error.number < 20
-    assert 30 <= error.objects <= 35
+    text = str(caught.value)
+    assert isinstance(caught.value, InputError)
+    found = re.search(
+        r"object (\d+) of (\d+) \(a star\): 20 attempts .* 3 times .* ([\d.]+) x ([\d.]+) mm", text
+    )
+    assert found is not None
+    assert 8 < int(found[1]) < 20
+    assert 30 <= int(found[2]) <= 35
     free_m = np.subtract(spec.cell_m, spec.padding_m) - 2 * spec.star.radius_m
-    assert error.area_mm == pytest.approx(1e3 * free_m)
-    text = str(error)
-    for part in (f"object {error.number} of {error.objects} (a star)", "20 attempts", "3 times", "--cell-mm"):
-        assert part in text
-    assert str(pickle.loads(pickle.dumps(error))) == text
+    assert [float(found[3]), float(found[4])] == pytest.approx((1e3 * free_m).tolist())
+    assert "--cell-mm" in text
+    assert str(pickle.loads(pickle.dumps(caught.value))) == text
 
 
 def test_the_object_that_found_no_place_is_the_one_that_is_named():
     """One star leaves no room for a disc that fills the cell; of many stars a later one finds none."""
     spec = SceneSpec(stars=(1,), distractors=(1, 1), distractor_shapes=(Shape("disc", 0.03),), restarts=2)
     spec = replace(spec, cell_m=(0.08, 0.08), padding_m=(0, 0), attempts=9)
-    with pytest.raises(SamplingExhausted, match=r"object 2 of 2 \(a disc\)") as caught:
+    with pytest.raises(SamplingExhausted, match=r"object 2 of 2 \(a disc\)"):
         sample_scenes(spec, "train", 0, 0, 50)
-    assert (caught.value.shape, caught.value.number, caught.value.objects) == ("disc", 2, 2)
 
 
 def test_starting_over_is_counted():
@@ -212,11 +212,10 @@ def test_starting_over_is_counted():
 def test_layouts_that_never_come_near_are_few_and_told():
     failures = []
     spec = SceneSpec(distractors=(0, 18))
-    with pytest.raises(SamplingExhausted, match="no layout came near") as caught:
+    with pytest.raises(SamplingExhausted, match=r"of 21 .* no layout came near") as caught:
         require_feasible(spec, 0, lambda *told: failures.append(told))
     assert failures == [(number, spec.restarts + 1) for number in range(1, len(failures) + 1)]
     assert 10 <= len(failures) < 100
-    assert caught.value.objects == 21
     assert "raise attempts" not in str(caught.value)
 
 

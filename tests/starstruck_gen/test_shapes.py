@@ -10,13 +10,12 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
-from starstruck_gen.outlines import Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.prisms import prism
-from starstruck_gen.proportions import KINDS
 from starstruck_gen.scene_checks import check_scene
 from starstruck_gen.scene_generation import make_rows
 from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen.shape_kinds import KINDS, Crescent, Cross, Disc, Ring, Star
 from starstruck_gen.shapes import Shape, outline
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, check_manifold

@@ -147,6 +147,56 @@ def test_a_copy_continues_where_the_first_is(assets, copied, threads):
 
 
 @pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])
+def test_a_single_one_is_copied_with_its_wrappers(assets, copied):
+    env = gym.make(f"tactile_envs:{TASKS[1]}", assets=str(assets))
+    env.reset(seed=1)
+    env.action_space.seed(1)
+    actions = [env.action_space.sample() for _ in range(20)]
+    other = copied(env)
+    for action in actions:
+        (one, reward, *_), (found, again, *_) = env.step(action), other.step(action)
+        assert all((one[name] == found[name]).all() for name in one)
+        assert reward == again
+
+
+def test_infos_hold_arrays_and_numbers_alone(assets):
+    """What training code converts to tensors: no objects, and no arrays of them."""
+
+    def plain(value: Any) -> None:
+        for each in value.values() if isinstance(value, dict) else ():
+            plain(each)
+        if not isinstance(value, dict):
+            assert np.asarray(value).dtype.kind in "bif"
+            assert isinstance(value, (np.ndarray, int, float))
+
+    env = make_vector(DEPTH, num_envs=3, assets=assets)
+    _, info = env.reset(seed=0)
+    for _ in range(env.config.step_limit):
+        plain(info)
+        *_, info = env.step(env.action_space.sample())
+    plain(info)
+    assert info["stats"]["vector"]["accuracy"].shape == (3, env.config.step_limit)
+    assert info["sensor_pose"].shape == (3, 4, 4)
+    for module in ("torch", "array_api_compat"):
+        pytest.importorskip(module, reason=f"{module} is not installed")
+    converted = gym.wrappers.vector.NumpyToTorch(env)
+    converted.reset(seed=0)
+    for _ in range(env.config.step_limit + 1):
+        *_, info = converted.step(converted.action_space.sample())
+    assert info["sensor_pose"].shape == (3, 4, 4)
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_a_step_after_the_end_is_refused_in_words(assets, threads):
+    env = make_vector(DEPTH, num_envs=2, assets=assets, threads=threads)
+    env.reset(seed=0)
+    env.close()
+    for call in (env.reset, lambda: env.step(env.action_space.sample())):
+        with pytest.raises(gym.error.ClosedEnvironmentError, match="was closed; next: make another one"):
+            call()
+
+
 @pytest.mark.parametrize("task", TASKS)
 def test_predictions_without_a_loss_are_refused(assets, task):
     """The published class gives a reward of NaN; here nothing has happened, and the episode goes on."""
@@ -169,7 +219,7 @@ def test_observations_are_kept_by_whoever_has_them(assets):
     press_m = env._view.press_m
     env.action_space.seed(0)
     observation, info = env.reset(seed=0)
-    kept = {**observation, "depth": info["depth"], "place": info["sensor_pose"].translation}
+    kept = {**observation, "depth": info["depth"], "place": info["sensor_pose"][:, :3, 3]}
     copies, touched = {name: value.copy() for name, value in kept.items()}, 0
     for _ in range(20):
         observation, *_, info = env.step(env.action_space.sample())
@@ -192,7 +242,7 @@ def test_objects_and_places_may_be_given(assets):
     _, info = env.reset(seed=0, options=options)
     assert env.current_data_point_indices[0] == 3
     np.testing.assert_allclose(env.current_object_poses_platform_frame.translation[0, :2], (0.01, -0.02))
-    np.testing.assert_allclose(info["sensor_pose"].translation[0, :2], (0.01, -0.02))
+    np.testing.assert_allclose(info["sensor_pose"][0, :2, 3], (0.01, -0.02))
 
 
 @pytest.mark.parametrize(
@@ -232,6 +282,11 @@ def test_what_cannot_be_is_named(assets, options, words):
         for place in places:
             with pytest.raises(InputError, match=f"option '{name}'.*expected [23] numbers"):
                 env.reset(options={name: [place, None]})
+    with pytest.raises(InputError, match="option 'datapoint' is unknown; expected datapoint_idx, "):
+        env.reset(options={"datapoint": [0, 1]})
+    with pytest.raises(InputError, match="'reset_mask' leaves environments out"):
+        env.reset(options={"reset_mask": np.array([True, False])})
+    env.reset(options={"reset_mask": np.array([True, True])})
     action["action"]["sensor_target_pos_rel"] = np.zeros((3, 3), np.float32)
     with pytest.raises(InputError, match="shape"):
         env.step(action)

@@ -169,7 +169,7 @@ def _same_state(there: Any, here: Any) -> None:
 
 def _same_info(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
     assert theirs.keys() == ours.keys()
-    one, other = theirs["sensor_pose"].matrix, ours["sensor_pose"].matrix
+    one, other = theirs["sensor_pose"].matrix, ours["sensor_pose"]
     assert np.abs(one - other)[:, :2].max() < 1e-12
     assert np.abs(one - other).max() < 0.5e-6
     reached = theirs["depth"] < 4.25e-3

@@ -60,13 +60,14 @@ def test_columns_state_their_units_and_an_index_is_no_column(tmp_path):
     made = tactile_sim.TouchTable(**TABLE)
     text = _write(tmp_path, ".csv", table).read_text()
     written = {
-        "comma": text,
-        "tab": text.replace(",", "\t"),
-        "excel": text.replace(",", ";").replace(".", ","),
+        "comma.CSV": text,
+        "tab.TSV": text.replace(",", "\t"),
+        "blanks.csv": text.replace(",", ", "),
+        "excel.CSV": text.replace(",", ";").replace(".", ","),
     }
     for name, content in written.items():
         for encoding in ("utf-8", "utf-8-sig", "utf-16"):
-            file = tmp_path / f"{name}.CSV"
+            file = tmp_path / name
             file.write_bytes(content.encode(encoding))
             read = tactile_sim.TouchTable.read(file)
             for column in TABLE:

@@ -28,7 +28,7 @@ import realtouch
 import realtouch.touch_previews
 import starstruck_gen
 import starstruck_gen.scene_previews
-from mnist3d.digit_preview_spec import DigitPreviewSpec
+from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.touch_options import TouchPreviewSpec
 from tactile_sim.pairs import make_pairs

@@ -102,7 +102,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
             wait([done[1]], 0.05)
         server.faults.released.set()
         assert [each.result(PATIENCE_S) for each in done] == [out, out]
-    assert "this download begins when that has ended" in said[0]
+    assert "this download begins when it has ended" in said[0]
     result = verify(open_folder(out), SCHEMA)
     assert result.ok, result.findings
     assert {
@@ -280,7 +280,7 @@ def test_a_byte_flipped_twice_is_an_error_and_leaves_nothing(server, tmp_path, t
 def test_a_full_disk_is_named_and_leaves_nothing(server, tmp_path):
     code, kind, words = fetch(server, tmp_path, script(BIG, before=FULL))
     assert (code, kind) == (2, "StorageError")
-    assert "the disk takes nothing" in words
+    assert "the disk cannot be written" in words
     left = [file for file in tmp_path.rglob("*") if file.is_file() and file.stat().st_size > 500_000]
     # Early releases of the client continue with what has arrived.
     assert {file.suffix for file in left} <= {".incomplete"}

@@ -277,7 +277,10 @@ def test_nothing_unsound_leaves_the_house(server, folder):
     content = bytearray(shard.read_bytes())
     content[1000] ^= 1
     shard.write_bytes(content)
-    with pytest.raises(IntegrityError, match=r"not fit to be sent, nothing was: data/test-00000.* sha256 is"):
+    with pytest.raises(
+        IntegrityError,
+        match=r"nothing was uploaded, because the folder has problems: data/test-00000.* sha256 is",
+    ):
         upload(folder)
     content[1000] ^= 1
     shard.write_bytes(content)

@@ -94,7 +94,7 @@ def test_a_token_that_is_no_header_is_not_quoted(server, tmp_path):
 
 def test_writing_without_login_without_right_and_elsewhere(server, tmp_path):
     text = said(server, tmp_path, WRITE.format(repo="someone/set"))
-    assert "uploading to Hub data set 'someone/set' needs a token that the Hub knows; next: log in" in text
+    assert "uploading to Hub data set 'someone/set' needs a valid token; next: log in" in text
     text = said(server, tmp_path, WRITE.format(repo="someone/set"), token=server.account("someone", "read"))
     assert "refused uploading to Hub data set 'someone/set' (403): Your token does not have write" in text
     assert text.endswith("use a token of role `write` and a name of your own")
@@ -127,7 +127,7 @@ def test_a_full_disk(server, tmp_path):
     action = reading(path="data/train-00000-of-00001.parquet")
     text = said(server, tmp_path, f"{limited}; exec({action!r})")
     assert text.startswith(
-        "2 StorageError reading Hub data set 'someone/set' failed, the disk takes nothing: "
+        "2 StorageError reading Hub data set 'someone/set' failed, the disk cannot be written: "
     )
     assert "File too large" in text
     assert not [file for file in (tmp_path / "hf").rglob("*.parquet") if file.is_file()]

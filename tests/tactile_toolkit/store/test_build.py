@@ -198,7 +198,7 @@ def test_no_space_hint(monkeypatch, tmp_path):
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "fsync", refuse)
-    with pytest.raises(StorageError, match=r"No space left on device.*nothing half-written"):
+    with pytest.raises(StorageError, match=r"No space left on device.*no partial file remains"):
         open_folder(str(tmp_path)).write_bytes("data/file", b"1")
     assert folder_bytes(tmp_path) == {}
 

@@ -388,7 +388,7 @@ _KILLED = """
 import os, signal, sys
 from tactile_toolkit.run.processes import ProcessRunner
 from tactile_toolkit.store.building import build
-from tactile_toolkit.store import, open_folder
+from tactile_toolkit.store import open_folder
 from tests.tactile_toolkit.toy import toy_plan
 def die(progress):
     if progress.done >= 10:

@@ -1,4 +1,4 @@
-"""What is known of the files that a data set is made of, and what must not be written over them."""
+"""The files that a data set is read from: their names and manifest, and that nothing overwrites them."""
 
 from __future__ import annotations
 
@@ -51,3 +51,11 @@ def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Sha
             "nothing was changed",
             next="choose a folder outside it",
         )
+
+
+def short_name(name: str) -> str:
+    """Return a data set's name without the folders that it lies in: a site may be given to others."""
+    if store.is_remote(name):
+        return name.rstrip("/").rpartition("/")[2]
+    place = store.expanded(store.normalize_uri(name))
+    return place.resolve().name if place.exists() else name

@@ -1,4 +1,4 @@
-"""What is decided of an upload, imported with nothing heavy."""
+"""Options of an upload; imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -12,25 +12,25 @@ MAIN_BRANCH = "main"
 
 @dataclass(frozen=True, slots=True)
 class UploadOptions:
-    """What the user decides about an upload.
+    """Options of an upload.
 
     Attributes
     ----------
     private : bool
         Create the repository so that only its owner sees it.
     revision : str or None
-        Branch (made if it is not there) or pull request (``refs/pr/3``) to write to; ``main`` where None.
+        Branch (created if missing) or pull request (``refs/pr/3``) to write to; ``main`` if None.
     create_pr : bool
         Open a pull request against the main branch instead of writing to it.
     message : str or None
         First line of the commit.
     tag : str or None
-        Name to give to the commit; what is not merged yet gets none.
+        Tag of the commit; not for a pull request.
     delete : bool
         Remove files from the repository that the folder does not have.
     viewer : bool
-        Send each row once more, with its mesh as a file that the Hub's page shows; without, such files of
-        former uploads are removed.
+        Also send each row with its mesh as a file that the Hub's page shows; otherwise such files of former
+        uploads are removed.
     """
 
     private: bool = switch(False, help="Create a private repository.")
@@ -43,7 +43,7 @@ class UploadOptions:
 
     @property
     def branch(self) -> str:
-        """Name of the branch, or of the pull request that is written to."""
+        """Name of the branch, or of the pull request, to write to."""
         return self.revision or MAIN_BRANCH
 
     def __post_init__(self) -> None:

@@ -1,16 +1,13 @@
-"""Where images come from, as commands have options of it."""
+"""Options of commands for digits: where images come from, and which pictures to draw."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 from mnist3d.published_splits import MOST_DIGITS
-from tactile_toolkit.checked_fields import (
-    choice,
-    integer,
-    switch,
-    text,
-)
+from tactile_toolkit import catalog, mesh
+from tactile_toolkit.checked_fields import choice, integer, switch, text
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
@@ -35,8 +32,29 @@ class SourceOptions:
     threshold: str = choice(
         "auto",
         ("auto", "local", "global"),
-        help="Even out the light of pictures and look for the page (local), or take one grey level for all "
-        "of a picture (global); auto evens out what has no clean paper.",
+        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
+        "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
     digits: int = integer(13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source.")
+
+
+@dataclass(frozen=True, slots=True)
+class DigitPreviewSpec(catalog.PreviewSpec):
+    """Which pictures of digits to draw; the steps of a data set need the files of its source."""
+
+    kinds: tuple[str, ...] = choice(
+        (),
+        ("sheet", "steps", "all"),
+        name="--kind",
+        help="What to draw; may be repeated. Of a data set: sheet.",
+    )
+    images: Path | None = text(
+        metavar="PATH",
+        read=Path,
+        help="Images of the source of the data set, as for `generate`; for --kind steps.",
+    )
+    writer_info: Path | None = text(
+        metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
+    )
+    unit: str | None = mesh.UNIT

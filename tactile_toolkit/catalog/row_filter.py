@@ -1,64 +1,16 @@
-"""Which rows of a data set are taken, as commands have options of it; imported with nothing heavy."""
+"""Which rows of a data set are taken, as options of commands; imports nothing heavy."""
 
 from __future__ import annotations
 
-import re
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from typing import Any
 
+from tactile_toolkit.catalog.ids import IdChoice, parse_ids
 from tactile_toolkit.checked_fields import check_fields, integer, switch, text
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
 
-_IDS = re.compile(r"(-?\d{1,20})(?:-(\d{1,20}))?", re.ASCII)
-
-GivenId: TypeAlias = int | str | tuple[int, int]
-"""An id, or the first and the last id of a range."""
-
-IdChoice: TypeAlias = Sequence[GivenId]
-
-
-def parse_ids(text: str) -> list[GivenId]:
-    """Read ids such as ``3,17,40-60``: numbers, ranges, and words as they are.
-
-    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
-    InputError for an id of no characters.
-    """
-    return [_as_id(word.strip()) for word in text.split(",")]
-
-
-def _as_id(word: str) -> GivenId:
-    if not word:
-        raise InputError("--ids has ''; expected ids such as 3,17,40-60")
-    try:
-        low, high = id_range(word)
-    except InputError:
-        return word
-    given = (low, high) if "-" in word[1:] else low
-    # 007 is the number 7, but another text.
-    return given if id_text(given) == word else word
-
-
-def id_range(given: GivenId) -> tuple[int, int]:
-    """Return the first and the last of the numbers that a given id stands for; InputError for other text."""
-    if not isinstance(given, str):
-        return given if isinstance(given, tuple) else (given, given)
-    match = _IDS.fullmatch(given)
-    low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
-    if high < low:
-        raise InputError(
-            f"--ids has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60"
-        )
-    return low, high
-
-
-def id_text(given: GivenId) -> str:
-    """Return the text that a given id is where ids are text: ``2024-01`` is not a range there."""
-    return "-".join(map(str, given)) if isinstance(given, tuple) else str(given)
-
-
-# Each is the default of parameters, and of fields of groups, of one name: `dataclasses` notes it in them.
+# Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
 SPLIT = text(metavar="NAME", help="Only this split; all by default.")
 ONE_SPLIT = text(metavar="NAME", help="Split to open; required if there are several.")
 REVISION = text(metavar="REV", help="Branch, tag or commit of a Hub data set.")

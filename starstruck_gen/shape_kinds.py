@@ -1,16 +1,23 @@
-"""The toolkit's own kinds of shapes."""
+"""Kinds of shapes: their proportions, and the outlines that follow from them."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
 import numpy as np
 
-from starstruck_gen.proportions import KINDS, Outline, Proportions, within
 from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float64
+from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
+
+Outline = tuple[Float64, ...]
+"""Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
+
+_LARGEST = 1e6  # for kinds without a declared range
 
 STAR = "star"
 """The shape that is counted."""
@@ -19,14 +26,80 @@ _PUBLISHED_SEGMENTS = 32  # of the published disc (package tactile-mnist 0.13.0)
 _DEEPEST_NOTCH_SHARE = 0.99
 
 
+def _within(published: float, least: float, most: float) -> Any:
+    """Declare a number with its default and its range."""
+    return field(default=published, metadata={"least": least, "most": most})
+
+
+@dataclass(frozen=True, slots=True)
+class Proportions:
+    """Proportions of a kind of shape, without its size. The defaults are those of the kind.
+
+    Raises
+    ------
+    InputError
+        When a number is outside its range; the message names shape, field, what was found and expected.
+    """
+
+    name: ClassVar[str] = ""
+
+    def __post_init__(self) -> None:
+        for entry in fields(self):
+            kind: Any = type(entry.default)
+            least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
+            value = to_builtin_number(getattr(self, entry.name), float)
+            if not (isinstance(value, float) and least <= value <= most and kind(value) == value):
+                raise InputError(
+                    f"{entry.name} of shape {self.name!r} is {getattr(self, entry.name)!r}; expected "
+                    f"{'an integer from ' if kind is int else ''}{least:g} to {most:g}"
+                )
+            # One type for each number, so that equal proportions have equal JSON and keys.
+            object.__setattr__(self, entry.name, kind(value))
+
+    def rings(self) -> Outline:
+        """Return the rings of the outline, read-only; unit: the circumscribed radius."""
+        raise NotImplementedError
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle with the class, so that unpickling registers the kind in a new process."""
+        return (_unpickled, (type(self), self.to_dict()))
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+    @classmethod
+    def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
+        """Rebuild proportions from :meth:`to_dict`; missing fields take their defaults.
+
+        Raises
+        ------
+        InputError
+            Unknown field, or a value that cannot be used.
+        """
+        known = [entry.name for entry in fields(cls)]
+        unknown = [name for name in values if name not in known]
+        if unknown:
+            expected = f"one of {', '.join(known)}" if known else "none"
+            raise InputError(f"unknown proportion {unknown[0]!r} of shape {cls.name!r}; expected {expected}")
+        return cls(**values)
+
+
+def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
+    # The process that pickled it has registered, and so checked, the kind.
+    if kind.name:
+        KINDS.setdefault(kind.name, kind)
+    return kind(**values)
+
+
 def _segments() -> Any:
-    return within(_PUBLISHED_SEGMENTS, 8, 256)
+    return _within(_PUBLISHED_SEGMENTS, 8, 256)
 
 
 def _arc(
     radius: float, start_rad: float, sweep_rad: float, corners: int, centre_x: float = 0.0
 ) -> list[tuple[float, float]]:
-    """Return corners at equal steps of an arc, its end left out."""
+    """Return corners at equal steps of an arc, without its end."""
     turns = [cosine_sine(start_rad + sweep_rad * step / corners) for step in range(corners)]
     return [(centre_x + radius * cosine, radius * sine) for cosine, sine in turns]
 
@@ -48,13 +121,13 @@ class Star(Proportions):
     """
 
     name: ClassVar[str] = STAR
-    points: int = within(5, 3, 64)
-    inner_ratio: float = within(0.5, 0.05, 0.95)
+    points: int = _within(5, 3, 64)
+    inner_ratio: float = _within(0.5, 0.05, 0.95)
 
     def __post_init__(self) -> None:
-        # super() without arguments knows the class before it got its slots.
+        # super() without arguments fails in a dataclass with slots.
         Proportions.__post_init__(self)
-        # At a share of 1 a notch lies on the line between its two tips, and the star is a polygon.
+        # At a share of 1, a notch lies on the line between its two tips.
         deepest = _DEEPEST_NOTCH_SHARE * math.cos(math.pi / self.points)
         if self.inner_ratio > deepest:
             raise InputError(
@@ -134,7 +207,7 @@ class Ring(Proportions):
     """
 
     name: ClassVar[str] = "ring"
-    hole_ratio: float = within(0.5, 0.05, 0.95)
+    hole_ratio: float = _within(0.5, 0.05, 0.95)
     segments: int = _segments()
 
     def rings(self) -> Outline:
@@ -154,7 +227,7 @@ class Cross(Proportions):
     """
 
     name: ClassVar[str] = "cross"
-    arm_ratio: float = within(0.3, 0.05, 0.65)
+    arm_ratio: float = _within(0.3, 0.05, 0.65)
 
     def rings(self) -> Outline:
         """Return one ring of twelve corners."""
@@ -181,14 +254,14 @@ class Crescent(Proportions):
     """
 
     name: ClassVar[str] = "crescent"
-    horn_rad: float = within(math.pi / 3, 0.25, 1.5)
-    bite_ratio: float = within(0.6, 0.2, 0.9)
+    horn_rad: float = _within(math.pi / 3, 0.25, 1.5)
+    bite_ratio: float = _within(0.6, 0.2, 0.9)
     segments: int = _segments()
 
     def rings(self) -> Outline:
         """Return one ring: the rim from horn to horn, then the bite back."""
         horn_x, horn_y = cosine_sine(self.horn_rad)
-        # Rounded to where all processors agree.
+        # Rounded, as processors differ in the last digits.
         bite_rad = round(math.atan2(horn_y, horn_x - self.bite_ratio), 12)
         bite_radius = math.hypot(horn_x - self.bite_ratio, horn_y)
         back = _arc(1.0, self.horn_rad, math.tau - 2 * self.horn_rad, self.segments)
@@ -199,7 +272,8 @@ class Crescent(Proportions):
 TOOLKIT_KINDS = (Star, Box, Disc, Triangle, Hexagon, Ring, Cross, Crescent)
 """Kinds that come with the toolkit; star, box and disc are published (package tactile-mnist 0.13.0)."""
 
-KINDS.update({kind.name: kind for kind in TOOLKIT_KINDS})
+KINDS: dict[str, type[Proportions]] = {kind.name: kind for kind in TOOLKIT_KINDS}
+"""Kinds of shapes by name: those of the toolkit, and those that users register."""
 
 
 def kind_named(name: str) -> type[Proportions]:
