@@ -98,7 +98,7 @@ def passes(folder: Path) -> dict[str, Callable[[], Iterator[Any]]]:
     import torch
 
     import realtouch
-    from realtouch.torch import TouchTensors, TrainingBatches
+    from realtouch.touch_tensors import TouchTensors, TrainingBatches
 
     tensors = TouchTensors(realtouch.load(folder, "train"))
     channels_last = TouchTensors(tensors.touches, channels_last=True)
@@ -122,7 +122,7 @@ def processor_s(work: Callable[[], Iterator[Any]]) -> float:
 def resume_s(folder: Path) -> tuple[float, float]:
     """Return the time to the first batch from the beginning of an epoch, and from near its end."""
     import realtouch
-    from realtouch.torch import TouchTensors, TrainingBatches
+    from realtouch.touch_tensors import TouchTensors, TrainingBatches
 
     times = []
     for share in (0.0, 0.9):

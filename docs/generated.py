@@ -25,7 +25,7 @@ API = (
     "starstruck_gen",
     "starstruck_gen.scene_tensors",
     "realtouch",
-    "realtouch.torch",
+    "realtouch.touch_tensors",
     "tactile_sim",
     "tactile_sim.optics",
     "env_assets",

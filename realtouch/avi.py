@@ -26,7 +26,7 @@ _ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 
 
 class Avi:
-    """An AVI of MJPEG frames, opened by its index, which leads to each frame alone.
+    """An AVI of MJPEG frames, opened by its index; each frame is found alone.
 
     Opening raises ValueError for another container or codec; where the file is cut short, exceeds
     :data:`MAX_CLIP_FRAMES`, or has no index; and where that leads out of it or does not follow the stream.
@@ -78,7 +78,7 @@ class Avi:
 
     def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
         stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
-        # Most of the time in which a clip opens goes to calls of numpy, so that there are few.
+        # Opening a clip is dominated by calls of numpy; there are as few as possible.
         offsets, sizes = stored[2::4].astype(np.int64), stored[3::4].astype(np.int64)
         names = stored[0::4]
         if names.tobytes() != self._names[0] * len(names):
@@ -90,7 +90,7 @@ class Avi:
         self._all_sizes = sizes
         if np.count_nonzero(sizes) < len(sizes):  # a repeated frame takes no bytes
             offsets, sizes = offsets[sizes > 0], sizes[sizes > 0]
-        # Writers differ in where offsets count from: the list of frames, or the file.
+        # Offsets count from the list of frames or from the start of the file, depending on the writer.
         first = int(offsets[0]) if len(offsets) else 0
         places = ((base, base + first) for base in (movie[0] - 4, 0))
         bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
@@ -98,7 +98,7 @@ class Avi:
             raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
         self.starts, self.sizes = offsets + (bases[0] + _CHUNK.size), sizes
         ends = self.starts + sizes
-        # A small file whose frames overlap would decode to any amount of pixels.
+        # A small file with overlapping frames could decode to any number of pixels.
         is_early = self.starts[1:] < ends[:-1]
         if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
             fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
@@ -107,11 +107,11 @@ class Avi:
 
     @property
     def slots(self) -> Int64:
-        """Number of each frame in the count of the file, in which a repeated frame has a slot too."""
+        """Slot of each frame in the file; a repeated frame takes a slot as well."""
         return np.flatnonzero(self._all_sizes)
 
     def frame(self, number: int) -> memoryview:
-        """Return the JPEG of one frame; ValueError where the stream has no frame of that size there."""
+        """Return the JPEG of one frame; ValueError if the stream has no such frame there."""
         start, size = int(self.starts[number]), int(self.sizes[number])
         name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
         if name not in self._names or stated != size:

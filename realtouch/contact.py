@@ -25,15 +25,15 @@ CONTACT_METHODS: tuple[ContactMethod, ...] = get_args(ContactMethod)
 """Names of the ways to choose one frame: see :meth:`realtouch.TouchClip.contact_index`."""
 
 CLOCK_TOLERANCE_S = 1e-4
-"""Times so close count as one, seconds: what single precision rounds off in a clock's first half hour."""
+"""Times within this tolerance are equal, seconds: rounding of single precision in the first half hour."""
 
 MIN_CONTACT_HEIGHT_M = 0.006
-"""A gel that stops so far above the plate touched an object: the publisher's own threshold, metres."""
+"""Height of the gel above the plate from which a touch is a contact, metres: the publisher's threshold."""
 
 PLATE_COLUMN = "plate_z_m"
 """Height of the plate in a round from which `select` took touches, metres, cell frame."""
 
-# Only touches of `tactile-sim generate` have it; those lie on a plate at z = 0 and stop by geometry alone.
+# Only touches of `tactile-sim generate` have this column; their plate is at z = 0.
 _MADE_BY_US = "info.touched_object_pose.position"
 _PLATES = {
     "known": "the height of the plate is known",
@@ -43,7 +43,7 @@ _PLATES = {
 
 
 def require_method(method: str) -> ContactMethod:
-    """Return the method of that name; InputError when there is none."""
+    """Return a method by name; InputError if there is no such method."""
     for known in CONTACT_METHODS:
         if known == method:
             return known
@@ -84,7 +84,7 @@ def contact_heights_m(z_m: Floating, recalibrate_z: bool = True, plate_z_m: floa
 
 @dataclass(frozen=True, slots=True)
 class ContactHeight:
-    """The rule of a data set; as text, it reads as part of a sentence.
+    """The rule of a data set; its text is part of a sentence.
 
     Attributes
     ----------

@@ -26,9 +26,9 @@ REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 
 
 def median_in_memory(pictures: UInt8) -> UInt8:
-    """Return the median picture of some in memory, shape (n, H, W, 3), n at least 1; as :func:`median_of`.
+    """Return the median of n pictures in memory, shape (n, H, W, 3), n >= 1; see :func:`median_of`.
 
-    Bit by bit and a few pixels at a time, which takes an eighth of the time of counting every value.
+    The median is found bit by bit, a few pixels at a time, in an eighth of the time of counting values.
     """
     values = pictures.reshape(len(pictures), -1)
     starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
@@ -47,7 +47,7 @@ def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8:
 
 
 def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
-    """Return the median of each pixel: some of its bits by each pass over all pictures, the highest first.
+    """Return the median of each pixel; each pass over the pictures finds some of its bits, highest first.
 
     The value of a rank is the greatest that no more pictures than that lie below.
     """
@@ -82,7 +82,7 @@ def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8
 
 
 def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
-    """Return an array of so many dimensions, three channels and uint8; InputError for any other."""
+    """Return pictures as an array of uint8 with three channels; InputError for any other."""
     found = np.asarray(pictures)
     if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
         expected = " or ".join(_SHAPES[each] for each in dimensions)
@@ -94,7 +94,7 @@ def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
 
 
 def _with_background(pictures: Any, background: Any) -> tuple[UInt8, UInt8]:
-    """Return one picture or several, and a background of their size; InputError for any other."""
+    """Return pictures and a background of the same size; InputError for any other."""
     found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:
         raise InputError(
@@ -165,11 +165,11 @@ class ContactRule:
         check_fields(self, "the contact rule")
 
     def holds(self, score: ContactScore) -> Any:
-        """Return whether pictures of such scores show contact: bool, or an array of them."""
+        """Return whether pictures with such scores show contact, bool or an array of bool."""
         return (score.area_px >= self.min_area_px) & (score.intensity >= self.min_intensity)
 
     def window(self, height: int, width: int) -> tuple[slice, slice]:
-        """Return rows and columns that are looked at."""
+        """Return the rows and columns that are compared."""
         # At least a pixel or two stay, however small the crop.
         margins = [min(round(size * (1 - self.crop) / 2), (size - 1) // 2) for size in (height, width)]
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
@@ -225,15 +225,13 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
     found, base = _with_background(pictures, background)
     rows, columns = rule.window(*base.shape[:2])
     score = _score(found.reshape(-1, *base.shape)[:, rows, columns], base[rows, columns], rule.min_change)
-    if found.ndim == 3:
-        return score.of_picture(0)
-    return score
+    return score.of_picture(0) if found.ndim == 3 else score
 
 
 def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
     area, total = np.zeros(len(pictures), np.int64), np.zeros(len(pictures), np.int64)
     for number, picture in enumerate(pictures):
-        # The greater less the smaller stays within eight bits.
+        # The larger minus the smaller value fits into eight bits.
         change = (np.maximum(picture, base) - np.minimum(picture, base)).astype(np.int32)
         grey = (4899 * change[..., 0] + 9617 * change[..., 1] + 1868 * change[..., 2] + 8192) >> 14
         changed = grey[grey > min_change]
@@ -244,7 +242,7 @@ def _score(pictures: UInt8, base: UInt8, min_change: int) -> ContactScore:
 def best_of(
     frames: UInt8, rule: ContactRule | None = None, base: UInt8 | None = None
 ) -> tuple[int, ContactScore]:
-    """Return the frame of a clip, shape (N, H, W, 3), of the greatest total change, and its score.
+    """Return the frame of a clip, shape (N, H, W, 3), with the greatest total change, and its score.
 
     The earliest of equals. Without a background ``base`` it is the median of the clip. Raises InputError
     where there is no frame.
@@ -253,7 +251,7 @@ def best_of(
     if not len(frames):
         raise InputError("the clip holds no frame; expected at least one")
     if base is None:
-        # Only what the rule looks at is needed of it.
+        # Only the window of the rule is needed.
         rows, columns = rule.window(*frames.shape[1:3])
         seen = np.ascontiguousarray(frames[:, rows, columns])
         scores = _score(seen, median_in_memory(seen), rule.min_change)

@@ -1,4 +1,4 @@
-"""What users of the touches do before training: backgrounds, and contact by the picture."""
+"""Preparation for training: backgrounds, and contact by the picture."""
 
 from __future__ import annotations
 
@@ -208,8 +208,7 @@ def contacts_by_image(
     given: object = touches
     if not isinstance(given, Touches):
         raise InputError(
-            f"contacts were asked for of a {type(given).__name__}; expected touches, such as "
-            "`realtouch.load(...).touches()`"
+            f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
     rule = rule or ContactRule()
     frame, area = np.zeros((2, len(touches)), np.int64)

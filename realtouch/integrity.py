@@ -22,7 +22,7 @@ _NAMES_SHOWN = 12
 def agreeing_files(
     shards: Iterable[read.Shard], where: str, left_out: list[Damage] | None = None
 ) -> list[read.Shard]:
-    """Return the files of a data set that can be read and hold what the first of them holds.
+    """Return the files of a data set that can be read and agree with the first of them.
 
     What is wrong with the others is added to ``left_out``. Without such a list it is raised: InputError for a
     file without touches, IntegrityError for one that is damaged or holds something else.
@@ -70,9 +70,7 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
 def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
     """Return the names of the classes as the first file states them, or else those of the digits."""
     stated = stated_class_names(shards)
-    if stated is None:
-        return CLASS_NAMES
-    return stated
+    return CLASS_NAMES if stated is None else stated
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
@@ -127,7 +125,7 @@ def check_round(
     decode: bool = True,
     class_names: Sequence[str] | None = None,
 ) -> list[Damage]:
-    """List all that is wrong with one round: one entry per field of it, and one per field of each touch.
+    """List the damage of one round: one entry per field of it, and one per field of each touch.
 
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
     ``class_names``, where those are stated. Without ``decode``, headers of images and frames are read only.
@@ -152,7 +150,7 @@ def check_round(
                 raise row.damaged(name, "no values are stored")
             row.entries_of(name)
         if found and found[-1].field == "pos_in_cell":
-            return found  # nothing says how many touches there should be
+            return found  # the number of touches is unknown
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
@@ -173,10 +171,10 @@ def check_round(
         if row.has_poses and row.has(f"{POSE_COLUMN[row.kind]}.quaternion"):
             with noted():
                 read_pose(touch)
-        if touch < stop - start:  # where there are too few images or clips, those that are there are checked
+        if touch < stop - start:  # if images or clips are missing, the others are checked
             with noted():
                 sizes[touch] = picture_size(row, touch, size_of, noted)
-    # Several fields may run into one fault, and say the same of it.
+    # Several fields may report the same fault.
     return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
 
 

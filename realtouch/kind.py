@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of data sets of touches."""
+"""What other packages need to know about data sets of touches."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _RENDERED = tuple(
     for prefix, things in (("", "digits"), ("starstruck-", "scenes"))
     for width, height in ((320, 240), (64, 64))
 )
-# Patterns of what `verify` and `upload` take for the data set's own next to `data`.
+# Files next to `data` that belong to the data set, for `verify` and `upload`.
 _EXCHANGED = (
     "webdataset/*.tar",
     "lerobot/data/*/*.parquet",
@@ -73,6 +73,6 @@ KIND = DatasetKind(
         *(tactile_mnist_set(*each, licence="CC BY 2.0", aliases=_ALIASES.get(each[0], ())) for each in _REAL),
         *(tactile_mnist_set(*each) for each in _RENDERED),
     ),
-    plan_previews=lazy("realtouch.previews:plan_previews"),
-    plan_gallery=lazy("realtouch.gallery:plan_gallery"),
+    plan_previews=lazy("realtouch.touch_previews:plan_previews"),
+    plan_gallery=lazy("realtouch.touch_gallery:plan_gallery"),
 )

@@ -27,9 +27,9 @@ class Pose(RigidTransform):
         rotation = Rotation.from_quat(np.array(quaternion))  # a copy: scipy takes no empty read-only view
         matrix = np.zeros((*np.shape(position_m)[:-1], 4, 4))
         matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation.as_matrix(), position_m, 1.0
-        # Rotations are of length one already; to normalise again would change their last bits.
+        # Not normalised again, which would change the last bits.
         made = cls(matrix, normalize=False, copy=False)
-        # Kept: quaternions of opposite sign are one rotation; a matrix does not show which was stored.
+        # Kept, as a matrix does not show which of two quaternions of opposite sign was stored.
         made._rotation = rotation
         return made
 
@@ -91,7 +91,7 @@ class Pose(RigidTransform):
         self._rotation = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        # By what was stored: scipy's own way forgets the quaternion that is kept.
+        # By the stored values; pickling by scipy would lose the quaternion.
         return (Pose.of, (self.translation, self.quaternion))
 
 

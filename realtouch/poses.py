@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from realtouch.pose import Pose
 
 
-# How far the length of a quaternion may be from one: angles of joints, say, have any.
+# How far the length of a quaternion may be from one; other data, such as joint angles, fail this.
 _LENGTH_TOLERANCE = 1e-3
 
 
@@ -154,7 +154,7 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
     """Find the first of n rows that is not a pose: its number and what is wrong with it, or None."""
     squares = np.einsum("ij,ij->i", quaternion, quaternion)
     with np.errstate(invalid="ignore", over="ignore"):  # infinite values of both signs add up to NaN
-        # One sum shows any value that is not finite, and costs a tenth of looking at each.
+        # The sum is finite only if all values are, and is ten times as fast to check.
         is_finite = np.isfinite(position_m.sum())
         unit = np.abs(squares - 1) <= 2 * _LENGTH_TOLERANCE  # False for NaN
     if is_finite and unit.all():

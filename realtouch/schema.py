@@ -42,7 +42,7 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
     "touch_end_time_rel": (1, _TIME, "a duration or float seconds per touch"),
     "sensor_video": (1, _BYTES, "a struct of bytes and path per touch"),
 }
-"""What each column of a set of touches must be, where it is there."""
+"""Depth, types and description of the columns of a set of touches."""
 
 PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
 """Columns that hold one entry per touch."""
@@ -84,9 +84,7 @@ def origin_of(schema: Any, manifest: store.Manifest | None) -> Origin:
             return "imported"
         if stated == "synthetic":
             return "synthetic"
-    if _is_rendered(schema):
-        return "synthetic"
-    return "real"
+    return "synthetic" if _is_rendered(schema) else "real"
 
 
 def require_types(shard: read.Shard) -> None:
@@ -94,7 +92,7 @@ def require_types(shard: read.Shard) -> None:
 
     Raises IntegrityError, which names file and column, for a type that values cannot be read from.
     """
-    # Asked for only to have it fail here, by name, and not at the first label.
+    # Read here so that an error names the file, and not only at the first label.
     _ = shard.class_names
     problem = read.wrong_type(shard.types, KNOWN_COLUMNS)
     if problem:
@@ -159,7 +157,7 @@ def take_touches(table: pa.Table, touches: Sequence[int], count: int) -> pa.Tabl
     columns = []
     for name in table.column_names:
         array = table.column(name).combine_chunks()
-        # A column of another length does not say which of its entries belongs to which touch: it stays whole.
+        # A column of another length has no entry per touch and is kept as a whole.
         if is_per_touch(name, array.type) and len(array.flatten()) == count:
             values = array.flatten().take(chosen)
             array = _outer_list(values, [len(touches)], pa.list_(array.type.value_type))

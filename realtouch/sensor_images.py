@@ -16,7 +16,7 @@ from tactile_toolkit.read import BytesColumn, checked_index, picks_several, posi
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
 
-# Long enough that taking a run costs nothing, short enough that threads end together.
+# Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
 MAX_BATCH_PIXELS = 1 << 31
 """Most pixels that are decoded into one new array (6 GiB): every frame of 256 clips of 90 frames fits."""
@@ -49,7 +49,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     if not count:
         return out
     fits = isinstance(out, np.ndarray) and out.dtype == np.uint8 and out.ndim == 4 and len(out) >= count
-    # The images may lie apart; the decoder writes the pixels of each in one go.
+    # Images need not be adjacent; the pixels of each must be contiguous.
     if fits and out.shape[1:] == (height, width, 3) and out[0].flags.c_contiguous and out.flags.writeable:
         return out
     shape = (count, height, width, 3)

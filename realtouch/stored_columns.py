@@ -43,7 +43,7 @@ _TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRA
 
 @dataclass(frozen=True, slots=True)
 class Damage:
-    """One thing that is wrong with a stored round.
+    """Damage of a file, round or touch.
 
     Attributes
     ----------
@@ -94,9 +94,7 @@ def unreadable_file(path: str, error: ToolkitError) -> Damage:
 def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
     first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
-    rows = "cannot be read"
-    if last > first:
-        rows = f"rows {first} to {last} cannot be read"
+    rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
     found = " ".join(str(error.__cause__ or _cause(shard.path, error)).split())
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
 
@@ -119,9 +117,7 @@ class StoredColumns(Row):
     @property
     def kind(self) -> Kind:
         """Whether it has clips or images."""
-        if self.has(MEDIA_COLUMN["seq"]):
-            return "seq"
-        return "single"
+        return "seq" if self.has(MEDIA_COLUMN["seq"]) else "single"
 
     @property
     def has_poses(self) -> bool:
@@ -156,7 +152,7 @@ class StoredColumns(Row):
 
     def touch_total(self) -> int:
         """Return T: the number of intended positions, or else of images or clips, or of poses read alone."""
-        # Once for a block of rows: this is asked for each touch.
+        # Cached for a block of rows, as it is used for each touch.
         name = next(filter(self.has, _COUNTED), _COUNTED[0])
         starts = self.group.once("starts of touches", lambda: self.column_of(name).levels[0])
         if isinstance(starts, int):
@@ -219,7 +215,7 @@ class StoredColumns(Row):
         try:
             return read(None).astype(np.float64)
         except IntegrityError:
-            # One by one only where something is damaged: all at once is many times as fast.
+            # Touch by touch only if something is damaged; all at once is many times as fast.
             known = np.full((self.touch_total(), *shape), np.nan)
         for touch in range(len(known)):
             with suppress(IntegrityError):
@@ -262,7 +258,7 @@ class StoredColumns(Row):
         return tuple(self._cut_touch(name, each, width) for each in range(last - first))
 
     def _cut_touch(self, name: str, touch: int, width: int) -> AnyArray:
-        # Counted for a single touch, too: else it would be given the next round's for what is lacking.
+        # Counted for a single touch as well; else missing values would be read from the next round.
         column, first, _ = self.entries_of(name)
         start, stop = column.inside(1, first + touch, first + touch + 1)
         wanted = self.clip_length(touch)

@@ -36,7 +36,7 @@ class StoredRound(StoredColumns):
         not finite.
         """
         positions = self.vectors("pos_in_cell", 2, touch)
-        # One sum shows any value that is not finite, and costs a tenth of looking at each.
+        # The sum is finite only if all values are, and is ten times as fast to check.
         if not np.isfinite(positions.sum()):
             finite = np.asarray(np.isfinite(positions).all(axis=1))
             self.require_each("pos_in_cell", finite, touch, "a position {}; expected metres", positions)
@@ -151,14 +151,12 @@ class StoredRound(StoredColumns):
         return self.stored_plate_z_m()
 
     def name(self) -> str:
-        """Return the id, text or an integer, as text; raises as :meth:`integer`."""
+        """Return the id as text; raises as :meth:`integer`."""
         value = self.plain_value("id")
-        if isinstance(value, str):
-            return value
-        return str(self.integer("id"))
+        return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
-        """Return the class, -1 where it is not known, as `datasets` has it.
+        """Return the class, -1 if it is unknown, as in `datasets`.
 
         Raises IntegrityError where it is not one of the classes, if those are named.
         """
@@ -214,7 +212,7 @@ def _unpickled(make: Callable[..., Row], arguments: tuple[Any, ...]) -> StoredRo
 
 
 def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[StoredRound]:
-    """Yield all rows of some files, with all columns or those named; a block of them is in memory."""
+    """Yield the rows of files, with all columns or the named ones; one block is in memory at a time."""
     return rows_of(all_blocks(shards, columns))
 
 
@@ -224,7 +222,7 @@ def rows_of(blocks: Iterable[RowGroup]) -> Iterator[StoredRound]:
 
 
 def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
-    """Return T of the rows of some row groups, or of all, shape (rows,); reads nothing if it is fixed."""
+    """Return T of the rows of some row groups, or of all, shape (rows,); no read if it is fixed."""
     types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
     if pa.types.is_fixed_size_list(types[name]):

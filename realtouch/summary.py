@@ -158,7 +158,7 @@ class PaperNumber:
 
 
 def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
-    """Measure what the paper states of the real touches; reads no picture but one.
+    """Measure what the paper states about real touches; reads one picture only.
 
     Parameters
     ----------
@@ -228,7 +228,7 @@ def _class_text(labels: Sequence[int]) -> str:
 
 
 def _gel_replacements(gels: Sequence[Any], counts: Sequence[int]) -> tuple[str, list[int]]:
-    """Return after how many touches the gel was replaced, rounds in the order in which they were recorded."""
+    """Return after how many touches the gel was replaced; rounds are in the order of recording."""
     if any(gel is None for gel in gels):
         return "not stated", []
     done = accumulate(counts)

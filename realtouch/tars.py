@@ -1,4 +1,4 @@
-"""Tars that come from outside: what `tarfile` would believe or pass over is an error here."""
+"""Tars from untrusted sources: inconsistencies that `tarfile` accepts or skips are errors here."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import IO
 def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
     """Yield the header of each file in a tar of ``size`` bytes; its content lies inside of the tar.
 
-    Raises tarfile.ReadError, which names the member, for a header that is damaged or states what cannot be,
-    and for a tar that is cut short.
+    Raises tarfile.ReadError, which names the member, for a damaged or inconsistent header and for a
+    truncated tar.
     """
     name, end = "", 0
     try:
         with tarfile.open(fileobj=stream, mode="r:") as tar:
             for member in tar:
-                # Of an extended header that states something else than a number, `tarfile` makes 0.
+                # `tarfile` reads 0 from an extended header that does not state a number.
                 stated = member.pax_headers.get("size", str(member.size))
                 if stated.lstrip("0") != str(member.size).lstrip("0") or member.size < 0 or member.issparse():
                     raise tarfile.ReadError(
@@ -30,7 +30,7 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
                 if member.isfile():
                     yield member
         stream.seek(end)
-        # `tarfile` takes a damaged header for the end, which is a block of zeros.
+        # `tarfile` takes a damaged header for the end of the tar, which is a block of zeros.
         if stream.read(tarfile.BLOCKSIZE) != bytes(tarfile.BLOCKSIZE):
             raise tarfile.ReadError(f"neither a header nor the mark of its end follows {name!r}")
     except (ValueError, IndexError, RecursionError) as error:  # of what extended headers state

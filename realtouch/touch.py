@@ -108,11 +108,11 @@ class Touch:
         return self.round.sensor_video[self._index_in_row]
 
     def _alone(self) -> Touch:
-        """Return the touch with a copy of its own bytes, which keeps no other touch in memory."""
+        """Return the touch with a copy of its own bytes alone."""
         return Touch(self.round.with_touches([self._index_in_row]), self.touch_index, 0)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other is the same touch of an equal round, by what is stored of it."""
+        """Return whether the other is the same touch of an equal round."""
         if not isinstance(other, Touch):
             return NotImplemented
         if hash(self) != hash(other):  # the number in the round, and the round's id

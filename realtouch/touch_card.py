@@ -30,7 +30,7 @@ WORDS = "touch_words.toml"
 T = TypeVar("T")
 _TILES = 16
 _TILE_WIDTH = 96
-# Each is a block to unpack: of a damaged set a card should not try them all.
+# Each costs unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
 _COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it
 _WINDOW = "18.88 x 14.16 mm of gel"
@@ -38,7 +38,7 @@ _WINDOW = "18.88 x 14.16 mm of gel"
 
 @dataclass(frozen=True, slots=True)
 class _Content:
-    """What a card says of the rows at hand: the words of their kind, columns, and what was counted."""
+    """Content of a card that depends on the rows: texts, columns and counts."""
 
     words: dict[str, Any]
     columns: dict[str, cards.ColumnWords]
@@ -217,7 +217,7 @@ def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRo
 
 
 def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
-    """Return what can be read; None where the data do not have it, or are damaged there."""
+    """Return what can be read; None if it is missing or damaged."""
     try:
         return ask(*parts)
     except (ToolkitError, KeyError, ValueError):
@@ -225,7 +225,7 @@ def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
 
 
 def _missed(touches: list[int | None], shares: list[float | None], rule: ContactHeight) -> list[str]:
-    """Write how many touches met no object, where the data have it; given are both of each split."""
+    """State how many touches met no object, if that is known, from the counts and shares of all splits."""
     found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):
         return []

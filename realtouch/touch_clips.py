@@ -22,7 +22,7 @@ from realtouch.poses import Poses
 from realtouch.sensor_images import in_parallel, room_for
 from realtouch.stored_round import StoredRound
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.read import checked_index, picks_several, positions
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -192,23 +192,7 @@ class TouchClip(Sequence[UInt8]):
         Those stored with the round; the file's own clock in data sets without them.
         """
         times = self._row.stamps_s(self.touch)
-        if times is None:
-            return self.media_times_s
-        return times[0]
-
-    def at(self, time_s: float) -> UInt8:
-        """Decode the frame shown at a time: the last one stamped at or before it, (H, W, 3) uint8.
-
-        Raises
-        ------
-        InputError
-            The time lies before the first frame, or more than one frame's duration after the last.
-        """
-        times = self.timestamps_s
-        if not len(times) or not times[0] <= time_s <= times[-1] + 1.0 / self.fps:
-            span = f"{times[0]:.3f} to {times[-1]:.3f} s" if len(times) else "no frames"
-            raise InputError(f"no frame at {time_s} s; expected a time within the clip, {span}")
-        return self[int(np.searchsorted(times, time_s, side="right")) - 1]
+        return self.media_times_s if times is None else times[0]
 
     @property
     def poses(self) -> Poses:
@@ -307,9 +291,7 @@ class SensorClips(Sequence[TouchClip]):
         Raises InputError when ``out`` cannot take them, IntegrityError when they exceed
         :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        size = (0, 0)
-        if self._count:
-            size = self[0].size
+        size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
@@ -358,8 +340,8 @@ def decode_frames(
     Raises IntegrityError when a frame is damaged or of another size; it names file, row and touch.
     """
     opened = {touch: clips[touch] for touch in dict.fromkeys(touches)}
-    # All are found before the first is decoded: to take turns, each would empty the other's caches of the
-    # processor, which costs a tenth of the time.
+    # All frames are found before the first is decoded; alternating costs a tenth of the time, as each
+    # evicts the other from the caches of the processor.
     encoded = [opened[touch].encoded(frame) for touch, frame in zip(touches, frames, strict=True)]
 
     def decode(number: int) -> None:

@@ -22,7 +22,7 @@ from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 
 class RowsWithoutMedia(read.Rows):
-    """A block of rows of which images or clips were not read; these are opened where they are asked for.
+    """A block of rows without images or clips, which are read on first use.
 
     ``number`` is that of the first of them in the source.
     """
@@ -35,16 +35,16 @@ class RowsWithoutMedia(read.Rows):
 
     @cached_property
     def table(self) -> pa.Table:
-        """The rows with all columns: the whole block is read."""
+        """The rows with all columns; reads the whole block."""
         return self._source.locate(self._number)[0].table
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Columns by dotted name, those not read yet included."""
+        """Columns by dotted name, including those not read yet."""
         return read.column_names(self._source.schema)
 
     def arrow(self, name: str) -> pa.Array:
-        """Return a column, opening the complete rows where it was left out."""
+        """Return a column; reads the complete rows if it was left out."""
         try:
             return self._block.arrow(name)
         except KeyError:
@@ -81,7 +81,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     @property
     def touch_starts(self) -> Int64:
-        """Where the touches of each stored row begin among those of all, shape (stored rows + 1,), int64."""
+        """Number of the first touch of each stored row, shape (stored rows + 1,), int64."""
         return np.concatenate([[0], np.cumsum(self._stored_counts)])
 
     def known_heights_m(self, recalibrate_z: bool = True) -> Float64:
@@ -101,7 +101,7 @@ class TouchDataset(read.RecordDataset[R]):
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
     def known_positions_m(self) -> Float64:
-        """Read where every stored touch was meant to be, NaN where that cannot be read.
+        """Read the intended position of every stored touch; NaN if it cannot be read.
 
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
@@ -117,7 +117,7 @@ class TouchDataset(read.RecordDataset[R]):
         columns: Sequence[str],
         known: Callable[[StoredRound, ContactHeight], Float64],
     ) -> Float64:
-        """Join what is known of the touches of each stored row, of a few columns."""
+        """Join the values of the touches of each stored row; reads a few columns."""
 
         def of_source(source: read.RowSource) -> list[Float64]:
             rule = ContactHeight.of(read.column_types(source.schema))
@@ -140,7 +140,7 @@ class TouchDataset(read.RecordDataset[R]):
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
-        # Through the stored rows in their order: each block is read once, whatever the order of the view.
+        # In stored order, so that each block is read once, whatever the order of the view.
         wanted = set(self._row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
         for source in self._table.shards:

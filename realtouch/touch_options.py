@@ -114,7 +114,7 @@ class ImportColumns:
 
     @property
     def image_name(self) -> str:
-        """What was named as image, other than the column of our own exports; empty by default."""
+        """Name that was given for images; empty by default."""
         if self.image == _OUR_IMAGES:
             return ""
         return self.image or ""
@@ -125,7 +125,7 @@ class ImportColumns:
         return self.quaternion_order or "xyzw"
 
     def per_metre(self, names: tuple[str, ...], count: int) -> tuple[float, ...]:
-        """Return by what each of so many values in some columns is divided; InputError for another unit."""
+        """Return the divisors of values in some columns; InputError for conflicting units."""
         lengths = min(count, _LENGTHS)
         units = [length_per_metre(name, self.length_unit) for name in names[:lengths]]
         if len(names) == 1:
@@ -133,10 +133,10 @@ class ImportColumns:
         return (*units, *[1.0] * (count - len(units)))
 
     def found_in(self, known: Collection[str]) -> ImportColumns:
-        """Return these columns and, where none was named, those of our own exports among the known ones."""
+        """Return these columns, completed by those of exports of this toolkit that are known."""
 
         def ours(chosen: T | None, *several: T) -> T | None:
-            """Return what was chosen, or the first of several, a column or some of them, that is known."""
+            """Return the choice, or the first known column or group of columns."""
             if chosen is not None:
                 return chosen
             return next((each for each in several if _columns_in(each) <= {*known}), None)
@@ -159,9 +159,7 @@ class ImportColumns:
 
 def _columns_in(columns: str | tuple[str, ...]) -> set[str]:
     """Return one column or several as a set."""
-    if isinstance(columns, str):
-        return {columns}
-    return set(columns)
+    return {columns} if isinstance(columns, str) else set(columns)
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Collection, Iterable, Iterator
+from collections.abc import Iterable, Iterator
 from itertools import groupby
 from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 import numpy as np
 
 from realtouch.rounds import TouchRound, TouchSingleRound
-from realtouch.schema import flat_row, is_per_touch
 from realtouch.sensor_images import SensorImages, room_for
-from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch, touch_id
+from realtouch.touch_table import INDEX, hf_touches
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.builtin_values import is_integer, to_builtin_number
@@ -25,7 +24,6 @@ from tactile_toolkit.wording import with_count
 if TYPE_CHECKING:
     from realtouch.touch_dataset import TouchDataset
 
-_INDEX = "touch_index"
 _POSITION = ("x_m", "y_m")
 R = TypeVar("R", bound=TouchRound)
 
@@ -116,11 +114,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     @property
     def column_names(self) -> tuple[str, ...]:
         """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
-        return (*self.dataset.column_names, _INDEX)
+        return (*self.dataset.column_names, INDEX)
 
     @property
     def _plain_columns(self) -> tuple[str, ...]:
-        names = (*self.dataset._plain_columns, _INDEX)
+        names = (*self.dataset._plain_columns, INDEX)
         if self.dataset.has_column("pos_in_cell"):
             names += _POSITION
         return names
@@ -135,7 +133,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             The data set has no column of that name.
         """
-        if name == _INDEX:
+        if name == INDEX:
             return self.touch_indices
         if name in _POSITION:
             of_view: AnyArray = self.dataset.known_positions_m()[self._stored_places]
@@ -157,34 +155,13 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             A file is damaged, or a column has not one entry per touch.
         """
-        import pyarrow as pa
-        from datasets import Dataset, DatasetInfo, Features
-
         places = self.round_positions
-        # Of no touches, the first round has the columns.
+        # Without touches, the first round defines the columns.
         rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
-        if not rounds:
-            return Dataset.from_dict({})
         rows = [self.dataset[place]._row for place in rounds]
-        first, total = flat_row(rows[0]), rows[0].touch_total()
-        names = [
-            each.name
-            for each in first.schema
-            if is_per_touch(each.name, each.type) and len(first.column(each.name).chunk(0).flatten()) == total
-        ]
-        parts = [_row_of_each_touch(row, names) for row in rows]
-        features = Features.from_arrow_schema(parts[0].schema)
-        for name, feature in Features.from_arrow_schema(rows[0].group.table.schema).flatten().items():
-            features[name] = feature.feature if name in names else feature
-        # Its own fingerprint would be that of all bytes.
+        # The library's own fingerprint would be that of all bytes.
         content = repr([self.dataset.identity, rounds, places.tobytes(), self._row_numbers.tobytes()])
-        whole = Dataset(
-            pa.concat_tables(parts),
-            info=DatasetInfo(features=features),
-            fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16],
-        )
-        starts = np.cumsum([0, *map(len, parts)])
-        return whole.select(starts[np.searchsorted(rounds, places)] + self.touch_indices)
+        return hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
 
     @property
     def object_ids(self) -> Int64:
@@ -216,7 +193,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
     def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
-        """Return of each touch whether the gel stopped on an object, shape (len,).
+        """Return whether the gel stopped on an object in each touch, shape (len,).
 
         Parameters
         ----------
@@ -347,7 +324,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     @property
     def identity(self) -> str:
-        """What distinguishes these touches from all others, also from later ones of the same files."""
+        """Identifies these touches; differs if the files change."""
         rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {rounds}"
 
@@ -380,9 +357,9 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
 
 def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
-    """Return the places of all touches with contact, and of so many without that they are a share of both.
+    """Return the places of all touches with contact, and of a share without.
 
-    Raises InputError for a fraction, a seed or a mask that is none.
+    Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
         to_builtin_number(fraction, float),
@@ -404,19 +381,3 @@ def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed:
     drawn = [hashlib.blake2b(key, digest_size=16).digest() for key in keys]
     order = sorted(range(len(drawn)), key=drawn.__getitem__)[:count]
     return np.sort(np.concatenate([np.flatnonzero(mask), empty[order]]))
-
-
-def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> Any:
-    """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
-    import pyarrow as pa
-
-    table, count = flat_row(row), row.touch_total()
-    columns = {}
-    for name in table.column_names:
-        array = table.column(name).chunk(0)
-        if name in per_touch:
-            row.entries_of(name)  # refuses a round with more or less of them
-            columns[name] = array.flatten()
-        else:
-            columns[name] = array.take(pa.array(np.zeros(count, np.int64)))
-    return pa.table({**columns, _INDEX: np.arange(count)})

@@ -34,7 +34,7 @@ def check_index(
     *,
     decode: bool,
 ) -> tuple[int, int]:
-    """Add what is wrong with the files that an index names; return how many rounds and touches it has."""
+    """Add the damage of the files of an index; return its numbers of rounds and touches."""
     named = {finding.file for finding in findings}
     total = sum(record.rows for record in manifest.shards)
     rounds = set[str]()
@@ -62,7 +62,7 @@ def check_index(
 def _damage_in_file(
     folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
 ) -> Iterator[Damage]:
-    """Compare a file with its checksum, if one is given, and look at its images; yield what is wrong."""
+    """Compare a file with its checksum, if given, and check its images; yield the damage."""
     if sha256 is not None and not store.is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         if not folder.exists(path):
@@ -83,7 +83,7 @@ def _damage_in_file(
 
 
 def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
-    """Yield the images in a tar, in a column of a Parquet file that has one, or the one that a file is."""
+    """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
             for member in files_of_tar(stream, folder.size_bytes(path)):
@@ -133,7 +133,7 @@ def verify(
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> TouchVerification:
-    """Check every file, round, touch and frame of a data set, and list all that is wrong.
+    """Check every file, round, touch and frame of a data set, and list all damage.
 
     Of an unfinished set, all finished shards are checked.
 
@@ -156,25 +156,13 @@ def verify(
         Nothing of that name, or no data set of touches.
     """
     place = replace(places.open_place(name), allow_incomplete=True).require(KIND, "verify")
-    folder, manifest = place.folder, place.manifest
     findings: list[Damage] = []
-    has_checksums = False
-    if folder is not None:
-        has_checksums = manifest is not None or store.read_record(folder) is not None
-    if folder is not None and has_checksums:
-        listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
-        findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
-    if folder is not None and manifest is not None:
-        operation = manifest.spec.get("operation")
-        if operation in INDEXED:
-            if not manifest.complete:  # the index is written last
-                return TouchVerification(0, 0, tuple(findings))
-            counts = check_index(folder, manifest, findings, on_progress, decode=not quick)
-            return TouchVerification(*counts, tuple(findings))
-        try:
-            store.convert_json(operation, str, store.MANIFEST_FILE, "spec.operation")
-        except IntegrityError as error:
-            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
+    has_checksums = _compare_files(place, findings, workers)
+    if place.folder is not None and place.manifest is not None and place.spec.get("operation") in INDEXED:
+        counts = (0, 0)
+        if place.manifest.complete:  # the index is written last
+            counts = check_index(place.folder, place.manifest, findings, on_progress, decode=not quick)
+        return TouchVerification(*counts, tuple(findings))
     splits = []
     for part in parts_of(place, split):
         splits.append(agreeing_files(place.shards(part), place.name, findings))
@@ -188,6 +176,21 @@ def verify(
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
+def _compare_files(place: places.Place, findings: list[Damage], workers: int) -> bool:
+    """Compare the files of a folder with its manifest or download record; return whether it has one."""
+    folder, manifest = place.folder, place.manifest
+    if folder is None or (manifest is None and store.read_record(folder) is None):
+        return False
+    listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
+    findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
+    if manifest is not None:
+        try:
+            store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
+        except IntegrityError as error:
+            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
+    return True
+
+
 def _check_rounds(
     splits: Sequence[Sequence[read.Shard]],
     findings: list[Damage],
@@ -196,7 +199,7 @@ def _check_rounds(
     decode: bool,
     workers: int,
 ) -> tuple[int, int]:
-    """Add what is wrong with the rounds of all splits; return how many rounds and touches were read."""
+    """Add the damage of the rounds of all splits; return the numbers of rounds and touches read."""
     total = sum(len(shard) for files in splits for shard in files)
     rounds = touches = 0
     seen: dict[str, str] = {}
@@ -216,13 +219,13 @@ def _check_rounds(
 
 
 def check_folder(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
-    """List what is wrong with a folder before it is uploaded; decodes no picture."""
+    """List the problems of a folder before it is uploaded; decodes no picture."""
     found = verify(folder.address(), quick=True, workers=workers).findings
     return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))
 
 
 def _lacking_columns(shards: Sequence[read.Shard]) -> list[Damage]:
-    """List the columns that some files of a split have and others do not: they can be read of no row."""
+    """List the columns that some files of a split lack; they cannot be read of the split."""
     names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"

@@ -30,7 +30,7 @@ Made = tuple[pa.Table, Mapping[str, bytes]]
 """New rows, and the files that lie next to them, by path."""
 
 Pack = Callable[[store.ShardName, pa.Table, Sequence[store.Skipped]], Made]
-"""What makes files of all new rows of a shard, and an index of them, which the shard keeps; picklable."""
+"""Makes files of the new rows of a shard and an index, which the shard keeps; picklable."""
 
 WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 """Writes the files that follow from all rows, and returns their checksums by path."""
@@ -46,10 +46,8 @@ _KEPT = 60  # of a longer one, before its digest
 
 
 def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
-    """Return the splits that are meant: the one named, or all."""
-    if split is None:
-        return place.splits
-    return (split,)
+    """Return the named split, or all splits."""
+    return place.splits if split is None else (split,)
 
 
 @dataclass(frozen=True)
@@ -80,7 +78,7 @@ class Source:
         return next(iter(self.shards.values()))[0].schema
 
     def manifest(self) -> store.Manifest | None:
-        """Return the manifest next to the shards, where there is one."""
+        """Return the manifest next to the shards, if any."""
         return catalog.manifest_beside(next(iter(self.shards.values()))[0])
 
     def row_bytes(self) -> int:
@@ -146,20 +144,20 @@ class Step(Protocol):
     """What a conversion does to one row; small and picklable."""
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the flat schema that it writes, for the flat schema that it reads."""
+        """Return the flat schema of the result, given that of the source."""
         ...
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Return the new rows as a table of that schema, with files where it makes some.
+        """Return the new rows as a table of that schema, and new files.
 
-        A row that raises IntegrityError is left out and listed.
+        Rows that raise IntegrityError are left out and listed.
         """
         ...
 
 
 @dataclass(frozen=True)
 class Conversion:
-    """A conversion, decided down to its rows.
+    """A conversion and the rows that it takes.
 
     ``options`` are JSON values; the layout follows from the size of the source's rows where it is None.
     ``extra_dirs`` names where files next to the rows lie; ``write_files`` writes what follows from all rows,
@@ -179,7 +177,7 @@ class Conversion:
 
 
 def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
-    """Choose the first so many rows of each split; all for None."""
+    """Choose the first ``limit`` rows of each split; all of them for None."""
     counts = {split: sum(map(len, shards)) for split, shards in source.shards.items()}
     return {split: list(map(RowChoice, range(count)[:limit])) for split, count in counts.items()}
 
@@ -194,7 +192,7 @@ def require_limit(limit: int | None, name: str = "limit") -> int | None:
 
 
 def marked_repetitions(source: Source, choices: Choices) -> Choices:
-    """Mark the rows of each split whose id stands in a row before them; reads the column of ids only."""
+    """Mark rows with a duplicate id in their split; reads the column of ids only."""
     marked = {}
     for split, chosen in choices.items():
         ids = dataset_of(source.shards[split]).ids
@@ -209,7 +207,7 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
 def with_files(
     index: pa.Table, files: Mapping[str, bytes], named: Sequence[Sequence[str]] | None = None
 ) -> Made:
-    """Return the files of a shard with its index, which names up to two for each row: by default all."""
+    """Return the files of a shard and its index, which names up to two files for each row."""
     digests = {path: store.sha256_hex(content) for path, content in files.items()}
     columns = named or [[path] * len(index) for path in files]
     for prefix, paths in zip(_PREFIXES, columns, strict=False):
@@ -236,7 +234,7 @@ def checksums(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, s
 
 
 def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collection[str]]]) -> pa.Schema:
-    """Return those of the wanted columns that a source can fill.
+    """Return the wanted columns that a source can fill.
 
     With the type of each stand columns of the source, of which one is needed; without any it is always there.
     """
@@ -249,13 +247,13 @@ def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collect
 
 
 def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
-    """Return the columns of a schema as a table; those that are not given have no values."""
+    """Return the columns of a schema as a table; columns that are not given hold nulls."""
     unknown = [None] * len(columns["id"])
     return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
 
 
 def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[str, str]:
-    """Write files where they differ: a run over a finished set changes nothing. Return their checksums."""
+    """Write the files that changed and return the checksums of all; unchanged files are not rewritten."""
     digests = {path: store.sha256_hex(content) for path, content in files.items()}
     for path, content in files.items():
         if not store.is_unchanged(folder, path, digests[path]):
@@ -264,7 +262,7 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
 
 
 def file_stem(round_id: str) -> str:
-    """Return the name of a file for a round, without an ending: its id, if that is plain.
+    """Return the stem of a file name for a round: its id, if that is plain.
 
     Whatever is not a letter, a digit, ``-`` or ``_`` is escaped as in addresses, ``a.b`` as ``a%2Eb``, so
     that different ids stay different and lead nowhere else on any system; a long one ends in its digest.
@@ -279,11 +277,9 @@ def file_stem(round_id: str) -> str:
 
 
 def id_of_stem(stem: str) -> str:
-    """Return the id of which :func:`file_stem` made a name; a name that others made, as it is."""
+    """Return the id from which :func:`file_stem` made a name; other names are returned unchanged."""
     round_id = unquote(stem)
-    if file_stem(round_id) == stem:
-        return round_id
-    return stem
+    return round_id if file_stem(round_id) == stem else stem
 
 
 def _escaped(found: re.Match[bytes]) -> bytes:

@@ -130,7 +130,7 @@ class TakeContactFrames:
         )
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Take a frame of each clip of a row; its JPEG passes through as it is stored."""
+        """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
         pictures: list[memoryview] = []
@@ -166,7 +166,7 @@ def resize(
     source, out, split, limit, workers, overwrite, on_progress
         As for :func:`clips_to_images`.
     width, height : int
-        Size wanted, pixels. What has it already passes through byte for byte.
+        Size wanted, pixels. Pictures that have it are copied byte for byte.
     quality : int
         JPEG quality of images that are encoded again, 1 to 100.
 
@@ -195,7 +195,7 @@ def resize(
 
 @dataclass(frozen=True)
 class ResizeMedia:
-    """Step of ``resize``: pixels are averaged, and only what changes is encoded again."""
+    """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again."""
 
     width: int
     height: int
@@ -206,7 +206,7 @@ class ResizeMedia:
         return source
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Resize the images or clips of a row; those of the wanted size already are copied."""
+        """Resize the images or clips of a row; pictures that have the size are copied."""
         name, suffix = "sensor_video", "avi"
         if row.has("sensor_image"):
             name, suffix = "sensor_image", "jpg"

@@ -59,7 +59,7 @@ _INDEX_SCHEMA = pa.schema(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TouchPicture:
-    """The picture that stands for a touch, and the pose of the gel then.
+    """The picture that represents a touch, and the pose of the gel at that moment.
 
     ``images`` holds it at ``place``: the images of the round, or the clip whose frame it is. ``pose`` are
     position and quaternion, seven numbers, or none where there are no poses.
@@ -106,7 +106,7 @@ def _pose_values(at: Poses, index: int | slice) -> Float64:
 def columns_of_touches(
     row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what a table says of the touches of a round, by column; only of what the source stores."""
+    """Return the columns of a table of the touches of a round, as far as the source stores them."""
     label, count = row.label_value(), len(shown)
     columns: dict[str, Any] = {
         "label": np.full(count, label),
@@ -201,7 +201,7 @@ class WritePictures:
     names: tuple[str, ...] = CLASS_NAMES
 
     def schema(self, source: Any) -> pa.Schema:
-        """Return the columns of the index; classes have names in it where those are not the digits."""
+        """Return the columns of the index; it names the classes unless they are the digits."""
         if self.names == CLASS_NAMES:
             return _INDEX_SCHEMA
         return _INDEX_SCHEMA.append(pa.field("label_name", pa.string()))
@@ -228,7 +228,7 @@ class WritePictures:
         return table_of(self.schema(None), columns), files
 
     def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
-        """Return the file of a picture, which is decoded in any case: what is passed on must be intact."""
+        """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:
             if base is None:

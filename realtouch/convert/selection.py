@@ -39,7 +39,7 @@ def select(
     per_class: int | None = None,
     **job: Unpack[JobOptions],
 ) -> store.Manifest:
-    """Write some rounds and touches of a data set; images and clips pass through byte for byte.
+    """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
     Parameters
     ----------
@@ -103,7 +103,7 @@ def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> 
 def _no_contact(source: Source, height_m: float) -> InputError:
     heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return InputError(
-        f"no touch that was chosen of {source.name!r} counts as contact (it does where "
+        f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
         next="a smaller --min-height-mm, or fewer filters",
@@ -150,12 +150,12 @@ def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> i
 
 @dataclass(frozen=True)
 class KeepTouches:
-    """Step of ``select``; where rounds lose touches, they differ in length."""
+    """Step of ``select``: the chosen touches of a round."""
 
     some_touches: bool
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the schema of the source; where rounds differ, lists over touches have no fixed length.
+        """Return the schema of the source; lists over touches get a variable length if rounds lose touches.
 
         Rounds that lose touches keep the height of their plate: the touches that showed it may be gone.
         """
@@ -170,7 +170,7 @@ class KeepTouches:
         return pa.schema(fields)
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Pass a row on, with the touches chosen; no image or clip is decoded."""
+        """Return a row with the chosen touches; no image or clip is decoded."""
         flat = flat_row(row)
         if choice.touches is None:
             return flat, {}

@@ -54,7 +54,7 @@ class _ConvertRows:
                 if choice.is_repeated:
                     problem = f"{row.value('id')!r} stands in an earlier round of split {shard.split!r}"
                     raise row.damaged("id", f"{problem} too; expected ids that differ")
-                # Here for all steps: one that copies a column would pass on what it never looked at.
+                # Checked for all steps: those that copy a column do not read it.
                 row.require_touches()
                 made, beside = self.step.apply(row, choice, shard.split)
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
@@ -90,7 +90,7 @@ class _ConvertRows:
 
 
 def plan_conversion(conversion: Conversion) -> store.BuildPlan:
-    """Decide which shards hold which rows; reads footers only. InputError when nothing is left to convert."""
+    """Divide rows into shards; reads footers only. InputError if nothing is left to convert."""
     source, step = conversion.source, conversion.step
     names = read.class_names(source.schema, CLASS_NAMES)
     schema = with_features(step.schema(flat_schema(source.schema)), names)
@@ -143,7 +143,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
 
 
 class JobOptions(store.RunKeywords, total=False):
-    """How any conversion is done; see :func:`realtouch.clips_to_images`."""
+    """Options of all conversions; see :func:`realtouch.clips_to_images`."""
 
     split: str | None
     limit: int | None
@@ -166,7 +166,7 @@ def write_conversion(
     conversion = plan(opened, require_limit(limit))
     catalog.refuse_source(folder, opened.name, chain.from_iterable(opened.shards.values()))
     origin = origin_of(opened.schema, opened.manifest())
-    # The terms are those of the source; columns of rounds say by themselves that they were rendered.
+    # Recorded here, as pictures do not show whether touches were imported or rendered; rounds do.
     if opened.unfinished:
         conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):

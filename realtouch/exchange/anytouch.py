@@ -62,7 +62,7 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
         for image, label in zip(*(column.to_pylist() for column in table.columns), strict=True):
             _, _, name, _, base = image.split("/")
             lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
-    # The index holds the checksums of the images: as many checksums would make the manifest larger than it.
+    # The index has the checksums of the images; in the manifest they would take too much space.
     return write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
 
 
@@ -70,7 +70,7 @@ plan_anytouch = PackedFormat(_FOLDER, _pack, _write_lists).plan
 
 
 def find_anytouch(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each line of the lists (or one, by its name); of a file that is not there, why."""
+    """Yield a touch for each line of the lists, or of one list; a missing file is the touch's problem."""
     lists = [(home, name) for name in visible_files(home, _LIST_END)]
     if table is not None:
         lists = [source_of(table)]

@@ -30,7 +30,7 @@ _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 
 def only_split(source: Source, choices: Choices, what: str) -> str:
-    """Return the one split that is exported; InputError for several."""
+    """Return the only split of an export; InputError if there are several."""
     if len(choices) > 1:
         raise InputError(
             f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
@@ -49,7 +49,7 @@ class Episodes:
 
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
-        """Look at the first image of a split: all are to be of its size."""
+        """Read the size of the first image of a split; all images must have it."""
         names = read.class_names(source.schema, CLASS_NAMES)
         row = next(filter(StoredRound.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
@@ -62,7 +62,7 @@ class Episodes:
         return cls(max(1, round(clip.fps)), clip.size, names)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the columns that the source can fill, and what the index says of episodes."""
+        """Return the columns that the source can fill, and those of the index of episodes."""
         wanted = {
             "id": (pa.string(), ("id",)),
             "round_id": (pa.string(), ("id",)),
@@ -81,9 +81,7 @@ class Episodes:
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
         name, label = row.name(), row.label_value(self.names)
-        object_id = 0
-        if row.has("object_id"):
-            object_id = row.integer("object_id")
+        object_id = row.integer("object_id") if row.has("object_id") else 0
         schema = self.schema(row.group.table.schema)
         tables = [schema.empty_table()]
         for touch, touches, images, columns in self._episodes(row):

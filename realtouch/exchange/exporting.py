@@ -19,7 +19,7 @@ EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout
 
 
 def require_layout(layout: str, known: Mapping[str, T]) -> T:
-    """Return what stands for a format; InputError where none of those known has that name."""
+    """Return the entry of a format; InputError for an unknown name."""
     if layout not in known:
         raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
     return known[layout]

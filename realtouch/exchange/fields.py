@@ -28,7 +28,7 @@ _FARTHEST_M = (0.18, 0.18, 0.36)
 
 
 def text_of(values: Mapping[str, Any], name: str | None) -> str:
-    """Return a value as text; nothing for what is none: JSON has NaN, lists and objects too."""
+    """Return a value as text; empty for null, NaN, lists and objects of JSON."""
     value = values.get(name) if name else None
     if value is None or value != value or isinstance(value, (list, dict)):
         return ""
@@ -41,12 +41,12 @@ def shown(text: object) -> str:
 
 
 def integer_text(text: str) -> str:
-    """Return ``"3"`` for ``"3.0"``: so tables have integers whose column has a gap."""
+    """Return ``"3"`` for ``"3.0"``: programs write integers so in a column with gaps."""
     return _NUMBER.sub(r"\1", text)
 
 
 def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]) -> int:
-    """Return the number of the class, -1 where it is not known; ItemError for another one."""
+    """Return the number of the class, -1 if it is unknown; ItemError if it is not a class."""
     if isinstance(values.get(column or NUMBERED), (list, dict)):
         raise ItemError(
             "label", f"the label {shown(values[column or NUMBERED])}; expected a name or a number"

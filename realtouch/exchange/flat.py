@@ -40,7 +40,7 @@ IMAGE = "image"
 _WHERE = {"seq": "frame {}: ", "single": ""}
 _GROUP_BYTES = 32 << 20
 FRAMES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}
-"""About how much smaller an image is than a clip, or an image."""
+"""Approximate ratio of the size of a clip or image to that of an image."""
 _MOST_ROWS_PER_GROUP = 1 << 14
 
 
@@ -50,13 +50,13 @@ PackTouches = Callable[[store.ShardName, pa.Table, Iterator[dict[str, Any]]], Ma
 
 @dataclass(frozen=True)
 class _PackImages:
-    """Packs the touches of a shard; ``no_gaps``: shards are numbered, and none may be empty."""
+    """Packs the touches of a shard; with ``no_gaps``, a shard must not be empty."""
 
     pack: PackTouches
     no_gaps: bool
 
     def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
-        """Return the files of a shard, none of an empty one."""
+        """Return the files of a shard; an empty shard has none."""
         index = rows.drop_columns([IMAGE])
         if len(rows):
             return self.pack(shard, index, (each.as_py() for each in rows[IMAGE]))
@@ -122,7 +122,7 @@ class _Touches:
     names: tuple[str, ...]
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return plain columns: of what the source says, and nothing that it does not."""
+        """Return the plain columns that the source can fill."""
         poses = [f"{name}.position" for name in POSE_COLUMN.values()]
         wanted: dict[str, tuple[pa.DataType, Sequence[str]]] = {
             "id": (pa.string(), ()),
@@ -139,7 +139,7 @@ class _Touches:
         return schema_of(source, wanted)
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
-        """Return the touches of a row; one damaged touch leaves the round out, so that none is half there."""
+        """Return the touches of a row; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)

@@ -24,7 +24,7 @@ from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
-# Images of a store that are asked for at a time: each answer takes long, and they are small.
+# Images that are requested from a store at a time; latency dominates, as images are small.
 _FAR_READERS = 16
 
 _HERE = re.compile(r"^(?:\./+)+")
@@ -36,7 +36,7 @@ _SIZES_SEEN = 32
 
 @dataclass(frozen=True, slots=True)
 class FoundTouch:
-    """A touch to import: where its image is, its fields, and why it cannot be used, if so.
+    """A touch to import: where its image is, its fields, and why it cannot be used, if it cannot.
 
     ``path`` is below ``home``, the address of the source; of a group of arrays, ``part`` names what is meant.
     ``fields`` names all fields of the source that have a value.
@@ -84,7 +84,7 @@ def found_file(
     sizes: Callable[[str], Mapping[str, int]],
     problem: ItemError | None = None,
 ) -> FoundTouch:
-    """Return the touch whose image is a file; where there is no such file, with that as its problem."""
+    """Return the touch whose image is a file; a missing file is its problem."""
     size = 0
     try:
         size = store.size_inside(home, name, sizes)
@@ -94,7 +94,7 @@ def found_file(
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
-    """Return the names of files directly in a folder that end so, in lower case, without hidden ones."""
+    """Return the names of visible files directly in a folder that end so; case does not matter."""
     return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
 
 
@@ -103,7 +103,7 @@ ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
 
 
 def common_size(items: Sequence[FoundTouch], read: ReadContents, sizes_seen: int) -> tuple[int, int] | None:
-    """Return height and width of most images, the first of equals; None where none can be read.
+    """Return the most frequent height and width of images; None if no image can be read.
 
     All are looked at only where some, spread over all, differ: to read each twice takes long.
     """
@@ -153,7 +153,7 @@ def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
 
 
 def path_of(text: str) -> str:
-    """Return the path that a table or tar names, with slashes: programs of Windows write backslashes."""
+    """Return a path of a table or tar with slashes; programs on Windows write backslashes."""
     return _HERE.sub("", text.strip().replace("\\", "/"))
 
 
@@ -165,7 +165,7 @@ def source_of(place: str) -> tuple[store.DataFolder, str]:
 
 
 def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
-    """Open a file of a source that holds many touches or what is known of them; InputError names it."""
+    """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
     try:
         return store.open_inside(folder, name)
     except ItemError as error:
@@ -180,7 +180,7 @@ def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dic
 
 
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
-    """Refuse columns that are not there, or there several times (InputError)."""
+    """Raise InputError for missing or duplicate columns."""
     for name in wanted:
         count = known.count(name)
         if count != 1:

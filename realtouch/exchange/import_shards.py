@@ -26,7 +26,7 @@ from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE, is_jpeg, with_features
 
 NOT_IMPORTED = "not_imported"
-"""What the statistics call the fields of the source that were not imported: touches that had one, by name."""
+"""Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
 _POSE = "gel_pose_cell_frame"
 _OF_ROUND = ("label", "object_id")
@@ -39,7 +39,7 @@ NamedTouch = tuple[str, FoundTouch]
 
 
 def touch_schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
-    """Return the schema of imported rounds, with what is known of their touches."""
+    """Return the schema of imported rounds with the known columns."""
     position, pose = pa.list_(pa.list_(pa.float64(), 2)), pa.list_(pa.list_(pa.float64(), 3))
     known = {
         "id": (pa.string(), True),
@@ -55,7 +55,7 @@ def touch_schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
 
 
 def version_of(file: tuple[str, str]) -> tuple[object, ...] | None:
-    """Return what changes whenever a file, by folder and path, is replaced."""
+    """Return the version of a file, given by folder and path; it changes if the file is replaced."""
     folder, path = file
     return store.open_folder(folder).version(path)
 
@@ -134,7 +134,7 @@ class ImportTouches:
         return replace(content, statistics={NOT_IMPORTED: dict(sorted(counted.items()))})
 
     def _touch(self, item: FoundTouch, contents: Iterator[bytes | ItemError]) -> dict[str, Any]:
-        """Return what the columns hold of a touch; ItemError where it cannot be used."""
+        """Return the columns of a touch; ItemError if it cannot be used."""
         if item.problem is not None:
             raise item.problem
         image = next(contents)
@@ -152,7 +152,7 @@ class ImportTouches:
         }
 
     def _require_image(self, image: bytes) -> None:
-        """Refuse what is not an intact image, upright and of the size of the others (ItemError)."""
+        """Raise ItemError unless an image is intact, upright and of the common size."""
         try:
             size = require_intact(image)
         except ValueError as error:
@@ -167,7 +167,7 @@ class ImportTouches:
 
 
 def _is_turned(image: bytes) -> bool:
-    """Return whether readers that obey what an image states of itself turn it; Pillow knows all places."""
+    """Return whether Exif or XMP data ask readers to turn the image."""
     if is_jpeg(image) and b"\xff\xe1" not in image:
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     try:

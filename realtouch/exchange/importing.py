@@ -24,7 +24,7 @@ from tactile_toolkit.read import Shard
 from tactile_toolkit.touch import CLASS_NAMES
 
 CONVERSION = "images_were"
-"""What the options of an import say of images that were not taken as they are."""
+"""Key of the options of an import: how images were converted."""
 
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
@@ -107,7 +107,7 @@ def import_images(
 def _items(
     home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None
 ) -> list[FoundTouch]:
-    """Read what a folder holds: of an export of ours below the name of the format, and in all splits."""
+    """Find the touches in a folder, or in the splits of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
         folders = [store.open_folder(home.address(layout))]
@@ -194,7 +194,7 @@ def _divided(rounds: Mapping[str, Sequence[FoundTouch]]) -> list[list[NamedTouch
 
 
 def _class_names(items: Sequence[FoundTouch], column: str | None) -> tuple[str, ...]:
-    """Return the classes in the data: numbers count from 0, ten at least; names stay as they are."""
+    """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
     for item in items:
         number = _DECIMAL.fullmatch(text_of(item.values, NUMBERED))
@@ -215,7 +215,7 @@ def _class_names(items: Sequence[FoundTouch], column: str | None) -> tuple[str, 
 def _rounds(
     items: Sequence[FoundTouch], columns: ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[FoundTouch]]]:
-    """Return the touches of each round of each split, in order; a touch without a round is one."""
+    """Return the touches of each round of each split, in order; a touch without a round is a round."""
     found: dict[str, dict[str, list[FoundTouch]]] = {}
     home: dict[str, str] = {}
     named = {text_of(item.values, columns.round) for item in items}

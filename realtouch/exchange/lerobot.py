@@ -98,7 +98,7 @@ def _episode_lengths(source: Source, split: str) -> Int64:
 
 @dataclass(frozen=True)
 class _PackEpisodes:
-    """Packs the frames of a shard and what is to be known of its episodes; keeps an index of those."""
+    """Packs the frames of a shard and the table of its episodes; keeps an index of episodes."""
 
     starts: Sequence[Sequence[int]] = field(repr=False)
     tasks: tuple[str, ...]
@@ -178,7 +178,7 @@ class _PackEpisodes:
 
 @dataclass(frozen=True)
 class _WriteMeta:
-    """Writes what a LeRobotDataset says of all its episodes, once they are there."""
+    """Writes the metadata of a LeRobotDataset after all its episodes."""
 
     split: str
     fps: int
@@ -231,7 +231,7 @@ def _json_bytes(values: Mapping[str, Any]) -> bytes:
 
 
 def _task_table(tasks: Sequence[str]) -> pa.Table:
-    """Return the tasks as pandas stores a table whose rows go by name."""
+    """Return the tasks as pandas stores a table with a named index."""
     table = pa.table({"task_index": pa.array(range(len(tasks)), pa.int64()), "task": pa.array(tasks)})
     columns = [
         {"name": name, "field_name": name, "pandas_type": kind, "numpy_type": stored, "metadata": None}
@@ -258,7 +258,7 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
 
 
 def _episode(values: pa.Array) -> dict[str, Any]:
-    """Return the statistics of a feature in an episode; of images those of some, in shares of full colour."""
+    """Return the statistics of a feature in an episode; those of images are of a sample, from 0 to 1."""
     if values.type != MEDIA_TYPE:
         numbers = _flat_rows(values)
         found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
@@ -274,7 +274,7 @@ def _episode(values: pa.Array) -> dict[str, Any]:
 
 
 def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
-    """Return the statistics of rising values that occur so many times."""
+    """Return the statistics of rising values, given how often each occurs."""
     total, below = int(counts.sum()), np.cumsum(counts)
     mean = math.fsum(values * counts) / total
     spread = math.sqrt(math.fsum(counts * (values - mean) ** 2) / total)

@@ -49,9 +49,7 @@ class PictureArray:
             raise array.group.refused(
                 array.path, f"{len(pictures):,} pictures in {stored:,} bytes; expected at most {most:,}"
             )
-        if array.dtype == np.uint8:
-            return pictures
-        return cls(array, pictures._lossless())
+        return pictures if array.dtype == np.uint8 else cls(array, pictures._lossless())
 
     def __len__(self) -> int:
         return self.array.shape[0]
@@ -70,9 +68,7 @@ class PictureArray:
         shape = self.array.shape
         if len(shape) == 3:
             return (*shape, 1)
-        if self._channel_axis == 1:
-            return (shape[0], *shape[2:], shape[1])
-        return shape
+        return (shape[0], *shape[2:], shape[1]) if self._channel_axis == 1 else shape
 
     def pixels(self, start: int, stop: int) -> UInt8:
         """Return some pictures, shape (n, H, W, 3), or (n, H, W) of one channel; uint8, contiguous."""

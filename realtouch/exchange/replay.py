@@ -209,9 +209,7 @@ def _rows(array: ZarrArray, frames: int) -> AnyArray:
         expected = f"{frames:,} rows of numbers, as frames"
         raise array.group.refused(array.path, f"an array {array.shape}; expected {expected}")
     rows = array.rows(0, frames)
-    if rows.shape[1:] == (1,):
-        return rows[:, 0]
-    return rows
+    return rows[:, 0] if rows.shape[1:] == (1,) else rows
 
 
 def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:

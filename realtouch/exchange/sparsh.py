@@ -28,7 +28,7 @@ _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
-# No image is smaller: a million empty ones would be looked at one by one.
+# No image is smaller; a million empty ones would take long to check.
 _LEAST_IMAGE_BYTES = 24
 # How many bytes of an opcode come before the content.
 _HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}

@@ -46,9 +46,7 @@ def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> 
 
 def as_jpeg(image: bytes) -> bytes:
     """Return an image for readers that know JPEG alone: as it is, or encoded again."""
-    if is_jpeg(image):
-        return image
-    return encode_image(decode_image(image))
+    return image if is_jpeg(image) else encode_image(decode_image(image))
 
 
 def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:

@@ -74,9 +74,7 @@ def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
     names = visible_files(home, ".tar")
     place = home.address()
-    is_file = place.lower().endswith(".tar")
-    if home.is_local:
-        is_file = Path(place).is_file()
+    is_file = Path(place).is_file() if home.is_local else place.lower().endswith(".tar")
     if is_file and not names:
         return [source_of(place)]
     if not names:

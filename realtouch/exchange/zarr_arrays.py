@@ -34,7 +34,7 @@ _MOST_METADATA_BYTES = 1 << 20
 _MOST_CHUNKS = 1 << 18
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
-# What the standard library, Arrow and numcodecs raise; MemoryError is what a damaged header asks for.
+# Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
 _UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
 _LEVEL = 1
 
@@ -55,9 +55,7 @@ def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) ->
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
-    if not is_stated:
-        return b""
-    return bytes(codec.decompress(data))
+    return b"" if not is_stated else bytes(codec.decompress(data))
 
 
 _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
@@ -67,7 +65,7 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
     "zlib": _deflated,
     "zstd": _zstd,
 }
-"""What unpacks to a number of bytes: it gives that many, or another number, or raises."""
+"""Functions that unpack data to a given number of bytes; a result of another length means damage."""
 
 
 class ZarrGroup:

@@ -119,7 +119,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         if not isinstance(sequence, RecordDataset):
             raise InputError(
                 f"{type(data).__name__} was given; expected a data set of the toolkit, or tensors of one "
-                "such as realtouch.torch.TouchTensors"
+                "such as realtouch.touch_tensors.TouchTensors"
             )
         self.data = data
         self.batch_size = checked_integer(batch_size, "batch_size", 1)

@@ -12,7 +12,7 @@ import realtouch
 from realtouch.avi import MAX_CLIP_FRAMES, Avi, write_avi
 from realtouch.contact import CLOCK_TOLERANCE_S, contact_heights_m, contact_window
 from realtouch.touch_clips import TouchClip
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import encode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -49,12 +49,6 @@ def decode_with_ffmpeg(data: memoryview) -> np.ndarray:
 def test_times(clip: TouchClip, truth: list[RoundTruth]) -> None:
     made = truth[0].touches[0]
     np.testing.assert_allclose(clip.timestamps_s, made.time_s)
-    np.testing.assert_array_equal(clip.at(0.0), clip[0])
-    np.testing.assert_array_equal(clip.at(0.999), clip[24])
-    np.testing.assert_array_equal(clip.at(1.0), clip[25])
-    for outside in (-0.01, 99.0):
-        with pytest.raises(InputError, match="expected a time within the clip"):
-            clip.at(outside)
 
 
 def test_contact_frames_are_the_true_ones(seq_folder: Path, truth: list[RoundTruth]) -> None:

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.gallery import plan_gallery
+from realtouch.touch_gallery import plan_gallery
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.gallery import build_site
 from tests.gallery_browser import browser, opened

@@ -9,8 +9,8 @@ import pytest
 
 import realtouch
 from realtouch.contact import contact_heights_m
-from realtouch.gallery import plan_gallery
-from realtouch.previews import CONTACT, draw_grid
+from realtouch.touch_gallery import plan_gallery
+from realtouch.touch_previews import CONTACT, draw_grid
 from tests.realtouch.factories import RoundTruth
 
 

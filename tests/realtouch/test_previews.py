@@ -10,7 +10,9 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.previews import (
+from realtouch.touch import Touch
+from realtouch.touch_options import TouchPreviewSpec
+from realtouch.touch_previews import (
     CONTACT,
     SENSING_AREA_M,
     PlacedTouch,
@@ -21,8 +23,6 @@ from realtouch.previews import (
     placed_touches,
     plan_previews,
 )
-from realtouch.touch import Touch
-from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit.errors import InputError
 from tests.realtouch import factories
 from tests.realtouch.conftest import SIZE, TOUCHES

@@ -29,7 +29,7 @@ def squared(touch: realtouch.Touch) -> int:
 
 @pytest.fixture
 def images(single_folder: Path) -> Any:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     return TouchTensors(realtouch.load(single_folder, "train"))
 
@@ -37,7 +37,7 @@ def images(single_folder: Path) -> Any:
 def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path) -> None:
     from torchvision.tv_tensors import Image, Video
 
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     touches = realtouch.load(single_folder, "train").touches()
     image, label = images[7]
@@ -60,7 +60,7 @@ def test_items_are_tv_tensors(images: Any, single_folder: Path, seq_folder: Path
 
 
 def test_targets(single_folder: Path) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     dataset = realtouch.load(single_folder, "train")
     touch = dataset.touches()[6]
@@ -78,7 +78,7 @@ def test_targets(single_folder: Path) -> None:
 
 @pytest.mark.parametrize("method", ["contact_start", "peak", "best", "contact_end"])
 def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     touches = realtouch.load(seq_folder, "train").touches().with_contact()
     data = TouchTensors(touches, target="gel_position", frames=method)
@@ -94,7 +94,7 @@ def test_the_pose_is_that_of_the_frame(method: str, seq_folder: Path) -> None:
 def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], tmp_path: Path) -> None:
     from torchvision.transforms import v2
 
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     rows = factories.single_rows([truth[0], factories.make_round(8, 5, (64, 48))])
     data = TouchTensors(
@@ -107,7 +107,7 @@ def test_images_of_several_sizes_meet_in_the_transform(truth: list[RoundTruth], 
 
 
 def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     rows = factories.single_rows(truth)
     rows[1]["sensor_image"][2]["bytes"] = b"no picture"
@@ -118,7 +118,7 @@ def test_damage_in_a_batch_is_named(truth: list[RoundTruth], tmp_path: Path) -> 
 
 @pytest.mark.parametrize("target", [None, "label", "round_id", "pos_in_cell", "gel_position", squared])
 def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: Any) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     data = TouchTensors(realtouch.load(single_folder, "train"), target=target)
     order = [14, 3, 3, 0]
@@ -141,7 +141,7 @@ def test_a_batch_made_at_once_is_that_of_its_items(single_folder: Path, target: 
 def test_transforms_apply(single_folder: Path) -> None:
     from torchvision.transforms import v2
 
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     pipeline = v2.Compose([v2.Resize((32, 32)), v2.ToDtype(torch.float32, scale=True)])
     data = TouchTensors(realtouch.load(single_folder, "train"), pipeline)
@@ -166,7 +166,7 @@ def test_workers_of_every_start_method(images: Any) -> None:
 
 
 def test_touches_of_a_stream_are_read_where_they_lie(single_folder: Path) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
 
     data = TouchTensors(realtouch.load(single_folder, "train", streaming=True), target=identity)
     touches = realtouch.load(single_folder, "train").touches()
@@ -182,6 +182,6 @@ def identity(touch: realtouch.Touch) -> tuple[int, int]:
 
 def test_without_torch_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
-    monkeypatch.delitem(sys.modules, "realtouch.torch", raising=False)
+    monkeypatch.delitem(sys.modules, "realtouch.touch_tensors", raising=False)
     with pytest.raises(MissingExtraError, match=r"the extra `torch`"):
-        __import__("realtouch.torch")
+        __import__("realtouch.touch_tensors")

@@ -13,8 +13,8 @@ import pytest
 import realtouch
 import starstruck_gen
 import tactile_sim
-from realtouch.gallery import plan_gallery
-from realtouch.previews import CONTACT, draw_grid
+from realtouch.touch_gallery import plan_gallery
+from realtouch.touch_previews import CONTACT, draw_grid
 from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes

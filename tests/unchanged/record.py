@@ -25,7 +25,7 @@ from PIL import Image
 import mnist3d
 import mnist3d.digit_previews
 import realtouch
-import realtouch.previews
+import realtouch.touch_previews
 import starstruck_gen
 import starstruck_gen.scene_previews
 from mnist3d.digit_options import DigitPreviewSpec
@@ -57,7 +57,7 @@ PACKAGES = (
     "mnist3d",
     "starstruck_gen",
     "realtouch",
-    "realtouch.torch",
+    "realtouch.touch_tensors",
     "tactile_sim",
     "env_assets",
     "tactile_envs",
@@ -173,7 +173,7 @@ def pictures(sets: Path) -> dict[str, str]:
         starstruck_gen.scene_previews.plan_previews(
             str(sets / "scenes"), PreviewSpec(split="test", per_class=2)
         ),
-        realtouch.previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
+        realtouch.touch_previews.plan_previews(str(sets / "clips"), TouchPreviewSpec(("grid", "overlay"))),
     )
     drawn = {planned.name: planned.draw() for plan in plans for planned in plan.pictures}
     objects = named([ell(40, 9), ring(20, 14), box(20, 12), box(8, 50)])

@@ -36,7 +36,7 @@ CHANGING = {"_Run", "DiskCache", "_Object"}
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_public_names_are_unchanged(package):
-    if package == "realtouch.torch":
+    if package == "realtouch.touch_tensors":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     assert public_names(package) == RECORD["names"][package]
 
@@ -44,7 +44,7 @@ def test_public_names_are_unchanged(package):
 @pytest.mark.parametrize("package", PACKAGES)
 def test_defaults_and_limits_are_unchanged(package):
     """Of all public names, but for those that only extras can import."""
-    if package == "realtouch.torch":
+    if package == "realtouch.touch_tensors":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     names = importable(package)
     fields = RECORD["fields"][package].items()
@@ -55,7 +55,7 @@ def test_defaults_and_limits_are_unchanged(package):
 
 @pytest.mark.parametrize("package", PACKAGES)
 def test_what_users_hold_is_not_changed_by_whoever_else_holds_it(package):
-    if package == "realtouch.torch":
+    if package == "realtouch.touch_tensors":
         pytest.importorskip("torch", reason="needs torch, of the extra torch")
     kinds = [kind for kind in importable(package).values() if isinstance(kind, type) and is_dataclass(kind)]
     # An error is not held; Python itself writes where it came from into it.

@@ -300,7 +300,7 @@ def test_views_come_shard_by_shard(paths: list[str]) -> None:
 
 
 def test_touches_and_scenes(tmp_path: Path) -> None:
-    from realtouch.torch import TouchTensors
+    from realtouch.touch_tensors import TouchTensors
     from starstruck_gen.scene_tensors import SceneTensors
 
     rounds = [factories.make_round(index, 5, (64, 48), (4, 5)) for index in range(7)]

@@ -26,12 +26,12 @@ from tactile_toolkit.touch import decode_image
 if TYPE_CHECKING:
     import torch
 else:
-    with needs_extra("realtouch.torch", "torch", "torch"):
+    with needs_extra("realtouch.touch_tensors", "torch", "torch"):
         import torch
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 
-# Rounds that were met last; a batch of a training job holds a touch or two of each.
+# Least recently used rounds are evicted; a training batch holds a touch or two of each.
 _ROUNDS_KEPT = 1024
 
 Transform = Callable[[Any], Any]
@@ -44,7 +44,7 @@ TARGETS: dict[str, Callable[[Touch], Any]] = {
     "gel_position": lambda touch: torch.tensor(touch.gel_pose.translation, dtype=torch.float32),
     "round_id": lambda touch: touch.round_id,
 }
-"""What may stand next to an image; positions are metres in the cell frame, float32.
+"""Targets of images; positions are in metres, cell frame, float32.
 
 ``"gel_position"`` is that of the frame which is given; next to a whole clip, of the last frame of contact.
 """
@@ -169,9 +169,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
-        """Decode images of one size, shape (n, 3, H, W), next to their touches; None where they are not that.
+        """Decode images of one size, shape (n, 3, H, W), and their touches; None if sizes differ.
 
-        Where an image is damaged it is None, too: asking for the item by itself raises the error.
+        It is None for a damaged image as well; the error is raised when the item is requested.
         """
         if self.touches.dataset.kind != "single" or not len(indices):
             return None
@@ -215,6 +215,6 @@ def _tensor(kind: str, pixels: UInt8) -> Any:
 
 
 def _tv_tensors() -> Any:
-    with needs_extra("realtouch.torch", "torchvision", "torch"):
+    with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
         from torchvision import tv_tensors
     return tv_tensors

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.kind import KIND
@@ -32,15 +33,16 @@ _PX_PER_MM = 7.0
 SENSING_AREA_M = (0.01888, 0.01416)
 """Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
 
-# Share of a side over which a picture fades: no edges show where touches overlap.
+_AFFINE = Image.Transform.AFFINE
+# Share of a side over which a picture fades, so that overlapping touches show no edges.
 _FEATHER = 0.06
-# A touch of bare plate counts a little, or nothing would be seen where only such are.
+# Touches of bare plate count a little, so that areas with no other touch show something.
 _PLAIN_WEIGHT = 0.02
 _MOST_THREADS = 4
 
 
 def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> pictures.PicturePlan:
-    """Decide which pictures to draw of whatever :func:`realtouch.load` opens; draws none.
+    """Plan the pictures of a data set that :func:`realtouch.load` opens; draws none.
 
     Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
     it, or a strip of a set without clips. IntegrityError and HubError as :func:`realtouch.load`.
@@ -130,13 +132,13 @@ class CellMap:
     px_per_m: float
 
     def point_px(self, point_m: Sequence[float] | AnyArray) -> tuple[float, float]:
-        """Return where a point of the cell lies: column and row, 0 at the outer edge of the first pixel."""
+        """Return the column and row of a point of the cell; 0 is the outer edge of the first pixel."""
         x, y = float(point_m[0]), float(point_m[1])
         return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
 
 
 def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
-    """Read the pictures of some touches and where the gel was; of clips, the last frame of contact.
+    """Read the pictures of some touches and the positions of the gel; of clips, the last frame of contact.
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
@@ -161,7 +163,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
 def cell_map(
     touches: Sequence[PlacedTouch], px_per_mm: float, cell_m: tuple[float, float] = CELL_M
 ) -> CellMap:
-    """Return a map that holds the cell and every touch whole."""
+    """Return a map that shows the cell and every touch completely."""
     # Touches near the edge of the cell reach beyond it.
     reach = np.array(cell_m) / 2
     for touch in touches:
@@ -191,13 +193,12 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     for touch in touches:
         window, back = _back_to_touch(touch, cell)
         weight = _weight(touch.pixels, rest)
-        colours = _taken(touch.pixels.astype(np.float32), window, back)
-        share = _taken(weight, window, back)
-        inside = _taken(np.ones_like(weight), window, back, nearest=True) > 0.5
-        share = np.where(inside, share, 0.0)[:, :, None]
-        rows, columns = window
-        sums[rows, columns] += share * colours
-        weights[rows, columns] += share
+        layers = np.dstack([touch.pixels.astype(np.float32), weight])
+        sampled = _sampled(layers, window, back, Image.Resampling.BILINEAR)
+        inside = _sampled(np.ones_like(layers[..., :1]), window, back, Image.Resampling.NEAREST) > 0.5
+        share = np.where(inside, sampled[..., 3:], 0.0)
+        sums[window] += share * sampled[..., :3]
+        weights[window] += share
     mixed = np.where(weights > 0, sums / np.where(weights > 0, weights, 1.0), 255.0)
     return np.round(mixed).astype(np.uint8)
 
@@ -215,7 +216,7 @@ def _weight(pixels: UInt8, rest: Float64) -> Float32:
 
 
 def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slice], tuple[float, ...]]:
-    """Return the window of the map that a touch reaches, and the way from there to pixels of the touch."""
+    """Return the window of the map that a touch covers, and the affine map from there to its pixels."""
     height, width = touch.pixels.shape[:2]
     # Metres along columns and rows of the touch -> pixels of the map, whose rows grow along -y.
     to_map = touch.axes.T * cell.px_per_m * np.array([[1.0], [-1.0]])
@@ -230,17 +231,10 @@ def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slic
     return window, back
 
 
-def _taken(
-    values: Float32, window: tuple[slice, slice], back: tuple[float, ...], nearest: bool = False
-) -> Float64:
-    """Sample a picture, (H, W) or (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
-    from PIL import Image
-
+def _sampled(
+    layers: Float32, window: tuple[slice, slice], back: tuple[float, ...], method: Image.Resampling
+) -> Float32:
+    """Sample layers of a picture, (H, W, n), at the pixels of a window of the map; 0 beyond its edge."""
     size = (window[1].stop - window[1].start, window[0].stop - window[0].start)
-    method = Image.Resampling.NEAREST if nearest else Image.Resampling.BILINEAR
-    planes = values[:, :, None] if values.ndim == 2 else values
-    sampled = [
-        np.asarray(Image.fromarray(plane).transform(size, Image.Transform.AFFINE, back, method))
-        for plane in np.moveaxis(np.ascontiguousarray(planes), 2, 0)
-    ]
-    return np.stack(sampled, axis=2) if values.ndim == 3 else sampled[0]
+    planes = map(Image.fromarray, np.moveaxis(np.ascontiguousarray(layers), 2, 0))
+    return np.dstack([np.asarray(each.transform(size, _AFFINE, back, method)) for each in planes])
