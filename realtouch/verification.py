@@ -160,7 +160,7 @@ def verify(
     findings: list[Damage] = []
     has_checksums = False
     if folder is not None:
-        has_checksums = manifest is not None or store.read_record(folder) is not None
+        has_checksums = manifest is not None or store.read_download_record(folder) is not None
     if folder is not None and has_checksums:
         listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
         findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
