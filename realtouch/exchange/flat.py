@@ -26,7 +26,7 @@ from realtouch.convert.conversion import (
     table_of,
     with_files,
 )
-from realtouch.convert.picture_files import columns_of_touches, shown_touches
+from realtouch.convert.touch_pictures import columns_of_touches, shown_touches
 from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_round import StoredRound

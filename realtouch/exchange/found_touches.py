@@ -213,9 +213,9 @@ IMPORTS: dict[str, ImportFormat] = {
     for layout in get_args(ImportLayout)
 } | {
     "replay": ImportFormat(
-        lazy("realtouch.exchange.replay:find_replay"),
-        lazy("realtouch.exchange.replay:encoded_frames"),
+        lazy("realtouch.exchange.replay_import:find_replay"),
+        lazy("realtouch.exchange.replay_import:encoded_frames"),
         1,  # the pictures of one array are of one size
-        lazy("realtouch.exchange.replay:describe_conversion"),
+        lazy("realtouch.exchange.replay_import:describe_conversion"),
     )
 }
