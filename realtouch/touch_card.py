@@ -17,7 +17,7 @@ from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.schema import media_kind, origin_of
 from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch
-from realtouch.touch_dataset import TouchDataset, dataset_of
+from realtouch.touch_dataset import AnyDataset, dataset_of
 from tactile_toolkit import cards, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
@@ -152,7 +152,7 @@ def _stored_content(
     """Return what a card says of rounds; reads small columns and a few rounds."""
     datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
-    def of_each(count: Callable[[TouchDataset[Any]], Any], empty: Any = None) -> list[Any]:
+    def of_each(count: Callable[[AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)

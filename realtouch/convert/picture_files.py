@@ -128,7 +128,7 @@ class WritePictures:
     difference: Literal["grey", "absolute"] | None = None
     names: tuple[str, ...] = CLASS_NAMES
 
-    def schema(self, source: Any) -> pa.Schema:
+    def schema(self, source: pa.Schema | None) -> pa.Schema:
         """Return the columns of the index; it names the classes unless they are the digits."""
         if self.names == CLASS_NAMES:
             return _INDEX_SCHEMA

@@ -12,9 +12,9 @@ from __future__ import annotations
 import hashlib
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -22,7 +22,7 @@ import pyarrow as pa
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.stored_images import decoded
+from realtouch.exchange.stored_images import StoredImage, decoded
 from realtouch.exchange.zarr_arrays import ZarrWriter
 from realtouch.stored_round import stored_rows
 from realtouch.touch import touch_id
@@ -40,7 +40,7 @@ _IN_MEMORY_BYTES = 64 << 20
 
 
 def plan_replay(
-    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
 ) -> Conversion:
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
@@ -105,7 +105,7 @@ def _episode_ids(firsts: pa.Table) -> list[str]:
     return [touch_id(*each) for each in zip(names, firsts["touch"].to_pylist(), strict=True)]
 
 
-def _images(shards: Sequence[read.Shard]) -> Any:
+def _images(shards: Sequence[read.Shard]) -> Iterator[StoredImage]:
     """Yield the stored image of each frame, and its name."""
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
