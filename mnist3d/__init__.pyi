@@ -1,12 +1,19 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .digit_card import summarise as summarise
 from .digit_dataset import (
     DigitDataset as DigitDataset,
     DigitRecord as DigitRecord,
     DigitStream as DigitStream,
     load as load,
 )
-from .digit_generation import DigitSetSpec as DigitSetSpec, generate as generate
+from .digit_generation import (
+    DigitMaking as DigitMaking,
+    DigitSetSpec as DigitSetSpec,
+    generate as generate,
+)
+from .digit_previews import is_picture_or_mesh as is_picture_or_mesh
+from .digit_rows import SUMMED_UP as SUMMED_UP
 from .printable import (
     Mesh as Mesh,
     PrintProfile as PrintProfile,
@@ -15,15 +22,18 @@ from .printable import (
     read_mesh as read_mesh,
     write_mesh as write_mesh,
 )
-from .published_splits import SPLITS as SPLITS, SplitSpec as SplitSpec
+from .published_splits import (
+    SPLITS as SPLITS,
+    SplitSpec as SplitSpec,
+)
 from .solid import solidify as solidify
 from .solid_spec import SolidSpec as SolidSpec
-from .sources import DigitCatalog as DigitCatalog, DigitImage as DigitImage, DigitSource as DigitSource
-from .splits import plan_splits as plan_splits
-from .digit_generation import DigitMaking as DigitMaking
+from .sources import (
+    DigitCatalog as DigitCatalog,
+    DigitImage as DigitImage,
+    DigitSource as DigitSource,
+)
 from .sources.source_choice import chosen_source as chosen_source
-from .digit_previews import is_picture_or_mesh as is_picture_or_mesh
-from .digit_rows import SUMMED_UP as SUMMED_UP
-from .digit_card import summarise as summarise
+from .splits import plan_splits as plan_splits
 
 __version__: str

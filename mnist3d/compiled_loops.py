@@ -17,8 +17,8 @@ from tactile_toolkit.compiled import compiled
 def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float32:
     """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
 
-    The outline runs between pixels, half a pixel from the centres on either side of it. What lies beyond the
-    image is paper only if the image says so at its edge. Exact up to the reaches, which are below 127. First
+    The outline runs between pixels, half a pixel from the centres on either side. The edge of the image is no
+    outline. Exact up to the reaches, which are below 127. First
     along the rows, then over the offsets of the columns (Felzenszwalb and Huttenlocher 2012 write the
     transform that way); with a short reach plain passes over small integers beat their lower envelope.
     """

@@ -21,7 +21,7 @@ def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
     """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
-    # What the data set's own report says of each digit that is shown; nothing where it has none.
+    # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = places.open_place(name)
     folder = place.folder
     has_report = folder is not None and folder.exists(REPORT_FILE)

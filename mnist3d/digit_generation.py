@@ -33,9 +33,9 @@ class DigitSetSpec:
     solid : SolidSpec
         How an image becomes a solid.
     split : SplitSpec
-        Which digit goes into which split.
+        How digits are divided into splits.
     profile : PrintProfile
-        What counts as printable.
+        Printer and material of the print report.
     per_class : int or None
         Make only the first ``per_class`` digits of each class of a split.
     limit : int or None
@@ -61,7 +61,7 @@ class DigitSetSpec:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "source": self.source.fingerprint(),
-            "solid": self.solid.to_dict(),
+            "solid": asdict(self.solid),
             "split": self.split.to_dict(),
             "print_profile": asdict(self.profile),
             "per_class": self.per_class,
@@ -159,7 +159,7 @@ def generate(
     Parameters
     ----------
     spec : DigitSetSpec
-        What to make.
+        Specification of the data set.
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional

@@ -95,14 +95,14 @@ def _draw_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
 def _plan_steps(
     opened: pictures.MeshPreviews[DigitDataset], names: Sequence[str], spec: DigitPreviewSpec
 ) -> list[pictures.PlannedPicture]:
-    """Plan the steps of the digits whose ids are given, or of the first digit."""
+    """Plan the steps of the digits with given ids, or of the first digit."""
     if "source" not in opened.made_by:
         raise InputError(f"{opened.name!r} does not name the source of its images")
     with catalog.specification_read(opened.name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
         source = source_again(opened.made_by["source"], **given)
-        solid_spec = SolidSpec.from_dict(opened.made_by["solid"])
+        solid_spec = SolidSpec(**opened.made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
         return solid.draw_steps(source.image(number).pixels, solid_spec, title)

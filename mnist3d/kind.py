@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of data sets of digits."""
+"""Facts about data sets of digits for the rest of the toolkit."""
 
 from __future__ import annotations
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 from tactile_toolkit.checked_fields import (
     check_fields,
@@ -117,21 +116,3 @@ class SolidSpec:
     def half_thickness_px(self) -> float:
         """Half thickness in pixels."""
         return self.half_thickness_mm / self.pixel_pitch_mm
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
-
-    @classmethod
-    def from_dict(cls, values: dict[str, Any]) -> SolidSpec:
-        """Rebuild a specification from :meth:`to_dict`; missing fields take their defaults.
-
-        Raises
-        ------
-        InputError
-            A field is unknown, or a value cannot be used.
-        """
-        unknown = sorted(set(values) - {field.name for field in fields(cls)})
-        if unknown:
-            raise InputError(f"SolidSpec has no field {', '.join(unknown)}; expected names of its attributes")
-        return cls(**values)

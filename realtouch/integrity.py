@@ -84,7 +84,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     counts: Counter[int] = Counter()
     for shard, index in read.row_groups(shards):
         with suppress(IntegrityError):
-            counts.update(stored_touch_counts(read.ChosenGroups(shard, [index])).tolist())
+            counts.update(stored_touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 

@@ -221,13 +221,14 @@ def rows_of(blocks: Iterable[RowGroup]) -> Iterator[StoredRound]:
     return (StoredRound(block, row) for block in blocks for row in range(len(block.table)))
 
 
-def stored_touch_counts(source: RowSource) -> Int64:
-    """Return T of every row, shape (rows,), int64; reads nothing if the schema fixes it."""
-    types = column_types(source.schema)
+def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
+    """Return T of the rows of some row groups, or of all, shape (rows,); no read if it is fixed."""
+    types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
     if pa.types.is_fixed_size_list(types[name]):
-        return np.full(len(source), types[name].list_size, np.int64)
-    counts = [block.nested(name).lengths(0) for block in all_blocks([source], [name])]
+        rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
+        return np.full(rows, types[name].list_size, np.int64)
+    counts = [block.nested(name).lengths(0) for index in chosen for block in source.blocks(index, [name])]
     return np.concatenate(counts or [np.zeros(0, np.int64)])
 
 

@@ -15,9 +15,9 @@ from realtouch.schema import POSE_COLUMN
 from realtouch.touch_dataset import AnyDataset
 from realtouch.touches import AnyTouches
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
-_HALF_CELL_M = 0.06
 _ROUNDS = {"train": 500, "test": 100}
 _TOUCHES_OF_A_GEL = 76_800
 _AMOUNTS = {False: "none", True: "some"}
@@ -211,7 +211,7 @@ def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
     picture = f"{size[0]} x {size[1]} pixels"
     return [
         *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
-        PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= _HALF_CELL_M),
+        PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
         PaperNumber("gel replaced after", gel, replaced, ends == [_TOUCHES_OF_A_GEL]),
         PaperNumber("picture", "320 x 240 or 64 x 64 pixels", picture, size in _SIZES),
     ]

@@ -20,7 +20,7 @@ from tactile_toolkit import pictures, places
 from tactile_toolkit.arithmetic import inverse_affine
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import height_text
+from tactile_toolkit.touch import CELL_M, height_text
 from tactile_toolkit.wording import with_count
 
 CONTACT = pictures.ACCENTS[0]
@@ -31,9 +31,6 @@ _TILE_PX = 160
 _PX_PER_MM = 7.0
 SENSING_AREA_M = (0.01888, 0.01416)
 """Width and height of what the sensor sees, metres (package tactile-mnist 0.13.0, GelSight Mini)."""
-
-CELL_M = (0.12, 0.12)
-"""Size of the cell along x and y, metres (package tactile-mnist 0.13.0)."""
 
 _AFFINE = Image.Transform.AFFINE
 # Share of a side over which a picture fades, so that overlapping touches show no edges.

@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of data sets of Starstruck scenes."""
+"""Facts about data sets of Starstruck scenes for the rest of the toolkit."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A scene: what stands where, and how hard it was to place."""
+"""A scene: its placements, and statistics of sampling."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from starstruck_gen.placement import Placement
 from starstruck_gen.scene_drawing import draw_scene
 from starstruck_gen.scene_meshes import build_meshes
 from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.touch import CELL_M
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +51,7 @@ class Scene:
         """
         return build_meshes([self.placements])[0]
 
-    def draw(self, cell_m: tuple[float, float] = (0.12, 0.12), px_per_mm: float = 4.0) -> Image.Image:
+    def draw(self, cell_m: tuple[float, float] = CELL_M, px_per_mm: float = 4.0) -> Image.Image:
         """Draw the scene from above, x right and y up, stars in their own colour.
 
         Parameters

@@ -116,7 +116,7 @@ def validate_folder(
 def _prove(
     row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
 ) -> tuple[str | None, int, int]:
-    """Return what is wrong with a scene, its number of bodies, and that of its declared stars.
+    """Return the problem of a scene (or None), its number of bodies, and that of its declared stars.
 
     ``shapes`` has one shape of each kind: unpickling it registers the kinds of the user in a new process.
     """
@@ -132,7 +132,7 @@ def _prove(
 
 
 def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> tuple[str | None, int]:
-    """Check a stored scene from its triangles; return what is wrong (or None) and the number of its bodies.
+    """Check a stored scene from its triangles; return its problem (or None) and its number of bodies.
 
     The triangles bound solids that do not overlap (:mod:`tactile_toolkit.mesh.solid_check`) and stand on
     z = 0. Each declared object has one solid, which is that object. There are as many stars as the class

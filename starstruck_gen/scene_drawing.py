@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 
 STAR_COLOUR = (214, 140, 20)
 DISTRACTOR_COLOUR = (92, 110, 132)
-# Scenes are drawn so many times larger, then reduced, for smooth edges.
+# Factor by which scenes are drawn larger, then reduced, for smooth edges.
 _SUPERSAMPLING = 4
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)

@@ -12,15 +12,14 @@ from starstruck_gen.prisms import prism
 from starstruck_gen.scene_dataset import SceneRecord
 from starstruck_gen.scene_drawing import draw_scene
 from starstruck_gen.scene_rows import SceneRow
-from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import catalog, gallery, places
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
 from tactile_toolkit.rows import Column, columns, with_role
+from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
-_OPAQUE_FROM = 150  # the fill of every object is so many levels darker than the plate
-_PUBLISHED_CELL_M = SceneSpec.cell_m
+_OPAQUE_FROM = 150  # levels by which the fill of every object is darker than the plate
 
 _SHOWN = (
     *with_role(SceneRow, "facet", "measure"),
@@ -93,7 +92,7 @@ def _thumbnail(record: SceneRecord) -> bytes:
         return gallery.relief_thumbnail(record.vertices_m, record.faces)
     # Twice the distance of the farthest corner, and a margin.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
-    width_m, depth_m = (max(cell, float(side)) for cell, side in zip(_PUBLISHED_CELL_M, reach_m, strict=True))
+    width_m, depth_m = (max(cell, float(side)) for cell, side in zip(CELL_M, reach_m, strict=True))
     px_per_mm = gallery.THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
     return gallery.thumbnail(
         np.asarray(draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM

@@ -147,7 +147,7 @@ def generate(
     Parameters
     ----------
     spec : SceneSetSpec
-        What to make.
+        Specification of the data set.
     out : str or path-like
         Folder to write.
     splits : sequence of str

@@ -40,7 +40,7 @@ class SceneMeshes:
 def build_meshes(layouts: Sequence[Sequence[Placement]]) -> SceneMeshes:
     """Make the meshes of a batch of scenes.
 
-    Each object is a solid of its own on z = 0, in the order of the placements; see
+    Each object is a separate solid on z = 0, in the order of the placements; see
     :class:`starstruck_gen.Placement` for the frame. The mesh of a scene does not depend on the other scenes
     of the batch.
 

@@ -15,6 +15,7 @@ from starstruck_gen.shapes import Shape
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import CELL_M
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
@@ -68,7 +69,7 @@ class SceneSpec:
         A value cannot be used; the message names the field, what was found and what was expected.
     """
 
-    cell_m: tuple[float, float] = real((0.12, 0.12), 0, _LARGEST_CELL_M, many=2)
+    cell_m: tuple[float, float] = real(CELL_M, 0, _LARGEST_CELL_M, many=2)
     padding_m: tuple[float, float] = real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
     stars: tuple[int, ...] = (1, 2, 3)
     distractors: tuple[int, int] = (0, 5)

@@ -10,12 +10,12 @@ from typing import Any, Literal
 from tactile_sim.pressing import Sensor
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import did_you_mean
 
 Task = Literal["classification", "volume", "pose"]
 Frame = Literal["model", "mass"]
 
-_CELL_M = (0.12, 0.12)
 _GELSIGHT_M = (0.032, 0.028)  # tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE
 _PADDING_M = (0.003 + _GELSIGHT_M[0] / 2 + 0.0025, 0.003 + _GELSIGHT_M[1] / 2 + 0.0025)
 
@@ -74,7 +74,7 @@ class Config:
     transfer_timedelta_s: float = real(0.2)
     action_regularization: float = real(1e-3)
     timeout_behavior: str = choice("terminate", ("terminate", "truncate"))
-    cell_size: tuple[float, float] = real(_CELL_M, many=2)
+    cell_size: tuple[float, float] = real(CELL_M, many=2)
     cell_padding: tuple[float, float] = real(_PADDING_M, many=2)
     snap_touch_positions: int | None = integer(None, 1, optional=True)
     depth_in_info: bool = False

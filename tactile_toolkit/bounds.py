@@ -1,4 +1,4 @@
-"""How much a file may unpack to, as a few bytes can stand for any number, and how much is kept unpacked."""
+"""Limits of the unpacked size of files, and of the cache of unpacked data."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ UNPACKED_VARIABLE = "TACTILE_TOOLKIT_UNPACKED_MIB"
 """Environment variable that raises the limit, in MiB."""
 
 CACHE_LIMIT_VARIABLE = "TACTILE_TOOLKIT_CACHE_MIB"
-"""Environment variable that says how much of the disk unpacked row groups may take in the cache, in MiB."""
+"""Environment variable that limits the size of unpacked row groups in the cache, in MiB."""
 
 _UNPACKED_MIB = 512  # ten times the largest row of the published data sets, eleven times all MNIST
 _CACHE_MIB = 32 << 10
 
-# Meshes and tables take 5 to 30 times the bytes of their files in memory while they are read.
+# While they are read, meshes and tables take 5 to 30 times the size of their files in memory.
 _USUAL_EXPANSION = 32
 
 
@@ -27,16 +27,16 @@ def cache_limit_bytes() -> int:
 
 def _limit_bytes(variable: str, usual_mib: int) -> int:
     named = os.environ.get(variable) or str(usual_mib)
-    # Eleven digits of MiB are less than 2^63 bytes, which Arrow and file systems count in.
+    # Eleven digits of MiB are less than 2^63 bytes, the limit of Arrow and file systems.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
         raise InputError(f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {usual_mib}")
     return int(named) << 20
 
 
 def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
-    """Refuse to unpack more than the limit, before it is done; ``what`` it is of begins the InputError.
+    """Raise InputError, which begins with ``what``, if something would unpack to more than the limit.
 
-    ``file_bytes``, where given, is the size of the file: a large one may unpack to so many times its size.
+    ``file_bytes`` is the size of the file, if known: a large file may unpack to 32 times its size.
     """
     limit = max(_limit_bytes(UNPACKED_VARIABLE, _UNPACKED_MIB), _USUAL_EXPANSION * file_bytes)
     if size_bytes > limit:
@@ -48,7 +48,7 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
 
 
 def require_plain_archive(archive: zipfile.ZipFile) -> None:
-    """Raise ValueError unless all files are stored or deflated: others unpack to any amount at once."""
+    """Raise ValueError unless all files are stored or deflated; others unpack to any size at once."""
     for entry in archive.infolist():
         if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError(

@@ -8,21 +8,21 @@ from typing import Any
 
 
 def to_builtin(value: Any, kind: type[int] | type[float] = int) -> Any:
-    """Return a value with tuples for all that can be iterated over and Python's numbers for all numbers.
+    """Return a value with tuples for all iterables and Python's numbers for all numbers.
 
-    ``kind`` is ``float`` where integers mean measures; ``int`` leaves each number of its own kind. What
-    is neither a number nor a collection of them comes back as it is, for the checks that follow.
+    With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. A value that is
+    neither a number nor an iterable is returned unchanged, for the checks that follow.
     """
     if isinstance(value, (str, bytes, Mapping)):
         return value
-    # An array without dimensions is a number, although its type can be iterated over.
+    # An array without dimensions is a number, although its type is iterable.
     if isinstance(value, Iterable) and getattr(value, "ndim", None) != 0:
         return tuple(to_builtin(entry, kind) for entry in value)
     return to_builtin_number(value, kind)
 
 
 def to_builtin_number(value: Any, kind: type[int] | type[float] = int) -> Any:
-    """Return one number as Python's own; see :func:`to_builtin`."""
+    """Return a number as Python's own; see :func:`to_builtin`."""
     if getattr(value, "ndim", None) == 0:
         value = value.item()
     if isinstance(value, bool) or not isinstance(value, numbers.Real):
@@ -36,7 +36,7 @@ def to_builtin_number(value: Any, kind: type[int] | type[float] = int) -> Any:
 
 
 def to_builtin_pairs(values: Any) -> Any:
-    """Return pairs of a name and a number, given as such or as a mapping, as a tuple of tuples."""
+    """Return pairs of a name and a number, or a mapping, as a tuple of tuples."""
     return to_builtin(values.items() if isinstance(values, Mapping) else values)
 
 

@@ -1,8 +1,8 @@
-"""Fields of specifications that state which values they take, one check of them all, and their options.
+"""Fields of specifications that state their valid values, one check of all, and their options.
 
 A frozen dataclass declares ``steps: int = integer(100, least=1, help="Total number of steps.")`` and calls
-:func:`check_fields` in its ``__post_init__``, which also leaves one spelling of each value: Python's own
-numbers, and tuples. A field with ``help`` is an option of the commands that take the specification.
+:func:`check_fields` in its ``__post_init__``, which also normalizes values to Python's own numbers and
+tuples. A field with ``help`` is an option of the commands that take the specification.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"
 
 
 class OptionText(TypedDict, total=False):
-    """How a field is given on a command line; without ``help`` it cannot be given there.
+    """The option of a field on a command line; without ``help`` it has none.
 
-    ``name`` stands for ``--NAME-OF-THE-FIELD``, ``shown`` for a default that follows from others, ``panel``
-    for a part of the help, ``read`` for what makes a value of the text. An ``argument`` has no name on the
-    command line; ``several`` lets it be given more than once.
+    ``name`` replaces ``--NAME-OF-THE-FIELD``, ``shown`` is the text of a default that follows from others,
+    ``panel`` is a section of the help, ``read`` converts the text to a value. An ``argument`` is positional;
+    with ``several`` it may be repeated.
     """
 
     argument: bool
@@ -41,7 +41,7 @@ class OptionText(TypedDict, total=False):
 
 @dataclass(frozen=True, slots=True)
 class Rule:
-    """What a field takes, in code and in words, and its option."""
+    """The valid values of a field, in code and in words, and its option."""
 
     kind: type
     fits: Callable[[Any], bool]
@@ -58,12 +58,12 @@ def integer(
     optional: bool = False,
     **option: Unpack[OptionText],
 ) -> Any:
-    """Declare an integer, or None where it is ``optional``."""
+    """Declare an integer, or None if it is ``optional``."""
     return _field(default, _integer_rule(least, most, optional, {"metavar": "N", **option}))
 
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
-    # Larger ones fit no array, file or generator of random numbers.
+    # Larger integers fit into no array, file or random number generator.
     limit = _MOST_INTEGER if most is None else most
 
     def fits(value: Any) -> bool:
@@ -84,7 +84,7 @@ def real(
     optional: bool = False,
     **option: Unpack[OptionText],
 ) -> Any:
-    """Declare a finite number, a tuple of so ``many``, or None where it is ``optional``."""
+    """Declare a finite number, a tuple of ``many`` numbers, or None if it is ``optional``."""
 
     def fits_one(value: Any) -> bool:
         return isinstance(value, float) and least <= value <= most and above < value < below
@@ -103,7 +103,7 @@ def real(
 def choice(
     default: Any, known: Sequence[str], *, optional: bool = False, **option: Unpack[OptionText]
 ) -> Any:
-    """Declare one of several words, None where it is ``optional``, or some where the default is a tuple."""
+    """Declare one of several words, None if it is ``optional``, or several if the default is a tuple."""
 
     def fits(value: Any) -> bool:
         if isinstance(default, tuple):
@@ -120,24 +120,24 @@ def switch(default: bool, **option: Unpack[OptionText]) -> Any:
 
 
 def text(default: Any = None, **option: Unpack[OptionText]) -> Any:
-    """Declare a text, or what ``read`` makes of one; checked there."""
+    """Declare a text, or the result of ``read``, which checks it."""
     return _field(default, Rule(str, lambda _: True, "", option))
 
 
 def rule_of(declared: Field[Any]) -> Rule | None:
-    """Return what a field takes; None where it was declared in another way."""
+    """Return the rule of a field; None if it was declared in another way."""
     rule: Rule | None = declared.metadata.get(_RULE)
     return rule
 
 
 def metavar_of(name: str, rule: Rule) -> str:
-    """Return what stands for the value of an option: its unit, as the name of the field ends in it."""
+    """Return the placeholder for the value of an option, such as the unit that the field's name ends in."""
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
     return rule.option.get("metavar") or unit or ("X" if rule.kind is float else "TEXT")
 
 
 def check_value(rule: Rule, value: Any, name: str) -> Any:
-    """Return the one spelling of a value; InputError, which begins with ``name``, where it does not fit."""
+    """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
     spelled = to_builtin(value, rule.kind)
     if not rule.fits(spelled):
         raise InputError(f"{name} is {value!r}; expected {rule.expected}")
@@ -145,9 +145,9 @@ def check_value(rule: Rule, value: Any, name: str) -> Any:
 
 
 def check_fields(spec: Any, of: str) -> None:
-    """Give the declared fields of a specification one spelling; InputError for the first that does not fit.
+    """Normalize the declared fields of a specification; InputError for the first that is not valid.
 
-    ``of`` is what the message calls the specification, such as ``the plan of touches``.
+    ``of`` names the specification in the message, such as ``the plan of touches``.
     """
     for each in fields(spec):
         rule = rule_of(each)
@@ -161,12 +161,12 @@ def _field(default: Any, rule: Rule) -> Any:
 
 
 def checked_integer(value: object, name: str, least: int = 0, most: int | None = None) -> int:
-    """Return an integer within bounds; InputError, which names it, for anything else."""
+    """Return an integer within bounds; InputError, which begins with ``name``, for anything else."""
     return int(check_value(_integer_rule(least, most, False, {}), value, name))
 
 
 def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
-    """Return how many of something each split has, of a mapping or of pairs; InputError for anything else."""
+    """Return counts by split from a mapping or pairs; InputError for anything else."""
     pairs = to_builtin_pairs(value)
     fits = isinstance(pairs, tuple) and all(
         isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
@@ -181,7 +181,7 @@ def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tup
 
 
 def read_split_counts(option: str, words: str) -> tuple[tuple[str, int], ...]:
-    """Read ``train=8,test=2``; which splits there are is checked by :func:`split_counts`."""
+    """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
     if not all(is_count(count) for _, _, count in pairs):
         raise InputError(f"{option} is {words!r}; expected SPLIT=N once per split, such as train=8,test=2")

@@ -1,4 +1,4 @@
-"""The only exception types of the project, named for what the reader of the message must do.
+"""The only exception types of the project, named by what the reader of the message must do.
 
 ::
 
@@ -7,12 +7,12 @@
     |   +-- SpecMismatchError    the folder belongs to another specification
     |   +-- MissingExtraError    install an optional package
     |   +-- BusyError            another process holds the folder or file: wait for it, or end it
-    |   +-- StorageError         make room, or choose a folder that can be written (4: in a download)
-    |   +-- ItemError            one image or mesh cannot be used; a run lists it and continues
+    |   +-- StorageError         make room, or choose a writable folder (4: in a download)
+    |   +-- ItemError            one image or mesh cannot be used; the run lists it and continues
     +-- UnfinishedError          wait for the run that makes the data set, or give its command again (1)
     +-- IntegrityError           stored data is damaged: fetch or make it again       (3)
-    +-- RemoteError              an object store or the network did not do what was asked (4)
-        +-- HubError             so with the Hub
+    +-- RemoteError              an object store or the network failed                (4)
+        +-- HubError             the Hub failed
 
 Every message names the file, row or option, what was found, what was expected, and the next step.
 """
@@ -28,7 +28,7 @@ from tactile_toolkit.shown_text import printable
 
 
 class ToolkitError(Exception):
-    """Root of all errors that the toolkit raises on purpose; what they quote of data is shown, not obeyed.
+    """Root of all errors that the toolkit raises on purpose; quoted data is printed as escapes, if needed.
 
     Parameters
     ----------
@@ -41,7 +41,7 @@ class ToolkitError(Exception):
     exit_code = 1
 
     def __init__(self, what: object = "", next: str = "") -> None:
-        # Kept apart: a path in it may hold any words.
+        # Kept apart: a path may contain the words "; next: ".
         self._what = redact(str(what))
         self.message = redact(f"{what}; next: {next}") if next else self._what
         super().__init__(self.message)
@@ -62,7 +62,7 @@ class InputError(ToolkitError):
 
 
 def require_public(place: str) -> None:
-    """Raise InputError, which does not repeat it, for an address that may hold a user, key or signature."""
+    """Raise InputError for an address that may hold a user, key or signature, without repeating it."""
     shown = public_address(place)
     if shown != place:
         raise InputError(
@@ -105,8 +105,8 @@ def needs_extra(feature: str, package: str, extra: str) -> Iterator[None]:
 
 
 def install_line(extra: str) -> str:
-    """Return what installs the packages of an extra anywhere, with or without a checkout of the toolkit."""
-    # Here: every command line starts with this file.
+    """Return the pip command for the packages of an extra, with or without a checkout of the toolkit."""
+    # Imported here: every command line starts with this file.
     import shlex
     from importlib.metadata import PackageNotFoundError, requires
 
@@ -114,7 +114,7 @@ def install_line(extra: str) -> str:
         entries = [entry.partition(";") for entry in requires("tactile-toolkit") or ()]
     except PackageNotFoundError:
         entries = []
-    # Build tools write these quotes either way.
+    # Build tools write either kind of quotes.
     names = [name.strip() for name, _, marker in entries if re.search(rf"extra == ['\"]{extra}['\"]", marker)]
     packages = " ".join(map(shlex.quote, names)) or f"'.[{extra}]'"
     return f"pip install {packages} (the extra `{extra}`)"
@@ -148,7 +148,7 @@ class ItemError(InputError):
 
 
 class UnfinishedError(ToolkitError):
-    """The run that makes a data set is under way or was interrupted; what is there is intact."""
+    """The run that makes a data set is under way or was interrupted; its finished shards are intact."""
 
 
 class IntegrityError(ToolkitError):
@@ -158,7 +158,7 @@ class IntegrityError(ToolkitError):
 
     @classmethod
     def in_file(cls, path: str, found: str) -> IntegrityError:
-        """Return the error for a file of a data set; ``found`` continues right behind the path, in quotes."""
+        """Return the error for a file of a data set; ``found`` follows the quoted path."""
         again = "make or fetch it again; `verify` names everything that is damaged in a data set"
         return cls(f"{path!r}{found}", next=again)
 

@@ -1,4 +1,4 @@
-"""One way from a specification to a finished data set folder, for every kind of data set."""
+"""From a specification to a finished data set folder, for every kind of data set."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.system import usable_cores
 
-# What workers need to start and import their libraries.
+# Time in which workers start and import their libraries, seconds.
 _START_S = 1.5
 
 
 @dataclass(frozen=True)
 class StorageLayout:
-    """How the rows of a kind are stored.
+    """How the rows of a kind of data set are stored.
 
     Attributes
     ----------
@@ -35,14 +35,14 @@ class StorageLayout:
     libraries : tuple of str
         Distributions whose versions decide bytes.
     smallest, largest, wanted : int
-        Rows of a shard, and how many shards a split of middle size has; see
+        Rows of a shard, and the number of shards of a medium split; see
         :func:`~tactile_toolkit.store.shard_ranges`.
     sampled : int
-        Items of a shard from which the time and size of a run are estimated.
+        Number of items from which the time and size of a run are estimated.
     report_file : str or None
-        Path of the report, where there is one.
+        Path of the report; None without one.
     together : int
-        Items that are made of one thing, and so stand in one shard where that is possible.
+        Number of consecutive items with a common source, which share a shard if possible.
     """
 
     style: store.ParquetStyle
@@ -56,10 +56,10 @@ class StorageLayout:
 
 
 class Generator(ABC):
-    """How a data set of a kind is made: what a kind brings to :func:`generate`.
+    """How a kind makes its rows, for :func:`generate`.
 
-    A small picklable value, usually a frozen dataclass of a specification: each task takes it to the process
-    that makes the rows.
+    A small picklable value, usually a frozen dataclass of a specification: each task carries it to the
+    process that makes the rows.
     """
 
     kind: DatasetKind
@@ -72,7 +72,7 @@ class Generator(ABC):
 
     @abstractmethod
     def items(self) -> Mapping[str, Any]:
-        """Return what the rows of each split are made of: sequences or arrays; splits in canonical order."""
+        """Return the items of each split, a sequence or array; splits in canonical order."""
 
     @abstractmethod
     def layout(self) -> StorageLayout:
@@ -84,19 +84,19 @@ class Generator(ABC):
 
     @abstractmethod
     def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
-        """Yield the row of each item, or why it gives none; touches no file of the data set."""
+        """Yield the row of each item, or the reason for none; touches no file of the data set."""
 
     def report(self, shard: store.ShardName, rows: Sequence[Any]) -> pa.Table | None:
-        """Return rows of the report about rows of a shard, an Arrow table; None without a report."""
+        """Return the report about the rows of a shard, an Arrow table; None without a report."""
         return None
 
     def statistics(self, rows: Sequence[Any]) -> JsonObject | None:
-        """Return JSON values about rows, which add up over shards, for the manifest."""
+        """Return JSON values about rows for the manifest, which add up over shards."""
         return None
 
 
 def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
-    """Make the rows of a shard; items that give none are listed instead."""
+    """Make the rows of a shard, and list items that give none."""
     rows: list[Any] = []
     skipped: list[store.Skipped] = []
     for each in generator.make(shard.split, items):
@@ -109,14 +109,14 @@ def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any
 
 
 def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> store.BuildPlan:
-    """Decide which shards hold what; writes nothing. InputError: an unknown split, or nothing to make."""
+    """Divide items into shards; writes nothing. InputError for an unknown split, or if there are no items."""
     items, layout = generator.items(), generator.layout()
     known = tuple(items)
     wanted = known if splits is None else splits
     for split in wanted:
         if split not in known:
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
-    # However they are asked for, tasks stand in canonical order, and so do shards in the manifest.
+    # Tasks are in canonical order, whatever the order of ``splits``, and so are shards in the manifest.
     chosen = {split: each for split, each in items.items() if split in wanted}
     tasks = _tasks(generator, chosen, layout)
     if not tasks:
@@ -163,20 +163,19 @@ def generate(
 ) -> store.Manifest:
     """Make a data set folder.
 
-    A folder that holds a finished or interrupted run of the same specification is completed: finished shards
-    are kept. The same specification gives byte-identical Parquet whatever the number of workers and however
-    often the run was interrupted.
+    A folder with a finished or interrupted run of the same specification is completed: finished shards are
+    kept. The same specification gives byte-identical Parquet for any number of workers and interruptions.
 
     Parameters
     ----------
     generator : Generator
-        What to make.
+        What makes the rows.
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional
-        Splits to make, all by default; others that the folder holds already stay.
+        Splits to make, all by default; other splits of the folder are kept.
     require : callable
-        Raises what speaks against the run, once it is known what is to be made.
+        Raises the reason to refuse the run, after its plan was made.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
@@ -194,9 +193,9 @@ def generate(
 class Forecast:
     """What a run would do.
 
-    ``splits`` has of each split its ``rows`` and ``shards``, and how many rows are ``finished`` already.
-    ``bytes`` of Parquet and ``seconds`` are estimated from ``sampled`` rows that were made. ``replaced`` are
-    the rows of each split of the data set that the run would replace; None where it would replace none.
+    ``splits`` states for each split the number of ``rows``, ``shards`` and ``finished`` rows. ``bytes`` of
+    Parquet and ``seconds`` are estimated from ``sampled`` rows. ``replaced`` is the number of rows of each
+    split of the data set that the run would replace; None if it would replace none.
     """
 
     splits: list[dict[str, Any]]
@@ -217,7 +216,7 @@ def forecast(
 ) -> Forecast:
     """Estimate a run of :func:`generate` by making some of its rows; writes nothing.
 
-    Of one part of a run, the shards of that part count. Raises what the run would raise before its first row.
+    With ``part``, only the shards of that part count. Raises as the run would before its first row.
     """
     options = store.RunOptions(**run)
     plan = plan_build(generator, splits)
@@ -253,9 +252,9 @@ def forecast(
 
 
 def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, float]:
-    """Make the first few items; return how many rows they gave, and bytes and seconds of an item."""
+    """Make the first few items; return the number of their rows, and bytes and seconds per item."""
     first = plan.tasks[0]
-    replace(first, items=first.items[:1]).make()  # pays for imports and for what is kept in memory
+    replace(first, items=first.items[:1]).make()  # imports modules and fills caches
     few = replace(first, items=first.items[: generator.layout().sampled])
     start_s = time.perf_counter()
     content = few.make()
@@ -267,7 +266,7 @@ def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, fl
 
 
 def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
-    """Return the rows of each split of a data set; empty where its manifest is damaged, None without one."""
+    """Return the number of rows of each split; empty if the manifest is damaged, None without one."""
     try:
         manifest = store.manifest_so_far(folder)
     except IntegrityError:
@@ -277,9 +276,9 @@ def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
 
 @dataclass(frozen=True)
 class Recipe:
-    """How a data set is made without any input.
+    """How a data set is made that needs no input.
 
-    ``options`` are those of the command that makes the same, by name; None where it takes no ``--split``.
+    ``options`` are those of the equivalent command, by name; None if it takes no ``--split``.
     """
 
     generator: Generator
@@ -291,12 +290,12 @@ class Recipe:
         return tuple(self.generator.items())
 
     def arguments(self, split: str) -> str:
-        """Return the arguments of the command that makes a split, but for the folder."""
+        """Return the arguments of the command that makes a split, except the folder."""
         if self.options is None:
             return ""
         options = {"split": split, **self.options}
         return " ".join(f"--{name} {value}" for name, value in options.items() if value)
 
     def make(self, out: str, split: str, workers: int) -> None:
-        """Make one split in a folder, continuing where an interrupted run stopped."""
+        """Make one split in a folder; an interrupted run continues."""
         generate(self.generator, out, (split,), workers=workers)

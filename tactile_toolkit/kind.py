@@ -1,7 +1,7 @@
-"""A kind of data set: all that the rest of the house must know of it, in one object.
+"""Kinds of data sets: everything other packages need to know about a kind.
 
-Each kind has a room, a package of its own, whose ``kind.py`` says it in a ``KIND``. The entry points of the
-group ``tactile_toolkit.kinds`` name these objects (``pyproject.toml``), also those of other distributions.
+The ``kind.py`` of the package of each kind defines a ``KIND``. The entry points of the group
+``tactile_toolkit.kinds`` name these objects, also those of other distributions.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from tactile_toolkit.json_types import JsonObject
 
 EXPORT, MERGE, SPLIT = "export", "merge", "split"
-"""Operations, in a manifest, that made a copy: for other libraries, of several data sets, of some rows."""
+"""Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (
     *(
@@ -35,39 +35,39 @@ SHARED_COMMANDS = (
     ),
     *("cache", "gallery", "export"),
 )
-"""Commands that all command lines have, but for those that a kind does not have."""
+"""Commands of all command lines, except those that a kind lacks."""
 
 _PAPER = "Schneider et al., Tactile MNIST: Benchmarking Active Tactile Perception, 2025"
 _HAND = "Beaulac & Rosenthal, doi 10.1007/s42979-022-01494-2, 2022"
 
 
 class Specified(Protocol):
-    """What has a specification, such as a manifest."""
+    """A value with a specification, such as a manifest."""
 
     @property
     def spec(self) -> JsonObject:
-        """JSON values that all rows follow from."""
+        """JSON values that decide all rows."""
 
 
 def is_export(manifest: Specified | None) -> bool:
-    """Return whether a manifest is that of a copy for other libraries, with columns of their own."""
+    """Return whether a manifest is that of an export for other libraries, with other columns."""
     return manifest is not None and manifest.spec.get("operation") == EXPORT
 
 
 def is_for_others(manifest: Specified | None) -> bool:
-    """Return whether a manifest is that of files for other programs, without the rows of its kind."""
+    """Return whether a manifest is that of files for other programs, without rows of its kind."""
     return manifest is not None and manifest.spec.get("operation") in (EXPORT, "frames", "pairs")
 
 
 def is_copy(manifest: Specified | None) -> bool:
-    """Return whether a manifest is that of a copy: it states what that was made of, not how rows are made."""
+    """Return whether a manifest is that of a copy, which states its source, not how rows are made."""
     return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
 
 
 def lazy(path: str) -> Callable[..., Any]:
-    """Return a function that is imported when it is called, by ``"package.module:name"``, or a method.
+    """Return a function, or method, that is imported when it is called, by ``"package.module:name"``.
 
-    ``--help`` and looking up a name load no library of a kind.
+    So ``--help`` and looking up a name import no library of a kind.
     """
     module, _, name = path.partition(":")
 
@@ -88,11 +88,11 @@ class PublishedSet:
     repo_id : str
         Repository of the Hub.
     content : str
-        What it holds, in a few words.
+        Short description.
     citation : str
-        Whom to cite.
+        Publications to cite.
     licence : str or None
-        As its publishers state it; None where only the card on the Hub says.
+        Licence that the publishers state; None if only the card on the Hub states it.
     aliases : tuple of str
         Other short names.
     """
@@ -108,7 +108,7 @@ class PublishedSet:
 def tactile_mnist_set(
     name: str, repository: str, content: str, *, licence: str | None = None, aliases: tuple[str, ...] = ()
 ) -> PublishedSet:
-    """Return a data set of the Tactile MNIST paper; sets of digits cite the makers of HWD+ too."""
+    """Return a data set of the Tactile MNIST paper; those of digits cite the authors of HWD+, too."""
     citation = f"{_PAPER}; {_HAND}" if "digits" in content else _PAPER
     repo_id = f"TimSchneider42/tactile-mnist-{repository}"
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
@@ -120,41 +120,42 @@ def _not_offered(*_: Any, **__: Any) -> Any:
 
 @dataclass(frozen=True, kw_only=True)
 class DatasetKind:
-    """One kind of data set; what is heavy is imported when it is called (:func:`lazy`).
+    """One kind of data set; heavy functions are imported when they are called (:func:`lazy`).
 
     Attributes
     ----------
     name : str
-        As in ``manifest.json``.
+        Name in ``manifest.json``.
     command : str
-        Its command line.
+        Command line program.
     package : str
         Package whose ``load`` opens such data sets.
     noun, nouns : str
-        What a row is called, and several: ``"digit"``, ``"digits"``.
+        Name of a row, singular and plural: ``"digit"``, ``"digits"``.
     content : str
-        What such a data set holds, in a word or two; ``nouns`` where that is enough.
+        Content of such a data set in a word or two; ``nouns`` by default.
     made_by : str
         Command that makes such folders, for messages.
     card_template : str
-        File of ``data_cards`` that its cards are rendered from.
+        Template of its cards in ``data_cards``.
     write_card : callable
-        Takes a ``DataFolder`` and its ``Manifest``; writes the card and the picture that it shows.
+        Takes a ``DataFolder`` and its ``Manifest``; writes the card and its picture.
     schema : callable or None
-        Returns the Arrow schema of every shard; None where it follows from a source.
+        Returns the Arrow schema of every shard; None if it follows from a source.
     check : callable or None
-        Takes a ``DataFolder`` and a number of threads, lists findings; None where checksums, schema, ids and
-        card are all there is.
+        Takes a ``DataFolder`` and a number of threads, returns findings; None if checksums, schema, ids and
+        card are all there is to check.
     needs_manifest : bool
         Whether a folder without ``manifest.json`` can be neither uploaded nor given a card.
     loader : callable or None
-        Takes a ``Manifest`` or None, names the function that opens such a folder; ``package.load`` if None.
+        Takes a ``Manifest`` or None, returns the name of the function that opens such a folder;
+        ``package.load`` if None.
     class_names : tuple of str
         Classes of the published data set, in order.
     columns : tuple of str
         Columns that only rows of this kind have, by which they are recognised without a manifest.
     needs : tuple of str
-        Columns of which every such data set has one.
+        Columns; every such data set has at least one of them.
     splits : tuple of str
         Splits that such data sets have, in order.
     missing_commands : tuple of str
@@ -162,10 +163,10 @@ class DatasetKind:
     published : tuple of PublishedSet
         The published data sets of this kind.
     extra_files : tuple of str
-        Patterns of the files that such data sets may have next to the usual ones, such as ``images/*.png``;
-        of all others in these places ``--overwrite`` knows that they are a user's.
+        Patterns of further files of such data sets, such as ``images/*.png``. All other files in these
+        folders are a user's to ``--overwrite``.
     plan_previews, plan_gallery : callable
-        Plan pictures, or a page, of a data set, where the command line offers that.
+        Plan pictures, or a page, of a data set, if the command line offers that.
     recipe : callable
         Takes a seed and a number per class, returns the :class:`tactile_toolkit.generation.Recipe` of
         what needs no input, if any does.
@@ -204,16 +205,16 @@ class DatasetKind:
         return import_module(self.package).load(name, split)
 
     def command_of(self, manifest: Specified | None) -> str:
-        """Return the command that made a data set: that of the kind, unless it is a copy or converted."""
+        """Return the command that made a data set: that of the kind, or of a copy or conversion."""
         operation = None if manifest is None else manifest.spec.get("operation")
         return f"{self.command} {operation}" if operation else self.made_by
 
     def command_like(self, command: str) -> str:
-        """Return a command of this kind by its name, or the one that prints rows where it has none such."""
+        """Return a command of this kind by its name, or ``show`` if it has none of that name."""
         return command if command in SHARED_COMMANDS and command not in self.missing_commands else "show"
 
     def schema_of(self, manifest: Specified | None) -> Any:
-        """Return the Arrow schema of every shard of a data set; None where it follows from a source."""
+        """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
         return None if self.schema is None or is_export(manifest) else self.schema()
 
     def loading_lines(
@@ -230,8 +231,8 @@ class DatasetKind:
 
 @cache
 def kinds() -> tuple[DatasetKind, ...]:
-    """Return all kinds that are installed, by name; takes 30 ms once, so ask a known kind where you can."""
-    # Here and not above: every command line starts with this file, and few ask.
+    """Return all installed kinds, sorted by name; the first call takes 30 ms."""
+    # Imported here: every command line starts with this file, and few need it.
     from importlib.metadata import entry_points
 
     found = [entry.load() for entry in entry_points(group="tactile_toolkit.kinds")]

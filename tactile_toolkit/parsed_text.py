@@ -1,21 +1,21 @@
-"""What texts of users mean: counts, lists of words, and an order in which people count."""
+"""Texts of users: counts, lists of words, and the natural sort order."""
 
 from __future__ import annotations
 
 import re
 
 _WORDS_AND_NUMBERS = re.compile("([^0-9]*)([0-9]*)")
-# More digits may not fit into 64 bits, and ``int`` itself fails from 4,301 digits on.
+# More digits may not fit into 64 bits, and ``int`` fails from 4,301 digits on.
 _LONGEST_COUNT = 18
 
 
 def is_count(text: str) -> bool:
-    """Return whether a text is an integer of sensible length; a superscript is a digit, but no number."""
+    """Return whether a text is a decimal integer of at most 18 digits."""
     return text.isdecimal() and len(text) <= _LONGEST_COUNT
 
 
 def comma_separated(text: str) -> list[str]:
-    """Read words separated by commas."""
+    """Return the words of a text that commas separate."""
     return [part.strip() for part in text.split(",") if part.strip()]
 
 

@@ -7,7 +7,7 @@ measures of a gallery, and the figures of a split in cards and commands follow f
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Sequence, Sized
 from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import chain
 from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
@@ -85,7 +85,7 @@ def row(declared: type[T]) -> type[T]:
     return dataclass(frozen=True, slots=True, eq=False)(declared)
 
 
-def columns(row_type: Any) -> dict[str, Column]:
+def columns(row_type: type) -> dict[str, Column]:
     """Return the columns of a class of rows by attribute, each with its name."""
     found = {each.name: each.metadata.get(_COLUMN) for each in fields(row_type)}
     return {
@@ -141,5 +141,5 @@ def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
     return pa.array(values, data_type)
 
 
-def _offsets(values: list[Any]) -> Int64:
+def _offsets(values: list[Sized]) -> Int64:
     return np.cumsum([0, *map(len, values)])

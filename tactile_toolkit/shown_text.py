@@ -14,10 +14,7 @@ _MARKS = re.compile(r"([\\`*\[\]<>~&]|(?<![^\W_])_|_(?![^\W_]))")  # a _ inside 
 
 
 def printable(text: str, keep: str = "") -> str:
-    """Return a text in which control characters, and all others that cannot be seen, are written as escapes.
-
-    ``keep`` are some that may stay, such as the ends of lines.
-    """
+    """Return a text in which all invisible characters are escaped, except those in ``keep``."""
     if text.isprintable():
         return text
     return "".join(
@@ -27,21 +24,21 @@ def printable(text: str, keep: str = "") -> str:
 
 
 def printable_json(values: object, indent: int = 2) -> str:
-    """Return JSON of some values; what cannot be seen stands there in JSON's own escapes."""
+    """Return the JSON text of some values, with invisible characters in JSON's own escapes."""
     text = json.dumps(values, indent=indent, ensure_ascii=False)
-    # Outside of strings JSON has no other characters than those that can be seen, and ends of lines.
+    # Outside of strings, JSON has only visible characters and line breaks.
     odd = {each for each in set(text) if not each.isprintable()} - {"\n"}
     return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd}) if odd else text
 
 
 def markdown_text(text: str) -> str:
-    """Return a text so that Markdown, and HTML in it, shows it as it is."""
-    # Formulas stand between dollars, and a backslash does not stop them.
+    """Return a text that Markdown, and HTML in it, shows literally."""
+    # A backslash does not escape the dollars of a formula.
     return _MARKS.sub(r"\\\1", printable(text)).replace("$", "&#36;")
 
 
 def markdown_code(text: str) -> str:
-    """Return a text as a span of code in Markdown."""
+    """Return a text as inline code of Markdown."""
     shown = printable(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", shown)), default=0))
     return f"{fence}{shown}{fence}" if len(fence) == 1 else f"{fence} {shown} {fence}"

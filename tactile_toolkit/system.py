@@ -1,4 +1,4 @@
-"""What the system gives to this process: processor cores, and a folder to work in."""
+"""Resources of this process: processor cores and the working folder."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tactile_toolkit.errors import InputError
 def usable_cores() -> int:
     """Return the number of processor cores that this process may use.
 
-    A scheduler, a container or `taskset` may give it fewer than the machine has.
+    A scheduler, a container or `taskset` may allow fewer cores than the machine has.
     """
     count = os.cpu_count() or 1
     return min(count, len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else count
 
 
 def working_folder() -> Path:
-    """Return the working folder; InputError where it was deleted."""
+    """Return the working folder; InputError if it was deleted."""
     try:
         return Path.cwd()
     except FileNotFoundError as error:

@@ -9,19 +9,19 @@ _LONG_PLURALS = ("ches", "shes", "sses", "xes")
 
 
 def with_count(count: int, nouns: str) -> str:
-    """Write a number with what it counts: ``1 file``, ``2,000 files``, ``1 touch``."""
+    """Return a number with its noun: ``1 file``, ``2,000 files``, ``1 touch``."""
     if count == 1:
         nouns = nouns.removesuffix("es" if nouns.endswith(_LONG_PLURALS) else "s")
     return f"{count:,} {nouns}"
 
 
 def class_name(names: Sequence[str], label: int) -> str:
-    """Return the name of a class; its number where no name is stated for it."""
+    """Return the name of a class, or its number if it has no name."""
     return names[label] if 0 <= label < len(names) else str(label)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
-    """Name what was probably meant, to stand behind a message: ``"; did you mean 'test'?"``, or ``""``."""
+    """Return the end of a message with the most similar name: ``"; did you mean 'test'?"``, or ``""``."""
     # Here: it takes 3 ms, and few runs need it.
 
     import difflib  # here: it takes 4 ms of every command, and few need it

@@ -30,7 +30,7 @@ def binarise(
     ink: Literal["auto", "dark", "light"] = "auto",
     resample: bool = False,
 ) -> Bool:
-    """Return the ink that becomes the solid: binarised, cleaned and, if asked for, joined.
+    """Return the ink that becomes the solid: binarised, cleaned and, with ``spec.join_bodies``, joined.
 
     Parameters and errors as of :func:`mnist3d.solidify`.
     """

@@ -12,7 +12,7 @@ MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
 
 SMALL_PX = 64
-"""Images whose longer side is shorter would make a block of a few millimetres, and have to be resampled."""
+"""Images with a shorter longer side would give a block of a few millimetres, and have to be resampled."""
 
 PAPER_SHARE = 0.75
 """Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
@@ -68,7 +68,7 @@ def as_grey(values: AnyArray, full_scale: float, where: str) -> UInt8:
 
 
 def dark_on_light(pixels: AnyArray, ink: str) -> tuple[UInt8, int | None]:
-    """Return grey levels in which ink is dark, and their Otsu threshold where it is known by then.
+    """Return grey levels in which ink is dark, and their Otsu threshold if it was computed.
 
     With ``"auto"`` the margin of the image is paper. Raises ItemError ``unclear-ink``, and the reasons of
     :func:`as_levels`.

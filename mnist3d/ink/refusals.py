@@ -25,10 +25,11 @@ _SENTENCES = {
     "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
     "not-a-digit": "found {}; expected a digit, {}",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
-    "topology": "no lattice keeps the {} bodies and {} holes of the ink; the finest has {} and {}",
-    "layers": "the layers of the ink, stacked, have {} bodies and {} holes; the ink has {} and {}",
-    "vertex-budget": "the digit needs {:,} vertices to keep its {} bodies and {} holes; {:,} were asked for, "
-    "and at most {:g} times as many are allowed",
+    "topology": "no lattice keeps the topology of the ink (bodies: {}, holes: {}); the finest has {} and {}",
+    "layers": "the stack of layers has another topology than the ink (bodies: {}, holes: {}); the ink has {} "
+    "and {}",
+    "vertex-budget": "the digit needs {:,} vertices to keep its topology (bodies: {}, holes: {}); the budget "
+    "is {:,}, and at most {:g} times as many are allowed",
 }
 
 _NEXT = {

@@ -121,7 +121,7 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
             refuse("topology", *counts, *found)
         lattice = finer
     mesh = scale(mirror(smoothed), ink.shape, spec)
-    # A pitch that was asked for decides the number of vertices, too.
+    # A given pitch decides the number of vertices.
     if spec.lattice_pitch_mm is None and len(mesh.vertices_m) > BUDGET_SLACK * spec.target_vertices:
         mesh = decimate(mesh, spec.target_vertices)
     return SolidSteps(lattice, upper_half, surface, mesh)

@@ -17,7 +17,7 @@ TOLERANCE_GROWTH = 1.25
 FEW_TOO_MANY = 2.0
 
 E_FOLD_MM = 0.1
-"""One pass is tried up to so many times the vertices allowed; each step of tolerance leaves 1/e of them."""
+"""Excess of vertices up to which one pass is tried, and the tolerance that leaves 1/e of them."""
 
 BUDGET_SLACK = 1.5
 """Largest number of vertices, in budgets."""

@@ -26,7 +26,7 @@ NARROW_PX = 2.0
 """Ink or paper is narrow (a neck, a gap, a whisker) if its middle is nearer to the outline than this."""
 
 NARROW_REACH_PX = 3
-"""Ink and paper within so many pixels of something wider are not narrow: outlines are rough."""
+"""Distance, pixels, within which ink and paper near something wider are not narrow: outlines are rough."""
 
 NARROW_ERROR_PX = 0.25
 """Largest error of the outline of narrow parts: 0.05 mm."""
@@ -89,22 +89,23 @@ class Lattice:
             return None
         missed = self._corner_contacts(inside)
         if not missed.size:
-            shown = self._between_nodes(*np.ogrid[: self.ink.shape[0], : self.ink.shape[1]])
+            shown = self.between_nodes(*np.ogrid[: self.ink.shape[0], : self.ink.shape[1]])
             missed = np.stack(np.nonzero((shown > 0) != self.ink))
-        return self._with_nodes_at(missed).fitted()
+        return self.with_nodes_at(missed).fitted()
 
     def fitted(self) -> Lattice:
         """Return a lattice with nodes added until it shows all narrow parts."""
         lattice = self
         while True:
-            shown_px = lattice._between_nodes(*lattice.narrow)
+            shown_px = lattice.between_nodes(*lattice.narrow)
             error_px = np.abs(shown_px - lattice.distance_px[tuple(lattice.narrow)])
             missed = lattice.narrow[:, error_px > NARROW_ERROR_PX]
             if not missed.size:
                 return lattice
-            lattice = lattice._with_nodes_at(missed)
+            lattice = lattice.with_nodes_at(missed)
 
-    def _with_nodes_at(self, missed: Int64) -> Lattice:
+    def with_nodes_at(self, missed: Int64) -> Lattice:
+        """Return a lattice with nodes on the rows and columns of pixels, shape (2, N), and next to them."""
         rows, columns = map(_refined, (self.rows_px, self.columns_px), missed, self.ink.shape)
         # If no line can be added, every pixel becomes a node.
         if (len(rows), len(columns)) == self.s_px.shape:
@@ -125,7 +126,7 @@ class Lattice:
         )
         return np.stack(np.nonzero(contacts[np.ix_(*cells)]))
 
-    def _between_nodes(self, rows: Int64, columns: Int64) -> Float64:
+    def between_nodes(self, rows: Int64, columns: Int64) -> Float64:
         """Interpolate the lattice at pixels; exact, as :func:`~mnist3d.solid.node_sampling.sampled` is."""
         s = on_grid(self.s_px, FACTOR_GRAIN_PX).astype(np.float64)
         row, above, below = linear(self.rows_px, rows)
@@ -155,7 +156,7 @@ def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
 
 
 def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
-    """Return the pitch that was asked for, or the one at which marching cubes meet the vertex budget.
+    """Return the given pitch, or the one at which marching cubes meet the vertex budget.
 
     A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
     surface is made. It falls with the square of the pitch.

@@ -52,7 +52,7 @@ def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: 
 
 def on_grid(values: NDArray[F], grain: float) -> NDArray[F]:
     """Round values to multiples of a power of two."""
-    # Powers of two of the type of the values: nothing but the rounding changes a bit.
+    # Multiplication by powers of two is exact.
     return np.asarray(np.round(values * values.dtype.type(1 / grain)) * values.dtype.type(grain))
 
 

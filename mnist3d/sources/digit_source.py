@@ -23,8 +23,7 @@ class DigitImage:
     label : int
         The digit written, 0 to 9.
     pixels : ndarray of uint8, shape (H, W)
-        Grey levels, dark ink on light paper whatever the source stored: 0 is ink, 255 is paper. Row 0 is
-        the top of the digit as it is read.
+        Grey levels, always dark ink (0) on light paper (255). Row 0 is the top of the digit as it is read.
     writer : int
         Number of the writer in the source, or :data:`NO_WRITER`.
     """

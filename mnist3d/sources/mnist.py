@@ -32,7 +32,7 @@ LABELS_MAGIC = 0x801
 """Magic number of a file of labels: unsigned bytes (8) in one dimension (1)."""
 
 _GZIP = b"\x1f\x8b"
-"""First bytes of a gzipped file, whatever its name."""
+"""First bytes of a gzipped file."""
 
 _PREFIXES = {"train": "train", "test": "t10k"}
 _KINDS = {"images": "idx3-ubyte", "labels": "idx1-ubyte"}

@@ -29,7 +29,7 @@ _TAKEN = {
 """All options of a source."""
 
 _UNCOMPARED = ("writers_sha256", "left_out")
-"""Parts of a fingerprint that decide no solid: the column of writers is not asked for again."""
+"""Parts of a fingerprint that do not affect solids."""
 
 
 def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:

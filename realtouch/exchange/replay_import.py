@@ -44,10 +44,15 @@ def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | Non
     home, path = _group_in(home)
     group = ZarrGroup(home, path)
     names = group.arrays("data")
+    if not names:
+        raise InputError(
+            f"{group.place!r} has no arrays in its group 'data'; expected a replay buffer",
+            next="give the group itself; a zip holds what is inside of the group's folder",
+        )
     name = columns.image_name or PIXELS.rpartition("/")[2]
     if name not in names:
         raise InputError(
-            f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names) or 'none'}",
+            f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names)}",
             next="name it with --image-column",
         )
     pictures = PictureArray.of(group.array(f"data/{name}"))

@@ -1,4 +1,4 @@
-"""Data cards: the README of a data set folder, filled from the data at hand and checked against it."""
+"""Data cards: the README of a data set folder, filled from the data and compared with them."""
 
 from lazy_loader import attach_stub
 

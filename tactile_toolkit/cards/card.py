@@ -1,4 +1,4 @@
-"""Data cards: the README of a data set folder, filled from the data set at hand, and the picture it shows."""
+"""Data cards: the README of a data set folder, filled from the data, and its picture."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ MESH_TASKS = {
     "task_categories": ["robotics", "reinforcement-learning"],
     "task_ids": ["task-planning"],
 }
-"""What meshes are for, in words of the Hub."""
+"""Tasks of meshes, in terms of the Hub."""
 
 _TABLE_COLUMNS: dict[str, ColumnWords] = {
     "label_name": ("", "name of the class"),
@@ -36,13 +36,13 @@ _TABLE_COLUMNS: dict[str, ColumnWords] = {
 _SHOWN = 10
 _TILE_PX = 120
 
-# Templates have "FOLDER" there: a folder has no name by which others could load it.
+# Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
 
 
 @dataclass(frozen=True, kw_only=True)
 class Card:
-    """What a card says that does not follow from folder and manifest alone.
+    """Content of a card that does not follow from folder and manifest.
 
     Attributes
     ----------
@@ -51,15 +51,15 @@ class Card:
     title : str
         Name of the data set.
     columns : mapping
-        Shape, unit and frame of each column, and its meaning.
+        Shape, unit and frame of each column, and its meaning, by name.
     picture : tuple
-        File name, what draws it from the facts as PNG (None where there are no rows to draw), and caption.
+        File name, function that draws it as PNG from the summary (None without rows), and caption.
     licence : str
-        The Hub's word for it.
+        Identifier of the licence on the Hub.
     tags : sequence of str
-        For the page of the Hub.
+        Tags of the page on the Hub.
     nouns : str
-        What rows are called; as of the kind by default.
+        Noun for rows; that of the kind by default.
     tasks : mapping
         Further fields of the YAML head.
     figures : mapping
@@ -67,11 +67,11 @@ class Card:
     made : sequence of (str, str)
         Further lines on how it was made.
     limits : sequence of str
-        What the data are not good for, or lack.
+        Known limits of the data.
     spec : mapping or None
-        What is shown of the specification; all of it by default.
+        Displayed part of the specification; all by default.
     values : mapping
-        What fills the template's other placeholders.
+        Values of further placeholders of the template.
     """
 
     template: str
@@ -95,9 +95,9 @@ class Card:
         kind: DatasetKind,
         facts: FolderSummary | None = None,
     ) -> None:
-        """Write ``README.md`` and its picture; what is as it should be is left alone.
+        """Write ``README.md`` and its picture; unchanged files are not rewritten.
 
-        A copy of a published set has no manifest. ``facts`` are those of the folder, where they are known.
+        A copy of a published set has no manifest. ``facts`` is the summary of the folder, if known.
         Raises IntegrityError for a damaged shard.
         """
         facts = facts or folder_summary(folder, manifest)
@@ -150,9 +150,9 @@ def write_table_card(
 ) -> None:
     """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
 
-    A copy has tables for other libraries, several sets as one, or some of the rows. ``columns`` are those of
-    the data set that it was made of, ``title`` is its name. ``terms`` fill ``licence_text``,
-    ``citation_text`` and ``bibtex`` of the template, the last that of the paper by default.
+    A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and ``title``
+    are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
+    the last one that of the paper by default.
     """
     has_tables = is_export(manifest)
     command = "export --format flat" if has_tables else manifest.spec["operation"]
@@ -194,12 +194,12 @@ def _table_sheet(facts: FolderSummary) -> bytes | None:
 
 
 def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
-    """Lay pictures out for a card, as PNG; None without any."""
+    """Arrange pictures for a card, as PNG; None without pictures."""
     return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8)) if tiles else None
 
 
 def card_words(file: str) -> dict[str, Any]:
-    """Read a file of ``data_cards`` with words that fill its templates."""
+    """Read a file of ``data_cards`` with texts for its templates."""
     return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 
 
@@ -209,25 +209,25 @@ def _write_changed(folder: store.DataFolder, path: str, content: bytes) -> None:
 
 
 def render_card(template: str, values: Mapping[str, str]) -> str:
-    """Fill a template of ``data_cards``; KeyError where a placeholder has no value: no gap in a card."""
+    """Fill a template of ``data_cards``; KeyError for a placeholder without a value."""
     text = files("data_cards").joinpath(template).read_text(encoding="utf-8")
     return Template(text).substitute(values)
 
 
 def with_repo_name(card: str, name: str) -> str:
-    """Return a card whose lines of code load the data set by another name: a folder or repository."""
+    """Return a card whose code loads the data set by another name, of a folder or repository."""
     found = _LOADED_NAME.search(card)
     return card if found is None else card.replace(f'"{found["name"]}"', f'"{name}"')
 
 
 def rows_to_draw(facts: FolderSummary, columns: Sequence[str]) -> Iterator[read.Row]:
-    """Yield the rows of the first split that has any, reading some columns block by block."""
+    """Yield the rows of the first split with rows, reading given columns block by block."""
     split = next((split for split in facts.splits if split.rows), None)
     for block in read.all_blocks(() if split is None else split.shards, list(columns)):
         yield from (read.Row(block, index) for index in range(len(block.table)))
 
 
 def bibtex(*names: str) -> str:
-    """Lay out entries of ``data_cards``, such as ``"tactile_mnist"``, as one block of BibTeX in Markdown."""
+    """Return entries of ``data_cards``, such as ``"tactile_mnist"``, as a BibTeX block in Markdown."""
     entries = (files("data_cards").joinpath(f"{name}.bib").read_text(encoding="utf-8") for name in names)
     return "```bibtex\n" + "\n".join(entries) + "```"

@@ -1,4 +1,4 @@
-"""Comparing a data card with the folder that it describes."""
+"""Comparison of a data card with its folder."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tactile_toolkit.errors import ToolkitError
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
 _MOST_SHOWN = 300
-# YAML gives values of any type in any place.
+# Errors of invalid YAML content, whose values may have any type.
 _UNREADABLE = (ValueError, TypeError, KeyError, AttributeError, RecursionError)
 _REQUIRED = ("license", "pretty_name", "task_categories", "tags")
 
 
 def check_card(folder: store.DataFolder) -> list[store.Finding]:
-    """List all in the card of a finished folder that manifest, Parquet files or pictures contradict."""
+    """List the contradictions between the card of a finished folder and its files."""
     # huggingface_hub takes 150 ms to import.
     from huggingface_hub import DatasetCard
 
@@ -50,7 +50,7 @@ def check_card(folder: store.DataFolder) -> list[store.Finding]:
 
 
 def _contradictions(head: Mapping[str, Any], facts: FolderSummary) -> Iterator[str]:
-    """Yield every file, number or column in the head that the folder contradicts."""
+    """Yield files, numbers and columns of the head that the folder contradicts."""
     if not isinstance(head.get("dataset_info"), dict):
         yield "its head has no 'dataset_info'; next: write the card again with the command `card`"
         return
@@ -69,9 +69,9 @@ def _contradictions(head: Mapping[str, Any], facts: FolderSummary) -> Iterator[s
 
 
 def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...], Any]:
-    """Return what a head says, by what it says it of; of files those ``held`` that its patterns find."""
+    """Return the claims of a head by subject; patterns are replaced by the files ``held`` that they match."""
     info, categories = head["dataset_info"], head.get("size_categories")
-    # Not the sizes in memory: they are estimates where a manifest does not state them.
+    # Without sizes in memory, which may be estimates.
     claims: dict[tuple[str, ...], Any] = {("its", "'download_size'"): info.get("download_size")}
     claims["its", "'size_categories'"] = [categories] if isinstance(categories, str) else categories
     for config in head.get("configs") or ():
@@ -88,22 +88,22 @@ def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...
     return claims
 
 
-def _abridged(value: Any) -> str:
+def _abridged(value: object) -> str:
     """Return the beginning of a value's repr."""
-    # A head of a few lines may name its own parts so often that all of it would fill any memory.
+    # Aliases in a short head may expand to any size.
     short = reprlib.Repr()
     short.maxstring = short.maxother = _MOST_SHOWN
     return short.repr(value)[:_MOST_SHOWN]
 
 
 def pictures_in(text: str) -> list[str]:
-    """Return the paths of the pictures that a card shows, but for those elsewhere or in the card itself."""
+    """Return the paths of the pictures of a card, except remote and embedded ones."""
     paths = dict.fromkeys(match["path"] for match in _PICTURE.finditer(text))
     return [path for path in paths if "://" not in path and not path.startswith("data:")]
 
 
 def _check_pictures(folder: store.DataFolder, text: str) -> Iterator[store.Finding]:
-    """Yield pictures of the card that are missing or damaged."""
+    """Yield missing and damaged pictures of a card."""
     for path in pictures_in(text):
         problem = store.problem_of_name(normpath(path))
         if problem:

@@ -11,20 +11,20 @@ from tactile_toolkit import read
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
-def yaml_features(schema: Any, where: str = "") -> list[dict[str, Any]]:
-    """Describe each column of a schema as `datasets` itself writes it in ``dataset_info.features``.
+def yaml_features(schema: pa.Schema, where: str = "") -> list[dict[str, Any]]:
+    """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
 
-    The metadata that `datasets` stores names classes, images and videos. Dots in the names of columns stay:
-    ``mesh.vertices`` is one column, not a struct. Raises IntegrityError, which names the file ``where``, for
+    Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
+    ``mesh.vertices``, is not a struct. Raises IntegrityError, which names the file ``where``, for
     metadata that cannot be read.
     """
-    # Not by `datasets` itself: importing it takes longer than making a small data set.
+    # Not by `datasets`, whose import takes longer than making a small data set.
     features = read.stored_features(schema, where)
     return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
-def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
-    """Describe one column or list element, by its Arrow type and what the metadata knows of it."""
+def _entry(data_type: pa.DataType, feature: Any) -> dict[str, Any]:
+    """Describe a column or list element by its Arrow type and metadata."""
     known = feature if isinstance(feature, dict) else {}
     if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):
         return {"dtype": {"class_label": {"names": {str(n): name for n, name in enumerate(known["names"])}}}}
@@ -32,7 +32,7 @@ def _entry(data_type: Any, feature: Any) -> dict[str, Any]:
         return {"dtype": _MEDIA[known["_type"]]}
     types = pa.types
     if types.is_list(data_type) or types.is_fixed_size_list(data_type):
-        # What the metadata says of the elements, in the spellings of all releases.
+        # Metadata of the elements, in the forms of all releases.
         element = next(iter(feature), None) if isinstance(feature, list) else known.get("feature")
         inner = _entry(data_type.value_type, element)
         fixed = {"length": data_type.list_size} if types.is_fixed_size_list(data_type) else {}

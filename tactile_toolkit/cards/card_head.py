@@ -44,9 +44,9 @@ def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
 
 
 def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """Return the configurations, the default one first: which files each split has.
+    """Return the configurations with the files of each split, the default one first.
 
-    ``others`` lie next to them and belong to none.
+    ``others`` are files next to them that belong to no split.
     """
     folders = {"default": (store.DATA_FOLDER, {split.split: split.paths for split in facts.splits})}
     if facts.viewer:
@@ -62,8 +62,8 @@ def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[dict[str, 
 
 
 def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]) -> str | list[str]:
-    """Return patterns where they find the files of this split and no other, and else their names."""
-    # `datasets` sorts what a pattern finds as text: numbers of each length have one of their own.
+    """Return patterns if they match exactly the files of this split, otherwise the file names."""
+    # `datasets` sorts matches as text, so numbers of each length need their own pattern.
     names = (store.ShardName.parse(path.rpartition("/")[2]) for path in paths)
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
     several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
@@ -74,7 +74,7 @@ def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]
 
 
 def size_category(rows: int) -> str:
-    """Return the Hub's word for a number of rows, such as ``"1K<n<10K"``."""
+    """Return the size category of the Hub for a number of rows, such as ``"1K<n<10K"``."""
     above = min(max(0, len(str(rows)) - 3), len(_LIMITS))
     if above == len(_LIMITS):
         return f"n>{_LIMITS[-1]}"
@@ -82,16 +82,16 @@ def size_category(rows: int) -> str:
 
 
 def head_text(head: dict[str, Any]) -> str:
-    """Write a head between its two lines of dashes."""
+    """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
-    # YAML escapes control characters itself, but not those that turn the direction of a text.
+    # YAML escapes control characters, but not those that change the direction of text.
     if text != printable(text, keep="\n"):
         text = yaml.safe_dump(head, sort_keys=False, width=110)
     return f"{_FENCE}{text}{_FENCE}"
 
 
 def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
-    """Return a card with a changed head, and a note in front of its text; ValueError where it has none."""
+    """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
     start, text, body = card.split(_FENCE, 2)
     try:
         head = yaml.safe_load(text)

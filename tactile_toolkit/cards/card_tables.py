@@ -15,7 +15,7 @@ _UNKNOWN: ColumnWords = ("", "a column of this copy; not in the published schema
 
 
 def split_table(facts: FolderSummary, nouns: str, figures: Mapping[str, Sequence[object]]) -> str:
-    """Lay out the splits: how many rows, any further ``figures`` of each, and sizes of files."""
+    """Return a table of splits: rows, further ``figures`` of each, and file sizes."""
     rows = [
         (s.split, f"{s.rows:,}", *more, len(s.paths), megabytes(s.file_bytes), megabytes(s.unpacked_bytes))
         for s, *more in zip(facts.splits, *figures.values(), strict=True)
@@ -24,7 +24,7 @@ def split_table(facts: FolderSummary, nouns: str, figures: Mapping[str, Sequence
 
 
 def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> str:
-    """Lay out a table in Markdown; a bar inside a cell stays part of its text."""
+    """Return a table in Markdown; bars inside cells are escaped."""
     lines = [header, ["---"] * len(header), *rows]
     return "\n".join(
         "| " + " | ".join(str(cell).replace("|", "\\|") for cell in line) + " |" for line in lines
@@ -32,10 +32,9 @@ def markdown_table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> s
 
 
 def field_table(facts: FolderSummary, known: Mapping[str, ColumnWords]) -> str:
-    """Lay out the columns of a folder: name, type as stored, shape and unit, meaning.
+    """Return a table of the columns of a folder: name, stored type, shape and unit, meaning.
 
-    Only columns that it has are listed, and all of them. ``known`` is by name; a name that ends with a dot
-    stands for all fields of a struct.
+    ``known`` is by name; a name that ends with a dot stands for all fields of a struct.
     """
     rows = []
     for entry in _flat(facts.features):
@@ -46,7 +45,7 @@ def field_table(facts: FolderSummary, known: Mapping[str, ColumnWords]) -> str:
 
 
 def _flat(features: Sequence[Mapping[str, Any]], above: str = "") -> list[dict[str, Any]]:
-    """List columns by dotted name, those inside structs too."""
+    """List columns by dotted name, including fields of structs."""
     flat = []
     for entry in features:
         name = f"{above}{entry['name']}"
@@ -55,7 +54,7 @@ def _flat(features: Sequence[Mapping[str, Any]], above: str = "") -> list[dict[s
 
 
 def column_type_text(entry: Any) -> str:
-    """Write the type of a column for people, such as ``list of float32[3]``."""
+    """Return the type of a column as text, such as ``list of float32[3]``."""
     if isinstance(entry, str):
         return entry
     if isinstance(entry, list):
@@ -72,10 +71,10 @@ def column_type_text(entry: Any) -> str:
 
 
 def megabytes(size: int) -> str:
-    """Write a size for a table: ``"12.30 MB"``; little ones in kB, so that none reads as nothing."""
+    """Return a size as text: ``"12.30 MB"``, or in kB if it is small."""
     return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
 
 
 def between(least: int, most: int) -> str:
-    """Write a range of counts: ``"3 to 5"``, or the one count."""
+    """Return a range of counts as text: ``"3 to 5"``, or one count."""
     return f"{most:,}" if least == most else f"{least:,} to {most:,}"

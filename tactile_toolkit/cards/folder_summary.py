@@ -1,4 +1,4 @@
-"""What a data set folder holds: splits, files, rows, bytes and columns."""
+"""Summary of a data set folder: splits, files, rows, bytes and columns."""
 
 from __future__ import annotations
 
@@ -8,6 +8,8 @@ from functools import cached_property, partial
 from pathlib import PurePosixPath
 from typing import Any
 
+import pyarrow as pa
+
 from tactile_toolkit import places, read, run, store
 from tactile_toolkit.cards.card_features import yaml_features
 from tactile_toolkit.errors import InputError
@@ -16,9 +18,9 @@ from tactile_toolkit.system import usable_cores
 
 @dataclass(frozen=True)
 class SplitFiles:
-    """One split: its files (opened when a user looks into them), their paths in the folder, and sizes.
+    """One split: its files, which are opened when needed, their paths in the folder, and sizes.
 
-    ``unpacked_bytes`` is the size of the rows in memory, estimated where the manifest does not state it.
+    ``unpacked_bytes`` is the size of the rows in memory, an estimate unless the manifest states it.
     """
 
     split: str
@@ -31,14 +33,14 @@ class SplitFiles:
 
 @dataclass(frozen=True)
 class FolderSummary:
-    """A whole folder: its splits in canonical order, and their schema.
+    """An entire folder: its splits in canonical order, and their schema.
 
-    What is ``recorded`` is said by the manifest; no file was opened for it. ``viewer`` are the files that
-    repeat the rows of a split for the Hub's page, as far as the manifest lists any.
+    With ``recorded``, the values come from the manifest, without opening files. ``viewer`` are files that
+    repeat the rows of a split for the page of the Hub, if the manifest lists any.
     """
 
     splits: tuple[SplitFiles, ...]
-    schema: Any
+    schema: pa.Schema
     recorded: bool = False
     viewer: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -57,11 +59,10 @@ class FolderSummary:
 def folder_summary(
     folder: store.DataFolder, manifest: store.Manifest | None = None, place: places.Place | None = None
 ) -> FolderSummary:
-    """Return the facts of a folder: of each file what the manifest states, or else what its footer says.
+    """Summarise a folder from its manifest, or else from the footers of its files.
 
-    ``manifest`` is one that is to be written there, ``place`` what is known of a folder without one. The
-    manifests of others do not state sizes. Raises InputError when the folder holds no Parquet files, and
-    IntegrityError when one is missing or damaged.
+    ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
+    InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
     """
     manifest = manifest or store.read_manifest(folder)
     splits = []
@@ -96,7 +97,7 @@ def _sizes(folder: store.DataFolder, file: tuple[read.Shard, str]) -> tuple[int,
 
 
 def viewer_files(manifest: store.Manifest | None) -> dict[str, tuple[str, ...]]:
-    """Return the files of each split that a manifest lists for the Hub's page."""
+    """Return the files of each split that a manifest lists for the page of the Hub."""
     if manifest is None:
         return {}
     listed = [path for path in manifest.files or () if path.startswith(f"{store.VIEWER_FOLDER}/")]

@@ -1,4 +1,4 @@
-"""What the rows of each split are like, by the roles of their columns, for cards and commands."""
+"""Summaries of splits by the roles of their columns, for cards and commands."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _MOST_LISTED = 12
 
 @dataclass(frozen=True, slots=True)
 class SplitSummary:
-    """One split: what the manifest counts, and facts of its columns by name.
+    """One split: counts of the manifest, and figures of its columns by name.
 
     Attributes
     ----------
@@ -26,9 +26,9 @@ class SplitSummary:
     counts : mapping of str to int
         Rows, shards, bytes and skipped items.
     facets : mapping
-        Rows of each value.
+        Number of rows with each value.
     measures : mapping
-        Least, median and most; empty without rows.
+        Minimum, median and maximum; empty without rows.
     sums : mapping
         Totals.
     """
@@ -44,7 +44,7 @@ class SplitSummary:
         return {"split": self.split, **self.counts, **self.facets, **self.measures, **self.sums}
 
     def text(self, column: Column) -> str:
-        """Write the fact of a column for a table."""
+        """Return the figures of a column as text."""
         if column.role == "sum":
             return column.text(self.sums[column.name])
         if column.role == "measure":
@@ -61,7 +61,7 @@ class SplitSummary:
 def summarise_columns(
     manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
 ) -> list[SplitSummary]:
-    """Sum up the columns of a table for each split; ``table`` has a column ``split``."""
+    """Summarise the columns of a table for each split; ``table`` has a column ``split``."""
     # pyarrow.compute takes 40 ms to import, and few commands need it.
     import pyarrow.compute as pc
 
@@ -96,6 +96,6 @@ def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
 def facts_table(
     summaries: Sequence[SplitSummary], declared: Sequence[Column]
 ) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
-    """Lay out the facts of splits: a header with their names, and a line for each column."""
+    """Return header and lines of a table of figures: a line for each column, a column for each split."""
     header = ("", *(summary.split for summary in summaries))
     return header, [(each.heading, *(summary.text(each) for summary in summaries)) for each in declared]

@@ -17,10 +17,10 @@ IdChoice: TypeAlias = Sequence[GivenId]
 
 
 def parse_ids(text: str) -> list[GivenId]:
-    """Read ids such as ``3,17,40-60``: numbers, ranges, and words as they are.
+    """Read ids such as ``3,17,40-60``: numbers, ranges, and other words unchanged.
 
-    Ranges stay ranges, as the ids of a split are scattered: most numbers of a range belong to no row. Raises
-    InputError for an id of no characters.
+    Ranges are not expanded, because most of their numbers may belong to no row. Raises InputError for an
+    empty id.
     """
     return [_as_id(word.strip()) for word in text.split(",")]
 
@@ -33,12 +33,12 @@ def _as_id(word: str) -> GivenId:
     except InputError:
         return word
     given = (low, high) if "-" in word[1:] else low
-    # 007 is the number 7, but another text.
+    # 007 is the number 7, but a different text.
     return given if id_text(given) == word else word
 
 
 def id_range(given: GivenId) -> tuple[int, int]:
-    """Return the first and the last of the numbers that a given id stands for; InputError for other text."""
+    """Return the first and the last number of a given id; InputError for other text."""
     if not isinstance(given, str):
         return given if isinstance(given, tuple) else (given, given)
     match = _IDS.fullmatch(given)
@@ -51,5 +51,5 @@ def id_range(given: GivenId) -> tuple[int, int]:
 
 
 def id_text(given: GivenId) -> str:
-    """Return the text that a given id is where ids are text: ``2024-01`` is not a range there."""
+    """Return a given id as text: where ids are texts, ``2024-01`` is not a range."""
     return "-".join(map(str, given)) if isinstance(given, tuple) else str(given)

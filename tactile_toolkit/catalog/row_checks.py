@@ -18,9 +18,9 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class CheckedRow(Generic[T]):
-    """What was found about one row, by its number in a file, and by its id where it has one.
+    """The result of the check of one row, with its number in the file, and its id if it has one.
 
-    ``found`` is what the check returned, or None where ``null_field`` is null.
+    ``found`` is the result, or None if ``null_field`` is null.
     """
 
     split: str
@@ -36,8 +36,8 @@ def shards_to_check(
 ) -> list[tuple[str, read.Shard]]:
     """Return the files of a data set of meshes of a kind, each with its split.
 
-    Raises InputError where there is none, IntegrityError where a shard is damaged or missing, or the run that
-    makes the data set is under way or was interrupted: a check of the rest would pass for one of all.
+    Raises InputError if there is none, IntegrityError if a shard is damaged or missing, or if the data set is
+    unfinished: a check of the rest must not look like one of all.
     """
     place = places.open_place(name).require(kind, "validate").require_complete(split)
     splits = place.splits if split is None else (split,)
@@ -65,11 +65,11 @@ def check_rows(
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> list[CheckedRow[T]]:
-    """Check rows in processes and return what was found, in the order of the rows.
+    """Check rows in several processes and return the results, in the order of the rows.
 
-    ``check``, which has to be picklable, is given each row in which none of ``columns`` is null at any depth;
-    only the first ``limit`` rows of each split, where given. ``on_progress`` is called with rows done and in
-    all.
+    ``check``, which must be picklable, takes each row in which none of ``columns`` is null at any depth. With
+    ``limit`` only the first rows of each split are checked. ``on_progress`` gets the number of checked rows
+    and the total.
     """
     parts: list[_Part] = []
     left = dict.fromkeys((split for split, _ in shards), math.inf if limit is None else limit)
@@ -91,13 +91,13 @@ def check_rows(
 def _check_part(
     check: Callable[[read.Row], T], columns: Sequence[str], part: _Part
 ) -> tuple[int, list[CheckedRow[T]]]:
-    """Check the first rows of a row group; return its number with what was found."""
+    """Check the first rows of a row group; return its number and the results."""
     file = Path(part.shard.path).name
     checked: list[CheckedRow[T]] = []
     for block in part.shard.blocks(part.group):
         nulls = read.null_fields(block.table, columns)
         for index, row_id in enumerate(block.table["id"].to_pylist()[: part.rows - len(checked)]):
-            # In data sets of others it may be null, or a text.
+            # In data sets of others an id may be null, or a text.
             known_id = read.whole_number(row_id)
             found = None if index in nulls else check(read.Row(block, index))
             row, null_field = block.first_row + index, nulls.get(index, "")

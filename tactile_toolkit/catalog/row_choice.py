@@ -45,10 +45,10 @@ def choose_rows(
 ) -> list[tuple[str, D, Int64]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
-    Only rows with these ``ids`` (of numbers, a pair stands for all from its first to its last that are there;
-    of texts, for the text ``first-last``), of these classes, of these the first ``per_class`` of each class,
-    and of what is left the first ``limit`` of each split. Raises InputError where an id or a class is not
-    there, no id of a range is, or nothing is left.
+    Rows must have one of these ``ids`` (a pair means all numbers from its first to its last, or the text
+    ``first-last``) and one of these classes. Of these, the first ``per_class`` of each class are taken, and
+    then the first ``limit`` of each split. Raises InputError if an id, a range or a class matches no row, or
+    no row is left.
     """
     asked = list(ids or ())
     seen, found = np.zeros(len(asked), bool), []
@@ -90,7 +90,7 @@ def choose_rows(
 
 
 def _with_id(values: AnyArray, given: GivenId) -> Bool:
-    """Return which ids, numbers or texts, are a given one or within a given range."""
+    """Return a mask of the ids, numbers or texts, that match a given id or range."""
     if values.dtype.kind not in "iuf":
         return np.asarray(values == id_text(given), bool)
     low, high = id_range(given)

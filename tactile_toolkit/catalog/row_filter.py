@@ -24,7 +24,7 @@ PER_CLASS = integer(None, 1, optional=True, help="Only the first N of each class
 
 @dataclass(frozen=True, slots=True)
 class RowFilter:
-    """Options of all commands that take some of the objects of a data set."""
+    """Options of commands that take some of the objects of a data set."""
 
     split: str | None = SPLIT
     ids: IdChoice | None = IDS
@@ -33,7 +33,7 @@ class RowFilter:
     limit: int | None = LIMIT
 
     def given(self) -> dict[str, Any]:
-        """Return what was asked for, by name; a split only where it is not ``all``."""
+        """Return the options by name; the split ``all`` becomes None."""
         named = {each.name: getattr(self, each.name) for each in fields(RowFilter)}
         return {**named, "split": None if self.split == "all" else self.split}
 
@@ -43,11 +43,11 @@ NO_FILTER = RowFilter()
 
 @dataclass(frozen=True, slots=True)
 class PreviewSpec(RowFilter):
-    """Which pictures of a data set of meshes to draw.
+    """Options of the previews of a data set of meshes.
 
-    Without kinds a sheet; without a split all of them; without ids the first ``per_class`` rows of each class
-    on a sheet, and the first row where one is shown alone. With ``labels`` only rows of these classes. Of all
-    these, the first ``limit`` of each split.
+    Without ``kinds`` a sheet is drawn; without ``split`` all splits; without ``ids`` the first ``per_class``
+    rows of each class on a sheet, or the first row in a single picture. With ``labels`` only rows of these
+    classes are taken. Of all these, the first ``limit`` of each split.
     """
 
     per_class: int = integer(10, 1, help="Objects of each class on a sheet.")

@@ -12,7 +12,7 @@ from tactile_toolkit.errors import InputError
 
 @contextmanager
 def specification_read(where: str) -> Iterator[None]:
-    """Take a manifest whose specification is not as expected for damaged."""
+    """Raise IntegrityError for a manifest whose specification has an unexpected form."""
     try:
         yield
     except (KeyError, TypeError, AttributeError) as error:
@@ -21,14 +21,14 @@ def specification_read(where: str) -> Iterator[None]:
 
 
 def manifest_beside(shard: read.Shard) -> store.Manifest | None:
-    """Return the manifest of the folder that a shard lies in, where there is one."""
+    """Return the manifest of the data set folder of a shard; None if there is none."""
     data, _ = store.split_uri(shard.path)
     folder, name = store.split_uri(data.address())
     return store.read_manifest(folder) if name == store.DATA_FOLDER else None
 
 
 def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Shard]) -> None:
-    """Refuse to write where shards are read, be it by another name or through a link (InputError).
+    """Raise InputError if the folder to write holds or lies in the source, also through links.
 
     ``name`` is the data set as the user gave it.
     """
@@ -54,7 +54,7 @@ def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Sha
 
 
 def short_name(name: str) -> str:
-    """Return a data set's name without the folders that it lies in: a site may be given to others."""
+    """Return the name of a data set without its parent folders, which a published page must not show."""
     if store.is_remote(name):
         return name.rstrip("/").rpartition("/")[2]
     place = store.expanded(store.normalize_uri(name))

@@ -34,7 +34,7 @@ class GalleryItem:
     thumbnail: bytes = field(repr=False)  # PNG
     # JSON values that the page loads when the item is opened: "notes" (pairs of a title and a text) and
     # either "mesh" (see packed_mesh) or "touches".
-    content: Mapping[str, Any] = field(repr=False)
+    content: Mapping[str, object] = field(repr=False)
     # Further files by the end of their name, such as "000.jpg".
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 

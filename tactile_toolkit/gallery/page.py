@@ -10,7 +10,6 @@ import html
 import json
 from collections.abc import Sequence
 from importlib import resources
-from typing import Any
 
 from tactile_toolkit import __version__
 from tactile_toolkit.gallery.items import Gallery, GalleryItem
@@ -44,13 +43,13 @@ def page(title: str) -> str:
     return filled.replace("{{title}}", html.escape(title))
 
 
-def script_json(value: Any) -> str:
+def script_json(value: object) -> str:
     """Write JSON that is safe in scripts and pages: ASCII without ``<``, ``>`` and ``&``."""
     text = json.dumps(value, separators=(",", ":"), ensure_ascii=True, allow_nan=False)
     return text.replace("<", "\\u003c").replace(">", "\\u003e").replace("&", "\\u0026")
 
 
-def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, Any]:
+def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, object]:
     """Return the columns by which the page filters and sorts, as JSON values with one entry for each item."""
     return {
         "kind": gallery.kind,
@@ -64,7 +63,7 @@ def index_of(gallery: Gallery, items: Sequence[GalleryItem]) -> dict[str, Any]:
     }
 
 
-def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, Any]:
+def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
     rows = [_words(item.values[column.name]) if column.name in item.values else () for item in items]
     found = {value for row in rows for value in row}
     known = [value for value in column.values if value in found]
@@ -80,7 +79,7 @@ def _words(value: object) -> tuple[str, ...]:
     return (UNKNOWN if value is None else str(value),)
 
 
-def _measure(column: Column, items: Sequence[GalleryItem]) -> dict[str, Any]:
+def _measure(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
     values = [_rounded(item.values.get(column.name), column.decimals) for item in items]
     return {"title": column.title, "unit": column.unit, "decimals": column.decimals, "values": values}
 

@@ -11,7 +11,6 @@ import hashlib
 import os
 import re
 import shutil
-from collections import Counter
 from collections.abc import Callable, Generator, Iterator
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
@@ -64,55 +63,72 @@ def build_site(
     nothing to show, or the site would be too large; StorageError where it cannot be written.
     """
     path = site_folder(gallery, out, overwrite=overwrite)
-    written, shown = Counter[str](), dict[int, GalleryItem]()
-    # Each with the number of its first item on the page.
-    firsts = accumulate((task.size for task in gallery.tasks), initial=0)
-    tasks = list(zip(firsts, gallery.tasks, strict=False))
     with store.named_failures(str(path)), _unfinished_folder(path) as folder:
-
-        def write(place: Path, content: str | bytes) -> None:
-            place.parent.mkdir(exist_ok=True)
-            written["bytes"] += place.write_bytes(content.encode() if isinstance(content, str) else content)
-            written["files"] += 1
-
-        write(folder / _TEMPLATE_FILE, page(gallery.title))
-        write(folder / "LICENSES.txt", asset("three-LICENSE.txt"))
+        files = _Files(folder)
+        files.write(_TEMPLATE_FILE, page(gallery.title))
+        files.write("LICENSES.txt", asset("three-LICENSE.txt"))
         for name in (*ASSETS, THREE):
-            write(folder / "assets" / name, asset(name))
-        on_progress(0, gallery.size)
-        made = cast("Generator[tuple[int, list[GalleryItem]]]", run.runner_for(runner).run(_make, tasks))
-        # Closed, so that workers end when an item fails.
-        with closing(made) as results:
-            for first, items in results:
-                for number, item in enumerate(items, start=first):
-                    # Only what the page filters and sorts by.
-                    shown[number] = replace(item, thumbnail=b"", content={}, media={})
-                    content = f"gallery.receive({number},{script_json(item.content)});\n"
-                    write(folder / f"thumbs/{number:06d}.png", item.thumbnail)
-                    write(folder / f"items/{number:06d}.js", content)
-                    for ending, medium in item.media.items():
-                        write(folder / f"media/{number:06d}-{ending}", medium)
-                if written["bytes"] > MOST_BYTES:
-                    raise InputError(
-                        f"the gallery would take more than {MOST_BYTES / 1e9:.0f} GB with {len(shown):,} of "
-                        f"{gallery.size:,} {gallery.nouns[1]}; what was written is removed",
-                        next="choose fewer with --limit, --split or --per-class",
-                    )
-                on_progress(len(shown), gallery.size)
-        index = index_of(gallery, [shown[number] for number in sorted(shown)])
-        write(folder / "items.js", f"gallery.start({script_json(index)});\n")
+            files.write(f"assets/{name}", asset(name))
+        items = _write_items(gallery, files, runner, on_progress)
+        files.write("items.js", f"gallery.start({script_json(index_of(gallery, items))});\n")
         # Checked again, because hours may have passed.
-        former, files = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
-        if files not in former:
-            folder.rename(files)
+        former, named = _former_folders(path, overwrite=overwrite), path / _name_of(folder)
+        if named not in former:
+            folder.rename(named)
         draft = store.draft_of(path / PAGE_FILE)
-        write(draft, _page_of(files))
+        files.bytes += draft.write_bytes(_page_of(named))
         draft.replace(path / PAGE_FILE)
-        for each in set(former) - {files}:
+        for each in set(former) - {named}:
             retired = each.rename(store.draft_of(each))
             if _name_of(retired) != each.name:  # a file was added meanwhile
                 retired.rename(each)
-    return Site(str(path), len(shown), written["files"], written["bytes"], dict(gallery.splits))
+    return Site(str(path), len(items), files.count + 1, files.bytes, dict(gallery.splits))
+
+
+class _Files:
+    """Writes the files of a folder and counts them."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.count = self.bytes = 0
+
+    def write(self, name: str, content: str | bytes) -> None:
+        """Write a file, in a folder that is created if needed."""
+        data = content.encode() if isinstance(content, str) else content
+        place = self.folder / name
+        place.parent.mkdir(exist_ok=True)
+        self.bytes += place.write_bytes(data)
+        self.count += 1
+
+
+def _write_items(
+    gallery: Gallery, files: _Files, runner: run.Runner | int, on_progress: Callable[[int, int], None]
+) -> list[GalleryItem]:
+    """Make the items and write their files; return what the page filters and sorts by, in order."""
+    shown: dict[int, GalleryItem] = {}
+    # Each with the number of its first item on the page.
+    firsts = accumulate((task.size for task in gallery.tasks), initial=0)
+    tasks = list(zip(firsts, gallery.tasks, strict=False))
+    on_progress(0, gallery.size)
+    made = cast("Generator[tuple[int, list[GalleryItem]]]", run.runner_for(runner).run(_make, tasks))
+    # Closed, so that workers end when an item fails.
+    with closing(made) as results:
+        for first, items in results:
+            for number, item in enumerate(items, start=first):
+                shown[number] = replace(item, thumbnail=b"", content={}, media={})
+                content = f"gallery.receive({number},{script_json(item.content)});\n"
+                files.write(f"thumbs/{number:06d}.png", item.thumbnail)
+                files.write(f"items/{number:06d}.js", content)
+                for ending, medium in item.media.items():
+                    files.write(f"media/{number:06d}-{ending}", medium)
+            if files.bytes > MOST_BYTES:
+                raise InputError(
+                    f"the gallery would take more than {MOST_BYTES / 1e9:.0f} GB with {len(shown):,} of "
+                    f"{gallery.size:,} {gallery.nouns[1]}; what was written is removed",
+                    next="choose fewer with --limit, --split or --per-class",
+                )
+            on_progress(len(shown), gallery.size)
+    return [shown[number] for number in sorted(shown)]
 
 
 def _make(numbered: tuple[int, RowsTask]) -> tuple[int, list[GalleryItem]]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import base64
 import zlib
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
@@ -32,7 +31,7 @@ def packed_mesh(
     parts: Sequence[tuple[int, str]] = (),
     *,
     flat: bool = False,
-) -> dict[str, Any]:
+) -> dict[str, object]:
     """Pack a mesh, (V, 3) in metres with z up and (F, 3), as JSON values for the viewer of the page.
 
     ``parts`` are runs of triangles with their colour, ``"main"`` or ``"other"``; all are ``"main"`` by

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias, cast
+from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
@@ -12,6 +12,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
+    import manifold3d
     import trimesh
 
     from tactile_toolkit import read
@@ -70,7 +71,7 @@ class Mesh:
         """The vertices in millimetres, float64."""
         return np.ascontiguousarray(self.vertices_m, dtype=np.float64) * MM_PER_M
 
-    def to_trimesh(self) -> Any:
+    def to_trimesh(self) -> trimesh.Trimesh:
         """Convert to trimesh; no vertex is merged, moved or dropped.
 
         Returns
@@ -98,7 +99,7 @@ class Mesh:
         """
         return cls(np.asarray(mesh.vertices, np.float64), np.asarray(mesh.faces, np.int32))
 
-    def to_manifold(self) -> Any:
+    def to_manifold(self) -> manifold3d.Manifold:
         """Convert to manifold3d in double precision.
 
         Returns
@@ -112,7 +113,7 @@ class Mesh:
         return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))
 
     @classmethod
-    def from_manifold(cls, solid: Any) -> Mesh:
+    def from_manifold(cls, solid: manifold3d.Manifold) -> Mesh:
         """Convert the surface of a manifold3d.Manifold in millimetres; float64."""
         arrays = solid.to_mesh64()
         vertices_mm = np.asarray(arrays.vert_properties, np.float64)[:, :3]

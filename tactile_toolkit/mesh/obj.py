@@ -15,8 +15,8 @@ from tactile_toolkit.mesh.mesh import Surface
 from tactile_toolkit.mesh.polygons import cut_polygons
 from tactile_toolkit.mesh.text import numbers_of, plain_text
 
-_VERTEX_LINE = re.compile(r"^[ \t]*v[ \t]([^\n]*)", re.MULTILINE)
-_FACE_LINE = re.compile(r"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
+_VERTEX_LINE = re.compile(r"^[ \t]*v(?!\S)([^\n]*)", re.MULTILINE)
+_FACE_LINE = re.compile(r"^[ \t]*f(?!\S)([^\n]*)", re.MULTILINE)
 _FREE_FORM = re.compile(r"^[ \t]*(curv2?|surf)\b", re.MULTILINE)
 _MOST_VERTICES = 2**31 - 1
 _COMMENT, _TEXTURE_AND_NORMAL = re.compile(r"#[^\n]*"), re.compile(r"/\S*")

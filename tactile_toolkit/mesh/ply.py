@@ -36,8 +36,8 @@ class _Property:
     """A property of an element: its type, and the type of its length where it is a list."""
 
     name: str
-    kind: np.dtype[Any]
-    count: np.dtype[Any] | None = None
+    kind: np.dtype[np.generic]
+    count: np.dtype[np.generic] | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> 
     """Return the elements that a header declares; in text files all types are eight-byte numbers."""
     elements: list[_Element] = []
 
-    def kind(word: str) -> np.dtype[Any]:
+    def kind(word: str) -> np.dtype[np.generic]:
         stored = _PLY_TYPES[word]
         return np.dtype("<f8" if is_text else order + stored)
 
@@ -114,7 +114,7 @@ def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[
     if not element.rows or not element.properties:
         return {}, at
     # All lists are assumed to be as long as those of the first row, which is nearly always true.
-    fields: list[Any] = []
+    fields: list[tuple[str, np.dtype[np.generic]] | tuple[str, np.dtype[np.generic], tuple[int]]] = []
     end = at
     for number, each in enumerate(element.properties):
         length = 1

@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import Mesh
+
+if TYPE_CHECKING:
+    from manifold3d import Manifold
 
 PROBLEMS = (
     "bad-shape",
@@ -37,7 +40,7 @@ FLAT_MM3 = 1e-6
 class ManifoldCheck:
     """Result for one mesh; ``problem``, a word of :data:`PROBLEMS`, and ``detail`` are None for a solid."""
 
-    manifold: Any
+    manifold: Manifold
     """The solid, a manifold3d.Manifold in mm, if there is one."""
     status: str
     """Status of manifold3d; ``"NotTried"`` where the arrays are invalid."""
@@ -102,7 +105,7 @@ def array_problem(mesh: Mesh) -> tuple[str, str] | None:
     return None
 
 
-def _overlap_problem(parts: list[Any]) -> tuple[str, str] | None:
+def _overlap_problem(parts: list[Manifold]) -> tuple[str, str] | None:
     if len(parts) == 1:
         return None
     # numba takes half a second to import.
@@ -140,12 +143,12 @@ def _crossing_problem(mesh: Mesh, bodies: int) -> tuple[str, str] | None:
     return "self-crossing", f"the surface of one body crosses itself, at ({where}) mm among others"
 
 
-def _encloses(body: Any, cavity: Any) -> bool:
+def _encloses(body: Manifold, cavity: Manifold) -> bool:
     filling = _filled(cavity)
     return bool((filling ^ body).volume() >= filling.volume() - OVERLAP_MM3)
 
 
-def _filled(cavity: Any) -> Any:
+def _filled(cavity: Manifold) -> Manifold:
     inside_out = Mesh.from_manifold(cavity)
     return Mesh(inside_out.vertices_m, np.ascontiguousarray(inside_out.faces[:, ::-1])).to_manifold()
 

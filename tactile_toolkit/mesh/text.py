@@ -33,13 +33,16 @@ def numbers_of(words: Sequence[str], kind: Callable[[str], _Number]) -> list[_Nu
 
     Python also accepts ``1_000`` and digits of other scripts, which mesh formats do not.
     """
-    joined = "".join(words)
-    with suppress(ValueError):
-        if "_" not in joined and joined.isascii():
-            return list(map(kind, words))
-    wrong = next(word for word in words if not _is_number(word, kind))
-    expected = "one such as -1.5 or 2e-3" if kind is float else "an integer"
-    raise InputError(f"{wrong[:40]!r} is not a number; expected {expected}")
+    try:
+        found = list(map(kind, words))
+        joined = "".join(words)
+        if "_" in joined or not joined.isascii():
+            raise ValueError
+    except ValueError:
+        wrong = next(word for word in words if not _is_number(word, kind))
+        expected = "one such as -1.5 or 2e-3" if kind is float else "an integer"
+        raise InputError(f"{wrong[:40]!r} is not a number; expected {expected}") from None
+    return found
 
 
 def _is_number(word: str, kind: Callable[[str], _Number]) -> bool:

@@ -6,6 +6,11 @@ from .lettering import (
     draw_text as draw_text,
     text_size as text_size,
 )
+from .oblique_views import (
+    DrawnBody as DrawnBody,
+    OBLIQUE as OBLIQUE,
+    draw_bodies as draw_bodies,
+)
 from .picture_files import (
     PicturePlan as PicturePlan,
     PlannedPicture as PlannedPicture,
@@ -20,11 +25,8 @@ from .previews import (
     MeshPreviews as MeshPreviews,
     draw_by_class as draw_by_class,
 )
-from .render import (
-    DrawnBody as DrawnBody,
-    OBLIQUE as OBLIQUE,
+from .relief_views import (
     box_downsample as box_downsample,
-    draw_bodies as draw_bodies,
     relief as relief,
     relief_of as relief_of,
     relief_tile_html as relief_tile_html,

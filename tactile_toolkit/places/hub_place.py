@@ -1,4 +1,4 @@
-"""What a repository of the Hub, or a folder or file in it, holds."""
+"""Places on the Hub: a repository, or a folder or file in it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tactile_toolkit.places.split_files import (
 
 
 def hub_place(name: str, revision: str | None, config: str | None) -> Place:
-    """Say what a name of the Hub, or the short name of a published set, stands for."""
+    """Resolve a name of the Hub, or the short name of a published set."""
     named = named_on_hub(name, revision)
     repository = hub.open_repository(named.repo_id, named.revision)
     if named.path.endswith(PARQUET):
@@ -30,19 +30,19 @@ def hub_place(name: str, revision: str | None, config: str | None) -> Place:
 def repository_place(
     repository: hub.HubRepository, name: str, path: str = "", config: str | None = None
 ) -> Place:
-    """Say what a repository of the Hub, or a folder in it, holds.
+    """Return the place of a repository of the Hub, or of a folder in it.
 
     Raises
     ------
     IntegrityError
-        It has a file whose name leads out of a folder; nothing of it was fetched.
+        The name of a file leads out of a folder; nothing was fetched.
     """
     inside = f"{path}/" if path else ""
     paths = parquet_paths(each for each in repository.files() if each.startswith(inside))
     store.names_inside(paths, f"Hub data set {repository.repo_id!r}")
     manifest = repository.manifest
     if manifest is not None:
-        # An upload removes nothing that it was not asked to: shards of an older layout may lie next to these.
+        # Uploads keep other files: shards of an earlier data set may be next to these.
         listed = shards_by_split(manifest)
         files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
         return Place(name, repository, files, manifest)

@@ -1,4 +1,4 @@
-"""The kind of a data set, as its columns tell it, and the refusal of other kinds."""
+"""The kind of rows, by their columns, and the refusal of other kinds."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tactile_toolkit.kind import DatasetKind, kinds
 
 
 def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
-    """Return the kind of rows by a column that only it has, or else of meshes by their published classes."""
+    """Return the kind of rows by a column that only it has, or of meshes by the published class names."""
     names = read.column_names(schema)
     for kind in kinds():
         if any(name.partition(".")[0] in kind.columns for name in names):
@@ -25,12 +25,12 @@ def kind_of_rows(schema: pa.Schema) -> DatasetKind | None:
 
 
 def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str = "") -> None:
-    """Refuse a data set of another kind: say what it is, and which command or function is for it.
+    """Refuse a data set of another kind; the message names the command or function for it.
 
     Raises
     ------
     InputError
-        The two kinds are not opened alike.
+        The two kinds are not opened by the same package.
     """
     if found.package == kind.package:
         return

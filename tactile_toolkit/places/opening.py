@@ -1,4 +1,4 @@
-"""What a name stands for: one function opens it, here or on the Hub."""
+"""Names of data sets: one function resolves them, on this machine, in a store or on the Hub."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tactile_toolkit.places.split_files import (
     splits_by_name,
 )
 
-# Folders below that of a data set in which files are looked for, and how many at most.
+# Depth of folders in which files are searched, and their largest number.
 _DEPTH = 4
 _MOST_FOLDERS = 1000
 
@@ -39,7 +39,7 @@ def open_place(
     config: str | None = None,
     allow_incomplete: bool = False,
 ) -> Place:
-    """Say what a name stands for; reads no row.
+    """Resolve the name of a data set; reads no row.
 
     Parameters
     ----------
@@ -77,12 +77,12 @@ def open_place(
 
 
 def folder_place(folder: store.DataFolder) -> Place:
-    """Say what a folder of a data set holds."""
+    """Return the place of a data set folder."""
     return _local_place(folder.address(), folder, "", None)
 
 
 def _several(names: object, revision: str | None) -> Place:
-    """Return the place of several files that belong together; each is one of any split."""
+    """Return the place of several files that belong together, each of any split."""
     files = [names]
     if isinstance(names, Iterable) and not isinstance(names, (bytes, bytearray)):
         files = list(names)
@@ -112,11 +112,11 @@ def _require_name(name: object) -> Name:
 
 
 def _without_short_name(name: str) -> str:
-    """Return a name, but nothing where it is the short name of a published set and no data of that name."""
-    # What has a slash is not a short name: most names are paths, and need no list of kinds.
+    """Return a name, or nothing if it is the short name of a published set and there is no such data."""
+    # Short names have no slash: most names are paths, and need no list of kinds.
     if "/" in name or published_set(name) is None:
         return name
-    # Data, not any folder of that name: sources of the toolkit lie in one called ``mnist3d``.
+    # The folder must hold data: a checkout of the toolkit has a folder called ``mnist3d``, too.
     place, patterns = Path(name), (store.MANIFEST_FILE, "*.parquet", f"{store.DATA_FOLDER}/*.parquet")
     is_data = place.is_file() or any(next(place.glob(pattern), None) for pattern in patterns)
     if is_data:
@@ -127,7 +127,7 @@ def _without_short_name(name: str) -> str:
 def _local(name: str) -> tuple[store.DataFolder, str] | None:
     """Return a folder, or the folder of a file and its name, local or in an object store; None otherwise.
 
-    Raises InputError for a folder of a store that is not there: nothing else can be meant.
+    Raises InputError for a missing folder of a store, which can be nothing else.
     """
     if not name or store.scheme_of(name) == "hf":
         return None
@@ -156,12 +156,12 @@ def _local(name: str) -> tuple[store.DataFolder, str] | None:
 
 
 def _local_place(name: str, folder: store.DataFolder, file: str, config: str | None) -> Place:
-    """Say what a file of a folder holds, or without one the folder."""
+    """Return the place of a file of a folder, or of the folder."""
     if file:
         if folder.is_local and not is_parquet_file(folder, file):
             raise not_a_set(folder, name, file)
         return Place(name, folder, {split_of_file(file) or USUAL_SPLIT: (file,)}, is_file=True)
-    store.resume_promotion(folder)  # files of two sets lie in one that is being replaced
+    store.resume_promotion(folder)  # a folder that is being replaced has files of two data sets
     manifest = store.manifest_so_far(folder)
     if manifest is not None:
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)

@@ -1,4 +1,4 @@
-"""What a folder or file is that holds no data set, and which command takes it."""
+"""Folders and files without a data set: what they are, and which command takes them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ _TAR_STEP = "import touches with `realtouch import FOLDER --format webdataset`"
 _ZARR_STEP = "import touches with `realtouch import FOLDER --format replay`"
 _PARQUET_STEP = "write the rows as Parquet files, or give the folder of a data set"
 
-# By the ending of a file: what it is, what several are, and the next step.
+# By file extension: what a file is, what several are, and the next step.
 _ENDINGS = {
     **dict.fromkeys(_PICTURES, ("a picture", "pictures", _PICTURE_STEP)),
     **dict.fromkeys(_SOLIDS, ("a mesh", "meshes", _SOLID_STEP)),
     **dict.fromkeys(_TABLES, ("a table or an array", "tables or arrays", _PARQUET_STEP)),
     **dict.fromkeys(_ARCHIVES, ("an archive", "archives", _TAR_STEP)),
 }
-# Files that only one kind of folder has: what it is, and the next step.
+# Files that identify a kind of folder: what it is, and the next step.
 _MARKS = {
     ("dataset_dict.json", "state.json", "dataset_info.json"): (
         "was written by `save_to_disk` of `datasets`",
@@ -46,7 +46,7 @@ _MOST_LOOKED_AT = 10_000
 
 
 def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
-    """Return whether a file begins as Parquet files do; an empty or cut one is taken for one by its name."""
+    """Return whether a file is a Parquet file by its name or its first bytes."""
     if path.endswith(".parquet"):
         return True
     with folder.open(path) as stream:
@@ -54,7 +54,7 @@ def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
 
 
 def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> InputError:
-    """Return the error for a folder, or a file in it, that holds no data set; it names what is there."""
+    """Return the error for a folder, or a file in it, without a data set; it names what was found."""
     found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
     return InputError(f"{name!r} {found}; expected a data set, which is Parquet files", next=next_step)
 
@@ -93,7 +93,7 @@ def _is_set(folder: store.DataFolder, name: str) -> bool:
 
 
 def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
-    """Name the most frequent kind of file in a folder and one level below."""
+    """Name the most frequent kind of file in a folder and its sub-folders."""
     files: list[str] = []
     for name, size in folder.entries().items():
         if size is not None:

@@ -32,17 +32,17 @@ class Place:
     Attributes
     ----------
     name : str
-        In the user's words.
+        As the user gave it.
     source : DataFolder, HubRepository or tuple of Place
-        Where the files are; several places where several files were named.
+        Location of the files; several places if several files were named.
     files : dict of str to tuple of str
         Paths in the source of the Parquet files of each split, in order.
     manifest : Manifest or None
-        What the toolkit recorded, with what an unfinished run has finished.
+        Manifest, with the finished shards of an unfinished run.
     complete : bool
-        Whether no run that makes it is under way or was interrupted.
+        False while the run that makes it is under way, or after it was interrupted.
     is_file : bool
-        Whether files were named, and no folder: they are opened for whatever split.
+        Whether files were named, not a folder; they are opened as any split.
     allow_incomplete : bool
         Whether :meth:`shards` gives the finished shards of an unfinished split.
     """
@@ -87,31 +87,30 @@ class Place:
 
     @property
     def made_by(self) -> JsonObject:
-        """Specification by which the rows were first made, also of a copy; empty where it is not known."""
+        """Specification by which the rows were first made, also of a copy; empty if it is not known."""
         return self.spec.get("source_spec", self.spec) or {}
 
     @property
     def unfinished(self) -> str:
-        """How much of an unfinished data set is there, such as ``"3 of 8 shards"``; else empty."""
+        """Finished shards of an unfinished data set, such as ``"3 of 8 shards"``; otherwise empty."""
         return "" if self.complete or self.manifest is None else self.manifest.progress
 
     @cached_property
     def kind(self) -> DatasetKind | None:
-        """Kind of the data: as the manifest says, or the list of published sets, or the columns.
+        """Kind of the data, by the manifest, the list of published sets, or the columns.
 
-        None for Parquet files of no kind of the toolkit. Of a set without manifest the first file is opened
-        that was asked for, or else the first of all.
+        None for Parquet files of no kind of the toolkit. Without a manifest, the first file is opened.
         """
         if self.is_kind_stated:
             return self._stated_kind
         try:
             return kind_of_rows(self._first_shard().schema)
         except IntegrityError:
-            return None  # who reads the rows names what is wrong with the file
+            return None  # reading the rows reports the damage
 
     @property
     def is_kind_stated(self) -> bool:
-        """Whether the kind is known without a look into a file."""
+        """Whether the kind is known without opening a file."""
         return self.manifest is not None or self._stated_kind is not None
 
     @cached_property
@@ -125,14 +124,14 @@ class Place:
         return (found or self.shards(self.splits[0]))[0]
 
     def require(self, kind: DatasetKind, command: str = "") -> Place:
-        """Return the place if it holds data of a kind; a relative that is opened alike will do.
+        """Return the place if it holds data of a kind, or of one that is opened by the same package.
 
         Parameters
         ----------
         kind : DatasetKind
-            What is expected.
+            Expected kind.
         command : str
-            Command that was given, such as ``"export"``; without one, ``load`` of the package.
+            Command of the user, such as ``"export"``; without one, ``load`` of the package.
 
         Raises
         ------
@@ -151,7 +150,7 @@ class Place:
         return self
 
     def _require_columns(self, kind: DatasetKind, command: str) -> None:
-        """Refuse rows of no kind that have not what a kind needs; damaged files are left to their readers."""
+        """Refuse rows without the columns that a kind needs; readers report damaged files."""
         with suppress(IntegrityError):
             names = read.column_names(self._first_shard().schema)
             if not any(name in names for name in kind.needs):
@@ -220,7 +219,7 @@ class Place:
         )
 
     def split(self, split: str | None) -> str:
-        """Return the split that is meant: one may be left out where there is only one."""
+        """Return a split, or the only one if none is named."""
         if split is not None:
             return split
         if not self.splits:
@@ -240,9 +239,9 @@ class Place:
         Parameters
         ----------
         split : str, optional
-            May be left out where there is only one.
+            May be omitted if there is only one.
         kind : DatasetKind, optional
-            Refuse data of another kind, before anything is fetched where that is known.
+            Refuse data of another kind, before anything is fetched if possible.
         streaming : bool
             Read files of the Hub at their address, piece by piece.
 
@@ -253,7 +252,7 @@ class Place:
         IntegrityError
             Files are missing, or the run that makes the split is not finished.
         HubError
-            The Hub cannot be reached, or has not such a file.
+            The Hub cannot be reached, or has no such file.
         """
         if kind is not None and self.is_kind_stated:
             self.require(kind)
@@ -289,7 +288,7 @@ class Place:
 
     def paths_of(self, split: str) -> tuple[str, ...]:
         """Return the paths of the files of a split; raises as :meth:`shards`."""
-        # `train` may be what is asked for by default: a file named alone is opened then, whatever it is.
+        # `train` may be the default of a caller: then a single named file is opened, whatever its split.
         if self.is_file and (split == USUAL_SPLIT or split_of_file(self.files[self.splits[0]][0]) is None):
             return self.files[self.splits[0]]
         try:
@@ -314,7 +313,7 @@ class Place:
                     next="download or generate the data set again",
                 )
             raise self._not_finished()
-        # Names were checked when the manifest was read: address(PATH) would do so again for each of 50,000.
+        # Names were checked when the manifest was read; address(PATH) would check each of 50,000 again.
         return tuple(
             [
                 read.Shard(

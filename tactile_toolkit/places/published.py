@@ -1,4 +1,4 @@
-"""The published data sets: by their short names, and what the Hub and its cache say of them."""
+"""The published data sets: their short names, and their state on the Hub and in its cache."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def kind_of_published(name: str) -> DatasetKind | None:
 
 
 def repository_named(name: str, revision: str | None = None) -> hub.HubName:
-    """Return the repository that a name, or the short name of a published set, means.
+    """Resolve a name of the Hub, or the short name of a published set, to a repository.
 
     Raises InputError for other names, and for a part of a repository.
     """
@@ -40,7 +40,7 @@ def repository_named(name: str, revision: str | None = None) -> hub.HubName:
 
 
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
-    """Return the repository, or the path in one, that a name or short name means; InputError for others."""
+    """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
     named = hub.hub_name(known.repo_id if known else name, revision)
     if named is None:
@@ -58,9 +58,9 @@ def named_on_hub(name: str, revision: str | None) -> hub.HubName:
 def hub_states(
     sets: Iterable[PublishedSet],
 ) -> Iterator[tuple[hub.HubRepository | None, hub.HubRepository | None]]:
-    """Ask the Hub for all sets at once; yield what it says of each, and what its cache has.
+    """Ask the Hub for all sets at once; yield the repository and the cached files of each.
 
-    None where the Hub gives no answer, and where nothing of the commit last looked at is in the cache.
+    None if the Hub does not answer, or if nothing of the last resolved commit is in the cache.
     """
 
     def state(entry: PublishedSet) -> tuple[hub.HubRepository | None, hub.HubRepository | None]:

@@ -1,7 +1,7 @@
-"""Which Parquet files belong to which split: as the data card says, or else by names of folders and files.
+"""The Parquet files of each split: by the data card, or else by names of folders and files.
 
 The rules are those of `datasets.load_dataset` (package datasets 4.8, ``data_files.py``), so that both open
-the same rows. Where names alone leave a choice, nothing is guessed: the files are refused and named.
+the same rows. If names are ambiguous, nothing is guessed: the files are refused and named.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ CARD_FILE = "README.md"
 PARQUET = ".parquet"
 USUAL_SPLIT = "train"
 
-# The words for each split in names of files and folders, between any of the separators.
+# Words for each split in names of files and folders, between separators.
 _KEYWORDS = {
     "train": ("train", "training"),
     "validation": ("validation", "valid", "dev", "val"),
@@ -32,10 +32,10 @@ _KEYWORDS = {
 }
 _SPLIT_OF_WORD = {word: split for split, words in _KEYWORDS.items() for word in words}
 _SEPARATORS = re.compile("[-._ 0-9]+")
-# Older releases of `datasets` put a digest behind the count.
+# Earlier releases of `datasets` append a digest to the count.
 _SHARD = re.compile(r"(\w+)-\d{5,}-of-\d{5,}(?:[-.].*)?\.parquet")
 _SPLIT_NAME = re.compile(r"\w[\w.-]*")
-# Folders with Parquet files that do not hold rows of the data set.
+# Folders of Parquet files without rows of the data set.
 _OTHER_FOLDERS = ("reports", store.VIEWER_FOLDER)
 _LARGEST_CARD_BYTES = 1 << 20
 
@@ -44,8 +44,8 @@ Splits: TypeAlias = dict[str, tuple[str, ...]]
 
 
 def parquet_paths(paths: Iterable[str]) -> list[str]:
-    """Return the paths of Parquet files that are not hidden, in the order in which people count."""
-    # A path that leads out of the folder stays: it is refused later on, by name.
+    """Return the paths of visible Parquet files in natural order."""
+    # A path that leads out of the folder is kept here and refused later, by name.
     found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
     return sorted(found, key=natural_key)
 
@@ -53,9 +53,9 @@ def parquet_paths(paths: Iterable[str]) -> list[str]:
 def splits_by_name(paths: Iterable[str], where: str) -> Splits:
     """Sort Parquet files by split, by the first of these rules that applies.
 
-    Shards in ``data``, ``data/SPLIT-00000-of-00001.parquet``, whatever else there is; then of each file: a
-    folder called as a split, or with one of its keywords; the file name likewise. A name without any is that
-    of a split of its own, and in other folders ``train``.
+    If there are shards in ``data``, ``data/SPLIT-00000-of-00001.parquet``, only these; otherwise by a folder
+    whose name is that of a split or has one of its keywords, then by the name of the file. A file name
+    without any of these is a split of its own, or in other folders ``train``.
 
     Parameters
     ----------
@@ -91,7 +91,7 @@ def splits_by_name(paths: Iterable[str], where: str) -> Splits:
 
 
 def has_shards(paths: Iterable[str]) -> bool:
-    """Return whether there is a shard in ``data``: then no other folder is looked at."""
+    """Return whether there is a shard in ``data``; then other folders do not count."""
     return any(map(_is_shard_in_data, paths))
 
 
@@ -101,7 +101,7 @@ def _is_shard_in_data(path: str) -> bool:
 
 
 def _split_of(path: str) -> tuple[str, str]:
-    """Return the split that a path states, and the folder that says so or holds the file."""
+    """Return the split that a path states, and the folder that states it or holds the file."""
     *folders, name = path.split("/")
     stem, parent = name.removesuffix(PARQUET), "/".join(folders)
     for depth, folder in enumerate(folders if folders != [store.DATA_FOLDER] else ()):
@@ -121,7 +121,7 @@ def _split_of(path: str) -> tuple[str, str]:
 
 
 def _split_in(name: str) -> str:
-    """Return the split that the name of a folder or file states; empty where it states none."""
+    """Return the split that the name of a folder or file states; empty if it states none."""
     if name in _known_splits():
         return name
     words = _SEPARATORS.split(name)
@@ -134,13 +134,13 @@ def _known_splits() -> frozenset[str]:
 
 
 def split_of_file(name: str) -> str | None:
-    """Return the split that the name of a single file states; None where it states none."""
+    """Return the split that the name of a file states; None if it states none."""
     shard = _SHARD.fullmatch(name)
     return (shard[1] if shard is not None else _split_in(name.removesuffix(PARQUET))) or None
 
 
 def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where: str) -> Splits | None:
-    """Sort Parquet files by split as the YAML of a data card says; None where it says nothing about files.
+    """Sort Parquet files by split according to the YAML of a data card; None if it does not list files.
 
     Parameters
     ----------
@@ -149,20 +149,20 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
     paths : iterable of str
         Paths in the folder or repository, with slashes.
     config : str or None
-        Configuration to open; may be None where there is one, or one is the default.
+        Configuration to open; None for the only one or the default.
     where : str
         Its name, for messages.
 
     Returns
     -------
     dict of str to tuple of str, or None
-        A split without any file stays, empty. Files that the configuration does not name are left out.
+        A split without files is empty. Files that the configuration does not name are left out.
 
     Raises
     ------
     InputError
-        There are several configurations and none was chosen, none of that name, or a description of files
-        that cannot be read.
+        There are several configurations and none was chosen, none has that name, or the list of files is
+        unreadable.
     """
     configs = _configurations(card, where)
     if not configs:
@@ -184,18 +184,18 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
 
 
 def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
-    """Return the configurations of a card by name; none where its YAML cannot be read or lists none."""
+    """Return the configurations of a card by name; empty if its YAML is unreadable or lists none."""
     text = card[:_LARGEST_CARD_BYTES].decode("utf-8-sig", errors="replace").replace("\r\n", "\n")
     head = re.match(r"---[ \t]*\n(.*?)\n---[ \t]*(?:\n|$)", text, re.DOTALL)
     if head is None or "configs" not in head[1]:
         return {}
-    # Here: it takes 15 ms, and the data sets of the toolkit need no card to be opened.
+    # Imported here: it takes 15 ms, and data sets of the toolkit are opened without their card.
     import yaml
 
     try:
         values = yaml.safe_load(head[1])
     except (yaml.YAMLError, ValueError, RecursionError):
-        return {}  # the file names remain, as for a folder without a card
+        return {}  # file names decide, as for a folder without a card
     listed = values.get("configs") if isinstance(values, Mapping) else None
     if listed is None:
         return {}
@@ -212,7 +212,7 @@ def _unreadable(where: str, field: str, expected: str) -> InputError:
 
 
 def _chosen(names: Sequence[str], configs: Mapping[str, JsonObject], config: str | None, where: str) -> str:
-    """Return the configuration to open, as `load_dataset` chooses it."""
+    """Return the configuration that `load_dataset` would choose."""
     if config is not None:
         if config in configs:
             return config
@@ -262,11 +262,14 @@ def _matching(folder: str, pattern: str, paths: Sequence[str]) -> list[str]:
 
 
 def _matches(pattern: tuple[str, ...], parts: tuple[str, ...]) -> bool:
-    """Return whether a path fits a pattern, part by part; ``**`` stands for any number of folders."""
+    """Return whether a path matches a pattern, part by part; ``**`` matches any number of folders.
+
+    A pattern may come from anyone: unlike a regular expression, this takes no exponential time.
+    """
     reached = {0}
     for number, wanted in enumerate(pattern):
         if wanted == "**":
-            # At the end it takes all that is left.
+            # At the end it matches the rest.
             reached = set(range(min(reached, default=len(parts) + 1), len(parts) + 1))
             if number == len(pattern) - 1:
                 return bool(reached - {len(parts)})
@@ -283,7 +286,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
     InputError
         No split has that name.
     IntegrityError
-        Some of its shards, or all of its files, are missing: a part of the rows must not pass for all.
+        Some of its shards, or all of its files, are missing; an incomplete split must not look complete.
     """
     if split not in splits:
         raise unknown_split(split, tuple(splits), where)
@@ -301,7 +304,7 @@ def files_of_split(splits: Mapping[str, tuple[str, ...]], split: str, where: str
 
 
 def unknown_split(split: str, known: tuple[str, ...], where: str) -> InputError:
-    """Return the error for a split that does not exist; ``known`` are those that do."""
+    """Return the error for a split that does not exist; ``known`` are existing ones."""
     if not known:
         return InputError(
             f"no Parquet files in {where!r}", next="give the folder or repository of a data set"

@@ -12,7 +12,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -69,7 +68,7 @@ class PlateExport(FileExport[PlateFile]):
     an earlier export that this one does not have.
     """
 
-    objects: tuple[dict[str, Any], ...]
+    objects: tuple[dict[str, object], ...]
     removed: tuple[str, ...] = ()
 
 
@@ -163,7 +162,7 @@ def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout
             raise ItemError(OFF_PLATE, f"{name} reaches beyond the plate or its margin, or into its corner")
 
 
-def _rows(layout: PlateLayout) -> Iterator[dict[str, Any]]:
+def _rows(layout: PlateLayout) -> Iterator[dict[str, object]]:
     """Yield the rows of the table; x and y are the lower left corner of the bounding box."""
     for number, (plate, (solid, _)) in enumerate(zip(layout.plates, _names(layout), strict=True), 1):
         for placed in plate:
@@ -175,7 +174,7 @@ def _rows(layout: PlateLayout) -> Iterator[dict[str, Any]]:
             yield dict(zip(_COLUMNS, values, strict=True))
 
 
-def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Product[str]:
+def _table_product(rows: Sequence[dict[str, object]], unknown: Sequence[str]) -> Product[str]:
     """Return the table as a product; ``unknown`` are plates that it does not list, which are removed."""
     text = io.StringIO()
     writer = csv.DictWriter(text, _COLUMNS, lineterminator="\n")
@@ -185,7 +184,7 @@ def _table_product(rows: Sequence[dict[str, Any]], unknown: Sequence[str]) -> Pr
     return Product(TABLE_FILE, (TABLE_FILE, *unknown), lambda: made)
 
 
-def _no_formula(value: Any) -> Any:
+def _no_formula(value: object) -> object:
     """Quote text that a spreadsheet would run as a formula."""
     is_formula = isinstance(value, str) and value.startswith(("=", "+", "-", "@", "\t", "\r"))
     return f"'{value}" if is_formula else value

@@ -9,7 +9,6 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from textwrap import indent
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -119,7 +118,7 @@ def _pack_urdf(body: RigidBody, folder: str) -> dict[str, bytes]:
     """Return a URDF file and its meshes, OBJ in metres, by path; the URDF file is last."""
     meshes = {"visual": body.mesh} | {f"part-{number:02d}": part for number, part in enumerate(body.parts)}
     files = {
-        f"{folder}/{name}.obj": mesh.to_trimesh().export(file_type="obj", header=None).encode()
+        f"{folder}/{name}.obj": str(mesh.to_trimesh().export(file_type="obj", header=None)).encode()
         for name, mesh in meshes.items()
     }
     moments = {name: _text((body.inertia_kg_m2[place],)) for name, place in _MOMENTS.items()}
@@ -193,7 +192,7 @@ def _usd_surface(mesh: Mesh) -> list[str]:
     ]
 
 
-def _text(values: Iterable[Any], between: str = " ", digits: int = 9) -> str:
+def _text(values: Iterable[float], between: str = " ", digits: int = 9) -> str:
     return between.join(f"{float(value):.{digits}g}" for value in values)
 
 

@@ -1,4 +1,4 @@
-"""From Parquet through Arrow to numpy, lazily, and the data sets of records that users hold."""
+"""Lazy reading of Parquet as numpy arrays, and data sets of records."""
 
 from lazy_loader import attach_stub
 

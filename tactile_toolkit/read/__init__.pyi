@@ -7,9 +7,6 @@ from .arrow_views import (
     ragged_array as ragged_array,
     vectors_type as vectors_type,
 )
-from .chosen_groups import (
-    ChosenGroups as ChosenGroups,
-)
 from .dataset import (
     RecordDataset as RecordDataset,
 )

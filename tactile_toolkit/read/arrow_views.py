@@ -1,4 +1,4 @@
-"""Arrow columns seen as numpy arrays, without passing through Python lists."""
+"""Arrow columns as numpy views, without Python lists."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tactile_toolkit.read.schemas import list_depth
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RaggedColumn:
-    """A column of arrays of different lengths, as one flat array and the offsets at which rows begin.
+    """A column of arrays of different lengths, as one flat array and the offsets of rows.
 
-    ``values`` has the shape (sum of row lengths, width) and is a view of Arrow's memory; row i is
+    ``values`` has shape (sum of row lengths, width) and is a view of Arrow's memory; row i is
     ``values[offsets[i]:offsets[i + 1]]``.
     """
 
@@ -31,7 +31,7 @@ class RaggedColumn:
         return self.values[self.offsets[row] : self.offsets[row + 1]]
 
 
-def ragged_column(array: Any) -> RaggedColumn:
+def ragged_column(array: pa.Array) -> RaggedColumn:
     """View ``list<fixed_size_list<T>[w]>``, or ``list<list<T>>`` with inner lists of one width, as numpy.
 
     Raises ValueError for nulls, and for inner lists of several widths.
@@ -43,18 +43,18 @@ def ragged_column(array: Any) -> RaggedColumn:
     widths = [inner] if isinstance(inner, int) else np.unique(np.diff(inner)).tolist()
     if len(widths) > 1:
         raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
-    # Without a row the width is unknown; that of corners and triangles does no harm.
+    # Without rows the width is unknown; 3 is that of vertices and triangles.
     width = widths[0] if widths else 3
     return RaggedColumn(column.values.reshape(-1, width), np.asarray(offsets))
 
 
-def vectors_type(value_type: Any, width: int = 3) -> Any:
+def vectors_type(value_type: pa.DataType, width: int = 3) -> pa.DataType:
     """Return the Arrow type ``list<value_type[width]>``."""
     return pa.list_(pa.list_(value_type, width))
 
 
-def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
-    """Pack rows that already lie one after another into ``list<value_type[width]>``, with no Python list."""
+def ragged_array(column: RaggedColumn, value_type: pa.DataType) -> pa.ListArray:
+    """Pack contiguous rows into ``list<value_type[width]>``, without Python lists."""
     width = column.values.shape[1]
     # Not value_type.to_pandas_dtype(): it imports pandas, which takes a second.
     inner = pa.FixedSizeListArray.from_arrays(pa.array(column.values.reshape(-1), value_type), width)
@@ -66,7 +66,7 @@ def ragged_array(column: RaggedColumn, value_type: Any) -> Any:
 class BytesColumn:
     """Byte strings one after another in Arrow's memory: string i is ``data[offsets[i]:offsets[i + 1]]``.
 
-    ``present`` states which of them are stored at all; None when all are.
+    ``present`` states which of them are not null; None when none are null.
     """
 
     data: memoryview
@@ -85,17 +85,17 @@ class BytesColumn:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NestedColumn:
-    """A column of lists in lists: rows of touches of frames of vectors, padded or ragged.
+    """A column of nested lists, such as rows of touches of frames of vectors, padded or ragged.
 
     Attributes
     ----------
     levels : tuple of ndarray or int
-        Per level of nesting, from the rows inwards: where each list begins (one more than there are lists),
-        or the length that all lists share.
+        For each level of nesting, from the rows inwards: the offsets of the lists (one more than lists), or
+        the length that all lists share.
     values : ndarray or BytesColumn
-        What the innermost lists hold, a view of Arrow's memory without nulls.
+        Values of the innermost lists, a view of Arrow's memory without nulls.
     nulls : int
-        How many lists and values are null.
+        Number of null lists and values.
     """
 
     levels: tuple[AnyArray | int, ...]
@@ -110,23 +110,23 @@ class NestedColumn:
         return int(where[start]), int(where[stop])
 
     def flat(self, level: int, start: int, stop: int) -> AnyArray:
-        """Return all values below lists ``start`` to ``stop`` of a level, flat."""
+        """Return all values in lists ``start`` to ``stop`` of a level, flat."""
         for deeper in range(level, len(self.levels)):
             start, stop = self.inside(deeper, start, stop)
         values: AnyArray = self.values[start:stop]
         return values
 
     def lengths(self, level: int) -> Int64:
-        """Return the length of every list of a level that stores offsets (not one shared length)."""
+        """Return the length of each list of a level that has offsets, not one shared length."""
         return np.diff(np.asarray(self.levels[level])).astype(np.int64)
 
 
-def nested_column(array: Any) -> NestedColumn:
-    """View an Arrow array of lists at any depth as numpy."""
+def nested_column(array: pa.Array) -> NestedColumn:
+    """View an Arrow array of lists of any depth as numpy."""
     levels: list[AnyArray | int] = []
     nulls = array.null_count
-    # A slice keeps the values of all rows, which are cut out here: Arrow imports `pyarrow.compute` for that,
-    # which takes longer than to unpack the first row group.
+    # A slice keeps the values of all rows, so they are cut here: Arrow would import `pyarrow.compute` for
+    # that, which takes longer than unpacking the first row group.
     while list_depth(array.type)[0]:
         if pa.types.is_fixed_size_list(array.type):
             width = array.type.list_size
@@ -138,11 +138,11 @@ def nested_column(array: Any) -> NestedColumn:
             levels.append(offsets - first if first else offsets)
             array = array.values.slice(first, last - first)
         nulls += array.null_count
-    if pa.types.is_struct(array.type):  # an image or clip: its bytes, and the name it once had
+    if pa.types.is_struct(array.type):  # an image or clip: bytes and name
         array = array.flatten()[array.type.get_field_index("bytes")]
     if not pa.types.is_binary(array.type):
         return NestedColumn(tuple(levels), numpy_values(array), nulls)
-    # Byte strings have offsets as lists do, but pyarrow 26 does not hand them out.
+    # Byte strings have offsets like lists, but pyarrow 26 does not expose them.
     _, stored_offsets, data = array.buffers()
     starts = np.frombuffer(stored_offsets, np.int32, len(array) + 1, array.offset * 4)
     present = None if array.null_count == 0 else array.is_valid().to_numpy(zero_copy_only=False)
@@ -150,8 +150,8 @@ def nested_column(array: Any) -> NestedColumn:
     return NestedColumn(tuple(levels), BytesColumn(blobs, starts, present), nulls)
 
 
-def numpy_values(array: Any) -> AnyArray:
-    """Return the values of an Arrow array, read-only; where some are null, numbers become floats."""
+def numpy_values(array: pa.Array) -> AnyArray:
+    """Return the values of an Arrow array, read-only; numbers become floats if some are null."""
     # Arrow's `to_numpy` imports pandas, which takes half a second.
     if array.null_count or not (pa.types.is_integer(array.type) or pa.types.is_floating(array.type)):
         values: AnyArray = array.to_numpy(zero_copy_only=False)
@@ -161,7 +161,7 @@ def numpy_values(array: Any) -> AnyArray:
     return values
 
 
-def table_bytes(table: Any) -> Any:
+def table_bytes(table: pa.Table) -> pa.Buffer:
     """Pack a table as an Arrow stream; returns an Arrow buffer."""
     sink = pa.BufferOutputStream()
     with pa.ipc.new_stream(sink, table.schema) as writer:

@@ -1,7 +1,7 @@
 """Blocks of row groups, unpacked once into memory-mapped Arrow files of the cache.
 
-A file of a block holds an Arrow stream and the checksum of that. A disk may change what it holds, and a file
-of another program may bear the name of one of ours: neither is served.
+The file of a block holds an Arrow stream and its checksum, so that damaged files and files of other programs
+are not used.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import os
 import struct
 from collections.abc import Sequence
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import pyarrow as pa
 import xxhash
@@ -20,7 +20,7 @@ from tactile_toolkit.read.arrow_views import table_bytes
 from tactile_toolkit.read.row_group import RowGroup
 
 Key = tuple[str, int, int]
-"""Digest of what identifies the file, row group, and number of the block in it."""
+"""Digest of the identity of a file, number of the row group, and number of the block in it."""
 
 _HELD_BYTES = 4 << 30
 _LEAST_BYTES = 1 << 20
@@ -30,24 +30,24 @@ IN_MEMORY = 8
 BLOCKS: MemoryCache[Key, RowGroup] = MemoryCache(
     _HELD_BYTES, lambda group: max(_LEAST_BYTES, group.mapped_bytes or IN_MEMORY * int(group.table.nbytes))
 )
-"""The blocks that this process has open: 4 GiB of maps, which the system drops from memory where it needs
-room, or 4,096 of them, as a process may have 65,530 maps; or 512 MiB where the cache cannot be written."""
+"""Open blocks of this process: at most 4 GiB of maps, which the system evicts from memory when needed, and
+4,096 of them, because a process may have 65,530 maps; 512 MiB where the cache cannot be written."""
 
 UNPACKED = DiskCache(
     "blocks",
     32 << 30,
-    durable=False,  # its blocks have checksums: what a power cut leaves is noticed, and unpacked again
-    warning="row groups cannot be kept unpacked, {problem}; what was used last stays in the memory of this "
-    "process, all else is decoded again",
+    durable=False,  # not needed: damage by a power failure is found by the checksums
+    warning="row groups cannot be kept unpacked, {problem}; the most recently used stay in the memory of "
+    "this process, others are decoded again",
 )
-HELD_UP: set[Path] = set()  # locks that others did not release: this process does not wait for them again
+HELD_UP: set[Path] = set()  # locks that others did not release; this process does not wait for them again
 
-# Part of the names of blocks: counted up when other types are unpacked from the same files.
+# Part of the names of blocks; increased when other types are unpacked from the same files.
 LAYOUT = 2
 
 _CHECKSUM = struct.Struct("<Q")
 
-# Blocks that this process has checked, with what the file was then.
+# Blocks that this process has checked, with the identity of the file.
 _checked: MemoryCache[str, tuple[int, ...]] = MemoryCache(1 << 16)
 
 
@@ -57,38 +57,38 @@ def block_file(key: Key) -> Path:
 
 
 def are_kept(files: Sequence[Path]) -> bool:
-    """Return whether blocks lie in the cache, and note that they are used."""
+    """Return whether blocks are in the cache, and mark them as used."""
     for file in files:
         UNPACKED.mark_used(file)
     return all(file.exists() for file in files)
 
 
-def write_block(file_name: str, table: Any, stream: IO[bytes]) -> None:
-    """Write a table, of one chunk per column, into a stream as the content of a file of that name."""
+def write_block(file_name: str, table: pa.Table, stream: IO[bytes]) -> None:
+    """Write a table with one chunk per column into a stream, as the content of a file of that name."""
     content = table_bytes(table)
     stream.write(content)
     stream.write(_CHECKSUM.pack(_checksum(content, file_name)))
 
 
-def _checksum(content: Any, file_name: str) -> int:
-    # Against accidents, not against forgers: 10.9 GB/s here, where CRC-32 makes 3.1 and SHA-256 1.4. The
-    # checksum of a file that was renamed is another.
+def _checksum(content: pa.Buffer, file_name: str) -> int:
+    # Against accidents, not forgery: 10.9 GB/s, compared with 3.1 for CRC-32 and 1.4 for SHA-256. It depends
+    # on the name of the file.
     seed = xxhash.xxh3_64_intdigest(file_name.encode())
     return int(xxhash.xxh3_64_intdigest(content, seed=seed))
 
 
-def map_block(path: Path) -> tuple[Any, int]:
+def map_block(path: Path) -> tuple[pa.Table, int]:
     """Map a block into memory, without a copy; its checksum is compared once in each process.
 
-    Returns the table and how many bytes are mapped. The toolkit makes such files under another name and
-    removes them, which leaves maps valid, and never changes one. A file that another program cuts while it is
-    mapped is not noticed.
+    Returns the table and the number of mapped bytes. The toolkit only creates and removes such files, which
+    leaves maps valid, and never changes one. Truncation by another program while a file is mapped is not
+    detected.
 
-    Raises OSError; ValueError when the file is not intact, or is of another program or another name.
+    Raises OSError, and ValueError when the file is damaged, or has another format or name.
     """
-    # Asked first: what takes the place of the file from here on is not what was checked.
+    # Read first: a file that replaces this one from now on is not the one that was checked.
     found = stat_key(path.stat())
-    # The map's own buffer, still without a copy: from the map, Arrow would read in its own threads.
+    # A buffer of the map, without a copy: Arrow would read from the map in its own threads.
     stored = pa.memory_map(str(path)).read_buffer()
     size = len(stored) - _CHECKSUM.size
     if size < 0:
@@ -102,5 +102,5 @@ def map_block(path: Path) -> tuple[Any, int]:
 
 
 def stat_key(facts: os.stat_result) -> tuple[int, int, int, int]:
-    """Return what distinguishes a file from one that took its place, or from itself with other content."""
+    """Return values that differ when a file was replaced or changed."""
     return facts.st_dev, facts.st_ino, facts.st_size, facts.st_mtime_ns

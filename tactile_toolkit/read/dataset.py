@@ -38,25 +38,25 @@ _SHOWN_IDS = 4
 class RecordDataset(Sequence[T], Generic[T]):
     """A lazy sequence of records.
 
-    Indexing with an int gives a record; with a slice, a list or array of ints, or a boolean mask gives a
-    view that copies no data, and views of views compose. ``a + b`` joins data sets of one kind. Opening reads
-    no row; safe to share between threads, to fork and to pickle. Data sets are equal that hold equal records
-    in the same order. What is drawn at random follows from the seed and the number of items alone: not from
-    what was read before, the machine or the version of numpy.
+    Indexing with an int gives a record; a slice, a list or array of ints, or a boolean mask gives a view
+    without copying data, and views of views compose. ``a + b`` joins data sets of one kind. Opening reads no
+    row. Data sets can be shared between threads, forked and pickled. They are equal if they hold equal
+    records in the same order. Random choices depend only on the seed and the number of items, not on earlier
+    reads, the machine or the version of numpy.
 
     Parameters
     ----------
     table : ShardedTable
         Stored rows.
     rows : sequence of int, optional
-        Which of them, in which order; all by default.
+        Numbers of the rows, in order; all by default.
     label_names : sequence of str
         Name of each class.
     """
 
     record_class: ClassVar[Any] = Record
     things: ClassVar[str] = "rows"
-    """What the items are called."""
+    """Noun for the items, in the plural."""
 
     def __init__(
         self,
@@ -82,12 +82,12 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def column_names(self) -> tuple[str, ...]:
-        """Columns that all rows have, as they are stored; a struct goes by its fields: ``info.gel_id``."""
+        """Stored columns that all rows have; fields of structs have dotted names: ``info.gel_id``."""
         return tuple(self._types)
 
     @property
     def _types(self) -> dict[str, Any]:
-        """Arrow type of each column that joined sets store alike, by dotted name; structs are left out."""
+        """Arrow type of each column that joined sets share, by dotted name, without structs."""
         found, *others = [column_types(schema) for schema in self._table.schemas] or [{}]
         return {
             name: each
@@ -103,7 +103,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return all(self._stores(name))
 
     def _integers(self, name: str, unstored: Callable[[], Int64], stored: Callable[[T], int]) -> Int64:
-        """Read a column of integers; ``unstored`` gives all of a set without it, ``stored`` that of a row."""
+        """Read a column of integers; ``unstored`` computes it for sets without it, ``stored`` for one row."""
         known = self._stores(name)
         if all(known):
             return self.int_column(name)
@@ -118,14 +118,14 @@ class RecordDataset(Sequence[T], Generic[T]):
     def to_hf(self) -> Any:
         """Return the rows as a data set of the library `datasets`, with their features.
 
-        Nothing is copied where the cache can be written: it views the rows where they lie unpacked, and only
-        row groups that hold some of these rows are unpacked. (Pickled, as for workers that are spawned, it
-        takes its rows along; ours takes their addresses.)
+        Nothing is copied if the cache can be written: the result views unpacked rows, and only row groups
+        with rows of this data set are unpacked. When pickled, as for spawned workers, it contains its rows,
+        unlike this class, which pickles their addresses.
 
         Returns
         -------
         datasets.Dataset
-            The same rows in the same order, with the columns that all of them have.
+            The same rows in the same order, with their common columns.
 
         Raises
         ------
@@ -145,13 +145,13 @@ class RecordDataset(Sequence[T], Generic[T]):
         shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
         names = [each.name for each in parts[0].schema if (each.name, each.type) in shared]
         table = pa.concat_tables([part.select(names) for part in parts])
-        # Its own fingerprint would be that of all bytes.
+        # Its default fingerprint would hash all bytes.
         content = repr([names, list(starts), self.identity])
         stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
         return stored if places == list(range(len(table))) else stored.select(places)
 
     def column(self, name: str) -> AnyArray:
-        """Read one plain column, shape (len,), without touching any other.
+        """Read one plain column, shape (len,), and no other.
 
         Raises
         ------
@@ -164,12 +164,12 @@ class RecordDataset(Sequence[T], Generic[T]):
             raise InputError(f"no column {name!r} in this data set") from error
         rows = self._rows
         if isinstance(rows, range):
-            # One that runs down to row 0 stops at -1, which to a slice is the last row.
+            # A range down to row 0 stops at -1, which a slice takes for the last row.
             return values[rows.start : rows.stop if rows.stop >= 0 else None : rows.step]
         return values[rows]
 
     def int_column(self, name: str) -> Int64:
-        """Read one column of integers, shape (len,), int64, without touching any other.
+        """Read one column of integers, shape (len,), int64, and no other.
 
         Raises
         ------
@@ -182,7 +182,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         usable = whole_numbers(values)
         if usable.all():
             return np.ascontiguousarray(values, np.int64)
-        # With a missing value in any row, chosen or not, large ones are inexact; the row itself knows.
+        # A missing value in any row makes large ones inexact, so they are read from the row itself.
         found = np.where(usable, values, 0).astype(np.int64)
         for position in np.flatnonzero(~usable).tolist():
             found[position] = self._row(int(self._rows[position])).integer(name)
@@ -190,7 +190,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def identity(self) -> str:
-        """What distinguishes the stored rows that this is a view of from all others, later ones there too."""
+        """Text that identifies the stored rows, which changes when files are replaced."""
         return self._table.identity
 
     @property
@@ -206,7 +206,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def splits(self) -> tuple[str, ...]:
-        """Splits that the rows are of, by the names of their files."""
+        """Splits of the rows, by the names of their files."""
         return tuple(dict.fromkeys(split for _, split in self._table.origins if split))
 
     def __len__(self) -> int:
@@ -215,13 +215,13 @@ class RecordDataset(Sequence[T], Generic[T]):
     def _item(self, position: int) -> T:
         """Return one item; IndexError out of range."""
         length = len(self._rows)
-        # Not `checked_index`, which would cost a tenth of all that `touches[i]` does.
+        # Not `checked_index`, which would take a tenth of the time of `touches[i]`.
         if not -length <= position < length:
             raise IndexError(f"index {position} is out of range for {with_count(length, self.things)}")
         return self._stored(int(self._rows[position]))
 
     def _select(self, chosen: slice | Int64) -> Self:
-        """Return a view of the items at some positions."""
+        """Return a view of items at given positions."""
         return self._view(self._rows[chosen] if isinstance(chosen, slice) else self._row_numbers[chosen])
 
     def _view(self, rows: range | Int64) -> Self:
@@ -245,7 +245,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         IndexError
             An int is out of range, or a mask has another length.
         TypeError
-            It is something else.
+            The index has another type.
         """
         if isinstance(index, int):
             return self._item(index)
@@ -256,7 +256,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._item(operator.index(index))
 
     def by_id(self, id: int | str) -> T:
-        """Return the item that has an id, the first one where several have it; reads the ids only.
+        """Return the first item with an id; reads only the ids.
 
         Parameters
         ----------
@@ -266,12 +266,12 @@ class RecordDataset(Sequence[T], Generic[T]):
         Raises
         ------
         InputError
-            No item has it, or the items have no ids.
+            No item has this id, or the items have no ids.
         """
         number = to_builtin_number(id)
         places = np.flatnonzero(self.ids == number)
         if not len(places):
-            # Those of items, for touches have others than the column of their rounds.
+            # Ids of items, because touches have other ids than their rounds.
             first = [repr(getattr(item, "id", None)) for item in self[:_SHOWN_IDS]]
             raise InputError(
                 f"{', '.join(self._description())}: there is no id {id!r}",
@@ -280,21 +280,21 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._item(int(places[0]))
 
     def select(self, indices: Iterable[int]) -> Self:
-        """Return the items at some places, in the order given; same as indexing with a list.
+        """Return items at given positions, in the order given; same as indexing with a list.
 
         Raises
         ------
         IndexError
-            One is out of range.
+            An index is out of range.
         TypeError
-            They are not integers.
+            An index is not an integer.
         """
         return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
 
     def filter(self, function: Callable[[T], Any]) -> Self:
-        """Return the items for which a function is true, in their order.
+        """Return the items for which a function is true, in order.
 
-        Only the fields that the function asks for are read.
+        Only fields that the function accesses are read.
         """
         kept = np.zeros(len(self), bool)
         for position, item in self._each():
@@ -313,7 +313,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
 
     def by_label(self) -> dict[str, Self]:
-        """Return one view per class, by class name."""
+        """Return a view of each class, by class name."""
         labels = self.labels
         return {
             name: self._select(np.flatnonzero(labels == number))
@@ -321,72 +321,72 @@ class RecordDataset(Sequence[T], Generic[T]):
         }
 
     def shuffle(self, seed: int) -> Self:
-        """Return all items in a random order, the same for the same seed and length everywhere.
+        """Return all items in random order, which depends on the seed and the length only.
 
         Parameters
         ----------
         seed : int
-            From 0.
+            Not negative.
 
         Raises
         ------
         InputError
-            The seed is not an integer from 0.
+            The seed is not an integer, or negative.
         """
         return self._select(random_order(seed, len(self)))
 
     def sample(self, n: int, seed: int) -> Self:
-        """Return so many items, drawn at random without repetition.
+        """Return ``n`` items, drawn at random without repetition.
 
-        These are the first ``n`` of :meth:`shuffle`: a larger sample of the same seed holds a smaller one.
+        These are the first ``n`` of :meth:`shuffle`, so a larger sample with the same seed contains a smaller
+        one.
 
         Parameters
         ----------
         n : int
-            How many, at most as many as there are.
+            Number of items, at most ``len``.
         seed : int
-            From 0.
+            Not negative.
 
         Raises
         ------
         InputError
-            There are fewer items, or a number is not a whole one from 0.
+            There are fewer items, or a number is negative or not an integer.
         """
         count = checked_integer(n, "n, the size of a sample,", 0, len(self))
         return self._select(random_order(seed, len(self))[:count])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
-        """Divide the items at random into parts that share none and leave none out.
+        """Divide the items at random into disjoint parts.
 
-        As `datasets`, scikit-learn and torch do, items are drawn whatever their classes unless asked
-        otherwise.
+        Classes are ignored by default, as in `datasets`, scikit-learn and torch.
 
         Parameters
         ----------
         *parts : float or int
-            Size of each part: shares as floats, which add up to at most 1, or numbers of items as ints. What
-            they leave is one more part, the last: ``train, test = digits.split(0.8, seed=0)``.
+            Size of each part: fractions as floats that add up to at most 1, or numbers of items as ints. The
+            remaining items are one more part: ``train, test = digits.split(0.8, seed=0)``.
         seed : int
-            From 0.
+            Not negative.
         stratify : bool
-            Give each class to all parts in the same shares, up to one item or so.
+            Divide each class in the same proportions, up to about one item.
 
         Returns
         -------
         tuple of views
-            Each in random order. Shares are rounded where they end, so that no part is off by an item or
-            more.
+            Each is in random order. Cumulative sizes are rounded, so the error of each part is below one
+            item.
 
         Raises
         ------
         InputError
-            Parts add up to more than there is, are negative or of both kinds; or the seed is not a whole
-            number from 0.
+            Sizes add up to more than all items, are negative or of both types; or the seed is negative or
+            not an integer.
 
         Notes
         -----
-        Touches of one round, or rounds of one object, may come into several parts. Divide the objects
-        instead where that matters.
+        Touches of one round, or rounds of one object, may be in several parts. Divide the objects instead if
+        that matters.
         """
         labels = self.labels if stratify else None
         parts_of = random_parts([to_builtin_number(part) for part in parts], len(self), seed, labels)
@@ -395,8 +395,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def to_pandas(self) -> Any:
         """Return the plain columns as a table with one row for each item.
 
-        Meshes, images and other lists stay where they are: ``to_hf().to_pandas()`` has them too.
-        ``to_pandas().describe()`` sums up the numbers.
+        Meshes, images and other lists are left out; ``to_hf().to_pandas()`` includes them.
 
         Returns
         -------
@@ -433,7 +432,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             yield self._item(position)
 
     def __eq__(self, other: object) -> bool:
-        """Return whether both hold equal items in the same order, with the same names of classes."""
+        """Return whether both hold equal items in the same order, with the same class names."""
         if not isinstance(other, type(self)) or type(other) is not type(self):
             return NotImplemented
         if len(self) != len(other) or self.label_names != other.label_names:
@@ -443,7 +442,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return all(one == another for one, another in zip(self, other, strict=True))
 
     def __hash__(self) -> int:
-        # Equal sets have equal hashes; what the rows hold is not read for that.
+        # Equal sets have equal hashes; the content of rows is not read.
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:
@@ -452,7 +451,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         )
 
     def _repr_html_(self) -> str:
-        """Show what it is, and small pictures of some items or what is wrong with them, in a notebook."""
+        """Show a description, and small pictures of some items or their problems, in notebooks."""
         pictures: list[str] = []
         problems: dict[str, None] = {}
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
@@ -465,7 +464,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}{''.join(problems)}</div>"
 
     def _row(self, number: int) -> Row:
-        """Return a row by its number among those that are stored."""
+        """Return a stored row by number."""
         return Row(*self._table.locate(number))
 
     def _stored(self, row: int) -> T:
@@ -493,7 +492,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._table.described(with_count(len(self), self.things))
 
     def _each(self) -> Iterator[tuple[int, T]]:
-        """Yield place and item of all, in whatever order is quickest, for looking at small fields."""
+        """Yield position and item, in the fastest order, for reading small fields."""
         return enumerate(self)
 
     def _label_number(self, label: Any) -> int:

@@ -1,4 +1,4 @@
-"""What `datasets` stores in a schema about the features of a data set."""
+"""Metadata of `datasets` in Arrow schemas: the features of a data set."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import msgspec
+import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
 
 N = TypeVar("N", tuple[str, ...], None)
 
-# Arrow's words for what numpy and `datasets` call otherwise.
+# Names of Arrow that differ in numpy and `datasets`.
 _DTYPES = {"double": "float64", "float": "float32", "halffloat": "float16"}
 
 
@@ -28,8 +29,8 @@ class _Metadata(msgspec.Struct):
     info: _Info | None = None
 
 
-def dtype_name(data_type: Any) -> str:
-    """Return what `datasets` calls an Arrow type of single values."""
+def dtype_name(data_type: pa.DataType) -> str:
+    """Return the name in `datasets` of an Arrow type of scalars."""
     return _DTYPES.get(str(data_type), str(data_type))
 
 
@@ -43,8 +44,8 @@ def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
     return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
 
 
-def stored_features(schema: Any, where: str) -> dict[str, Any]:
-    """Return what `datasets` stored in a schema about its columns, by name; nothing where it stored nothing.
+def stored_features(schema: pa.Schema, where: str) -> dict[str, Any]:
+    """Return the features that `datasets` stored in a schema, by column; empty if there are none.
 
     Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.
     """
@@ -62,10 +63,10 @@ def stored_features(schema: Any, where: str) -> dict[str, Any]:
     return found
 
 
-def class_names(schema: Any, default: N, where: str = "") -> tuple[str, ...] | N:
-    """Return the names of the classes that `datasets` stored in a schema; ``default`` where it stored none.
+def class_names(schema: pa.Schema, default: N, where: str = "") -> tuple[str, ...] | N:
+    """Return the class names that `datasets` stored in a schema, or ``default``.
 
-    Raises IntegrityError, naming the data set, ``where``, for what does not describe features.
+    Raises IntegrityError, which names the data set ``where``, for invalid metadata.
     """
     names = (stored_features(schema, where).get("label") or {}).get("names")
     return default if names is None else tuple(names)

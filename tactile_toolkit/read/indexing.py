@@ -1,4 +1,4 @@
-"""Indices of sequences: what they stand for, and whether they are in range."""
+"""Indices of sequences."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tactile_toolkit.array_types import Int64
 
 
 def checked_index(index: int, length: int, of: str, things: str) -> int:
-    """Turn an index that may count from the end into one from 0; IndexError, in these words, out of range."""
+    """Convert an index that may be negative; IndexError out of range, named by ``of`` and ``things``."""
     if not -length <= index < length:
         raise IndexError(f"{of} {index} is out of range for {length} {things}")
     return index + length if index < 0 else index
 
 
 def flattened(values: Iterable[Any]) -> Iterator[Any]:
-    """Yield values, and those of collections among them, at any depth."""
+    """Yield the values of nested collections."""
     for value in values:
         if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
             yield from flattened(value)
@@ -27,16 +27,16 @@ def flattened(values: Iterable[Any]) -> Iterator[Any]:
 
 
 def picks_several(index: Any) -> bool:
-    """Return whether an index stands for several items: a slice, or a list, array or tensor of them."""
+    """Return whether an index selects several items: a slice, list, array or tensor."""
     if isinstance(index, (slice, list, tuple)):
         return True
     return hasattr(index, "__array__") and np.ndim(index) > 0
 
 
 def positions(index: Any, length: int) -> Int64:
-    """Turn a slice, ints or a boolean mask into positions, shape (n,), 0 to below that length.
+    """Convert a slice, ints or a boolean mask to positions, shape (n,), from 0 to below a length.
 
-    Raises IndexError for a mask of another length and for ints out of range, TypeError for anything else.
+    Raises IndexError for a mask of another length and for ints out of range, and TypeError for other types.
     """
     if isinstance(index, slice):
         return np.arange(*index.indices(length))

@@ -1,9 +1,9 @@
-"""The order in which a training job meets the items of a data set, the same whatever the job runs on.
+"""The order of items in a training job, independent of the number of ranks and workers.
 
-An epoch is one sequence of all items: shards in random order, and the items of a few shards at a time, a
-window, in random order among them. It follows from the seed, the number of the epoch and the sizes of the
-shards alone. Ranks take turns in it, and the workers of a rank take turns in its batches. Where a pass goes
-on is one number: how many items all ranks together have been given.
+An epoch is one sequence of all items: shards in random order, and the items of a window of a few shards in
+random order. It depends only on the seed, the number of the epoch and the sizes of the shards. Ranks take
+turns in it, and the workers of a rank take turns in its batches. The state of a pass is one number: the items
+that all ranks together have received.
 """
 
 from __future__ import annotations
@@ -22,15 +22,15 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.bounds import cache_limit_bytes
 from tactile_toolkit.errors import ToolkitError
 
-_KEPT_WINDOWS = 2  # a batch may reach over the end of one
+_KEPT_WINDOWS = 2  # a batch may extend over the end of one
 
 
 @dataclass(frozen=True, eq=False)
 class StoredParts:
-    """Which items of a data set lie together, such as in one shard.
+    """Parts of a data set that are stored together, such as shards.
 
-    ``starts``, shape (parts + 1,), rising, says where each part begins when all items are laid in the order
-    in which they are stored; ``order`` are their positions in that order, None where they are in it already.
+    ``starts``, shape (parts + 1,), ascending, are the first items of the parts in stored order. ``order`` are
+    the positions of items in stored order; None if they are in this order.
     """
 
     starts: Int64
@@ -40,17 +40,14 @@ class StoredParts:
         return len(self.starts) - 1
 
     def positions(self, part: int) -> Int64:
-        """Return the items of a part, as stored."""
+        """Return the items of a part, in stored order."""
         start, stop = self.starts[part : part + 2].tolist()
         return np.arange(start, stop) if self.order is None else self.order[start:stop]
 
 
 @dataclass(frozen=True, eq=False)
 class GlobalOrder:
-    """The order of one epoch: numbers of all items from 0, and which item has which.
-
-    Without a seed, it is that in which items are stored.
-    """
+    """The order of the items of one epoch; without a seed, the stored order."""
 
     parts: StoredParts
     seed: int | None
@@ -66,7 +63,7 @@ class GlobalOrder:
 
     @cached_property
     def fingerprint(self) -> str:
-        """By what the orders of all epochs differ from others: a checksum of all that they follow from."""
+        """Digest of everything that determines the orders of all epochs."""
         order = self.parts.order
         parts = [repr((self.seed, self.window)).encode(), self.parts.starts.astype("<i8").tobytes()]
         parts += [] if order is None else [order.astype("<i8").tobytes()]
@@ -88,17 +85,17 @@ class GlobalOrder:
         return lru_cache(_KEPT_WINDOWS)(lambda window: self._shuffled(self.stored(window), 1 + window))
 
     def window_of(self, number: int) -> int:
-        """Return the window in which an item lies."""
+        """Return the window of an item."""
         return int(np.searchsorted(self._starts, number, "right")) - 1
 
     def stored(self, window: int) -> Int64:
-        """Return the positions of the items of a window, shard by shard as stored; none after the last."""
+        """Return the positions of the items of a window in stored order; empty after the last window."""
         shards = self._shards[window * self.window : (window + 1) * self.window].tolist()
         parts = [self.parts.positions(shard) for shard in shards]
         return np.concatenate(parts or [np.zeros(0, np.int64)])
 
     def positions(self, numbers: Int64) -> Int64:
-        """Return the position in the data set of items by their numbers; shape as given, int64."""
+        """Return the positions in the data set of items by their numbers in the epoch; same shape, int64."""
         windows = np.searchsorted(self._starts, numbers, "right") - 1
         found = np.empty(len(numbers), np.int64)
         for window in np.unique(windows).tolist():
@@ -107,21 +104,21 @@ class GlobalOrder:
         return found
 
     def _shuffled(self, values: Int64, stream: int) -> Int64:
-        """Shuffle by the stream of PCG64, which numpy promises to keep, unlike its own shuffles."""
+        """Shuffle by the stream of PCG64, which numpy guarantees, unlike its shuffles."""
         if self.seed is None:
             return values
-        # A stream for each window: it is shuffled without those before it, wherever a job begins.
+        # One stream for each window, so that a job can start anywhere.
         bits = np.random.PCG64([self.seed, self.number, stream]).random_raw(len(values))
         return values[np.argsort(bits, kind="stable")]
 
 
 @dataclass(frozen=True)
 class RankSampler:
-    """What one rank of several is given of the items from ``start`` on, in batches; all get equally many.
+    """The items from ``start`` on of one rank of several, in batches; all ranks get equally many.
 
-    Rank r gets every ``ranks``-th item. Where they do not come out even, the first items of the epoch are
-    given again, one each to the ranks that would get one less; with ``drop_last``, what makes no whole batch
-    for every rank is left out instead.
+    Rank r gets every ``ranks``-th item. If the number of items is not a multiple, the first items of the
+    epoch are repeated, one for each rank that would get one less; with ``drop_last``, items that do not make
+    a complete batch for every rank are left out instead.
     """
 
     total: int
@@ -151,11 +148,10 @@ class RankSampler:
 
 
 class Prefetcher:
-    """Sees to it that the row groups of a window lie unpacked in the cache, and then those of the next.
+    """Unpacks the row groups of a window into the cache, and those of the next window in the background.
 
-    All processes of a machine share the work: ``turn``, from 0 to below 1, says where among the row groups
-    this one begins, and what another has done or is doing is not done again. Damage is left for whoever asks
-    for the item.
+    The processes of a machine share the work: ``turn``, from 0 to below 1, is where this process starts among
+    the row groups, and no row group is unpacked twice. Errors are raised when the item is requested.
     """
 
     def __init__(self, data: Any, order: GlobalOrder, turn: float) -> None:
@@ -167,24 +163,24 @@ class Prefetcher:
         self._thread: Thread | None = None
 
     def enter(self, window: int) -> None:
-        """Wait until a window is unpacked, and begin with the next one; earlier ones are gone."""
+        """Wait until a window is unpacked, and start with the next one; earlier windows may be evicted."""
         if window <= self._window:
             return
         self._window = window
         size_bytes = self._unpack(window)
-        if 2 * size_bytes <= cache_limit_bytes():  # the next one must not drive this one out
-            # A job that ends in the middle of an epoch does not wait for row groups that are not needed.
+        if 2 * size_bytes <= cache_limit_bytes():  # the next one must not evict this one
+            # A daemon, so that a job that ends within an epoch does not wait for it.
             self._thread = Thread(target=self._unpack, args=(window + 1,), daemon=True)
             self._thread.start()
 
     def close(self) -> None:
-        """Stop after the row group that is being unpacked."""
+        """Stop after the current row group."""
         self._closed.set()
         if self._thread is not None:
             self._thread.join()
 
     def _unpack(self, window: int) -> int:
-        """Return about how much a window takes; nothing where the cache cannot be written."""
+        """Return the approximate size of a window in bytes; 0 where the cache cannot be written."""
         size_bytes = 0
         with suppress(ToolkitError, OSError):
             groups = self._data._row_groups(self._order.stored(window))

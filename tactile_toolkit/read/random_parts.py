@@ -1,4 +1,4 @@
-"""Random orders and parts that follow from a seed and a number of items alone."""
+"""Random orders and divisions that depend only on a seed and a number of items."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ def random_order(seed: int, length: int) -> Int64:
 
 
 def random_parts(parts: Sequence[float], length: int, seed: int, labels: Int64 | None = None) -> list[Int64]:
-    """Divide items at random: the numbers of those of each part, in random order.
+    """Divide items at random; returns the numbers of the items of each part, in random order.
 
-    With ``labels``, shape (length,), each class is divided alike, up to one item or so. InputError for
-    impossible sizes.
+    With ``labels``, shape (length,), each class is divided in the same proportions, up to about one item.
+    Raises InputError for impossible sizes.
     """
     ends = _part_ends(parts, length)
     order = random_order(seed, length)
     if labels is None:
         return np.split(order, ends)[: len(ends)]
-    # Each class is spread evenly over 0 to 1, from a start of its own: a cut anywhere divides all classes
-    # alike, up to one item of each.
+    # Each class is spread evenly over 0 to 1, with its own offset, so that a cut anywhere divides all classes
+    # in the same proportions, up to one item.
     labels = labels[order]
     classes, counts = np.unique(labels, return_counts=True)
-    # Numbers behind those of the order, which is the same whether classes are asked for or not.
+    # Bits after those of the order, which does not depend on whether classes are used.
     starts = _random_bits(seed, length + len(classes))[length:] / 2.0**64
     spread = np.empty(length)
     for label, count, start in zip(classes, counts, starts, strict=True):
@@ -47,12 +47,12 @@ def random_parts(parts: Sequence[float], length: int, seed: int, labels: Int64 |
 
 
 def _random_bits(seed: int, count: int) -> NDArray[np.uint64]:
-    """Return random bits: of the stream of PCG64, which numpy promises to keep, unlike its shuffles."""
+    """Return random bits of the stream of PCG64, which numpy guarantees, unlike its shuffles."""
     return np.asarray(np.random.PCG64(checked_integer(seed, "seed")).random_raw(count), np.uint64)
 
 
 def _part_ends(parts: Sequence[float], length: int) -> list[int]:
-    """Return where each part ends, the one that is left over included; InputError for impossible sizes."""
+    """Return the end of each part, including the remaining one; InputError for impossible sizes."""
     numbers, shares = is_integer(*parts), all(isinstance(part, float) and 0 <= part <= 1 for part in parts)
     total, whole = (sum(parts), length) if numbers or shares else (0, 0)
     whole = whole if numbers else 1

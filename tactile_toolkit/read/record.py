@@ -18,7 +18,7 @@ T = TypeVar("T")
 
 
 class Row:
-    """One stored row, its fields read on demand: ``group`` is the rows it belongs to, ``index`` its own."""
+    """A stored row, whose fields are read on demand: row ``index`` of ``group``."""
 
     __slots__ = ("group", "index")
 
@@ -30,29 +30,29 @@ class Row:
         """Return a field of shape (n, width) as a read-only view of the stored values."""
         try:
             return self.group.ragged(name)[self.index]
-        except IntegrityError:  # of another row, maybe: this one alone
+        except IntegrityError:  # possibly of another row: this row is read alone
             alone = self.group.table.slice(self.index, 1)
             return RowGroup(alone, self.path, self.number).ragged(name)[0]
 
     def value(self, name: str) -> Any:
-        """Return a plain field as numpy's scalar or Python's object."""
+        """Return a plain field as a numpy scalar or a Python object."""
         return self.group.flat(name)[self.index]
 
     def required(self, name: str) -> Any:
         """Return a plain field as :meth:`value` does; IntegrityError where it is null."""
         value = self.value(name)
-        # Of a column with nulls, numpy makes NaN of those of numbers.
+        # Nulls of numbers become NaN in numpy.
         missing = value is None or (isinstance(value, (float, np.floating)) and value != value)
         if missing and not self.group.arrow(name)[self.index].is_valid:
             raise self.group.damaged(name, self.index, "no value is stored")
         return value
 
     def integer(self, name: str) -> int:
-        """Return a plain field as an int; IntegrityError where its value is none, as 1.5, or null."""
+        """Return a plain field as an int; IntegrityError where it is null or not an integer, such as 1.5."""
         value = self.value(name)
         if isinstance(value, np.signedinteger):
             return int(value)
-        # A null next to it made numpy's column inexact.
+        # Another null value in the column makes the numpy column inexact.
         stored = self.group.arrow(name)[self.index].as_py()
         number = whole_number(stored)
         if number is None:
@@ -66,12 +66,12 @@ class Row:
 
     @property
     def path(self) -> str:
-        """File that it is stored in."""
+        """File of the row."""
         return self.group.path
 
     @property
     def number(self) -> int:
-        """Its row number in that file."""
+        """Number of the row in its file."""
         return self.group.first_row + self.index
 
     def equals(self, other: Row) -> bool:
@@ -82,11 +82,11 @@ class Row:
         )
         if one.schema != another.schema:
             return False
-        # To Arrow a NaN equals nothing; written it equals itself.
+        # In Arrow, NaN is not equal to itself; as text it is.
         return bool(one.equals(another)) or repr(one.to_pydict()) == repr(another.to_pydict())
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as a table of this one row, not as its entire row group."""
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle as a table of this row alone, not of its row group."""
         content = table_bytes(self.group.table.slice(self.index, 1)).to_pybytes()
         return _row_from_ipc, (content, self.path, self.number)
 
@@ -96,7 +96,7 @@ def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
 
 
 class Record:
-    """Base of typed records of one row: frozen, each field loaded on first use, picklable."""
+    """Base class of typed records of one row: immutable, lazy, picklable."""
 
     __slots__ = ("_loaded", "_row")
     _row: Row
@@ -109,17 +109,18 @@ class Record:
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (self._row,))
 
     def __eq__(self, other: object) -> bool:
-        """Return whether the other is a record of the same kind with the same stored values."""
+        """Return whether the other is a record of the same class with the same stored values."""
         if not isinstance(other, Record) or type(other) is not type(self):
             return NotImplemented
         return self._row.equals(other._row)
 
     def __hash__(self) -> int:
-        # Of this row alone: a neighbour's damage must not make a record differ from its pickled copy.
+        # From this row alone, so that a damaged neighbour does not make a record differ from its pickled
+        # copy.
         try:
             number = self._row.group.arrow("id")[self._row.index].as_py()
         except (KeyError, ValueError):
@@ -127,7 +128,7 @@ class Record:
         return hash((type(self), number))
 
     def _tile_html(self) -> str:
-        """Return what a notebook shows of the record among others: a small picture, where there is any."""
+        """Return HTML for notebooks of a small picture of the record, if there is any."""
         return ""
 
     def _once(self, name: str, load: Callable[[], T]) -> T:

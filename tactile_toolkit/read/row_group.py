@@ -1,4 +1,4 @@
-"""Rows that lie together in memory, and their columns as numpy views."""
+"""Rows that are in memory together, and their columns as numpy views."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ T = TypeVar("T")
 
 
 class Rows:
-    """Some rows that lie together: columns as numpy views, each built on its first use.
+    """Some rows, with columns as numpy views that are built on first use.
 
-    ``table`` holds all columns, one chunk each; a subclass sets it, or makes it on first use. ``path`` and
-    ``first_row`` say where the rows are from, for messages.
+    ``table`` holds all columns, one chunk each; subclasses set it, or make it on first use. ``path`` and
+    ``first_row`` are the origin of the rows, for messages.
     """
 
-    table: Any
+    table: pa.Table
 
     def __init__(self, path: str = "", first_row: int = 0) -> None:
         self.path = path
@@ -44,7 +44,7 @@ class Rows:
         return column_names(self.table.schema)
 
     @cached_property
-    def flat_table(self) -> Any:
+    def flat_table(self) -> pa.Table:
         """The rows with the fields of structs as columns of their own, by dotted name."""
         table = self.table
         while any(map(pa.types.is_struct, table.schema.types)):
@@ -52,9 +52,9 @@ class Rows:
         return table
 
     def once(self, key: str, build: Callable[[], T]) -> T:
-        """Build a view of the rows on its first use and keep it with them."""
+        """Build a view of the rows on first use, and keep it."""
         view = self._views.get(key)
-        # setdefault, here and below: of two threads that build a view at once, both get that of the first.
+        # setdefault, here and below: if two threads build a view at once, the first one wins.
         found: T = self._views.setdefault(key, build()) if view is None else view
         return found
 
@@ -72,7 +72,7 @@ class Rows:
     def damaged(
         self, name: str, row: int | None, problem: str, expected: str = "a value in every row"
     ) -> IntegrityError:
-        """Return the error for a field of a row of these, or of any of them, that cannot be used."""
+        """Return the error for an unusable field of a row, or of any row if None."""
         where = "" if row is None else f", row {self.first_row + row}"
         return IntegrityError.in_file(self.path, f"{where}, field {name!r}: {problem}; expected {expected}")
 
@@ -85,35 +85,34 @@ class Rows:
         column = self._flat.get(name)
         return self._flat.setdefault(name, numpy_values(self.arrow(name))) if column is None else column
 
-    def arrow(self, name: str) -> Any:
+    def arrow(self, name: str) -> pa.Array:
         """Return a column as an Arrow array, by dotted name, whether stored flat or as a struct's field.
 
         Raises KeyError when the column does not exist.
         """
-        # A struct as a whole is a column of the table alone.
+        # Only the table has whole structs as columns.
         table = self.table if name in self.table.column_names else self.flat_table
         column = table.column(name)
         return column.chunk(0) if column.num_chunks == 1 else column.combine_chunks()
 
 
 class RowGroup(Rows):
-    """One unpacked row group, or a block of a large one.
+    """An unpacked row group, or a block of a large one.
 
-    ``mapped_bytes`` of it lie in a mapped file of the cache, so that holding on to them costs little; 0 where
-    they lie in memory.
+    ``mapped_bytes`` is its size in a mapped file of the cache; 0 if it is in memory.
     """
 
-    def __init__(self, table: Any, path: str = "", first_row: int = 0, mapped_bytes: int = 0) -> None:
+    def __init__(self, table: pa.Table, path: str = "", first_row: int = 0, mapped_bytes: int = 0) -> None:
         super().__init__(path, first_row)
         self.table = table
         self.mapped_bytes = mapped_bytes
 
 
-def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
-    """Find the rows of a table, one chunk per column, in which one of some columns holds a null at any depth.
+def null_fields(table: pa.Table, names: Sequence[str]) -> dict[int, str]:
+    """Find rows of a table, with one chunk per column, in which given columns hold a null at any depth.
 
-    Returns the number of each such row with the first field in which the null lies: ``"placements.shape"``.
-    Columns that are absent are passed over.
+    Returns the number of each such row with the first null field: ``"placements.shape"``. Absent columns are
+    ignored.
     """
     group = RowGroup(table)
     found: dict[int, str] = {}
@@ -126,8 +125,8 @@ def null_fields(table: Any, names: Sequence[str]) -> dict[int, str]:
     return found
 
 
-def _first_null(array: Any, name: str) -> str:
-    """Return the first field in or below a column in which a value is null; "" where none is."""
+def _first_null(array: pa.Array, name: str) -> str:
+    """Return the first field in or below a column with a null value; "" if there is none."""
     if array.null_count:
         return name
     if pa.types.is_struct(array.type):

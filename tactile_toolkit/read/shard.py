@@ -1,9 +1,9 @@
 """One Parquet file of a data set: random access to its rows, and whether it is still the same file.
 
-Parquet must decode an entire row group to give one row. Each row group is therefore decoded on its first use
-into Arrow files in the cache folder and mapped into memory; from then on a row costs microseconds, in this
-process and in every other one on the machine. Nothing is unpacked that is not asked for. Large row groups are
-unpacked in blocks of some rows, so that memory stays bounded and no Arrow array outgrows its 32-bit offsets.
+Reading one row of Parquet requires decoding its row group. Each row group is therefore decoded on first use
+into Arrow files in the cache folder, which are mapped into memory; after that a row takes microseconds, in
+all processes on the machine. Large row groups are unpacked in blocks of rows, so that memory is bounded and
+no Arrow array exceeds its 32-bit offsets.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import pyarrow as pa
 
@@ -46,25 +46,29 @@ from tactile_toolkit.read.row_group import RowGroup
 from tactile_toolkit.read.schemas import column_types
 from tactile_toolkit.read.supported_types import supported_schema, supported_table
 
+if TYPE_CHECKING:
+    from pyarrow import parquet
+
 _BLOCK_BYTES = 64 << 20
-# Unpacked sizes of Parquet's physical types; all others take four bytes at least, a number or an offset.
+# Unpacked sizes of physical types of Parquet; others take at least four bytes, a number or an offset.
 _VALUE_BYTES = {"BOOLEAN": 1, "INT64": 8, "DOUBLE": 8, "INT96": 12}
-# Rows take at most so many times the bytes that are stored of them, or might be one row; padding of clips
-# takes about 20 times.
+# A row group that expands by more than this might be a single row; padding of clips expands about 20 times.
 _MOST_EXPANSION = 500
 
-# Metadata and Arrow schema by content and stated rows; of a large shard they take some hundred kB. The schema
-# of the metadata would hold these, and they it: megabytes that wait for the garbage collector.
-_FOOTERS: MemoryCache[tuple[str, int | None], tuple[Any, Any]] = MemoryCache(128)
+Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
+
+# Metadata and Arrow schema by content and stated rows, some hundred kB for a large shard. The schema object
+# of the metadata is not kept, because both refer to each other and would wait for the garbage collector.
+_FOOTERS: MemoryCache[tuple[str, int | None], Footer] = MemoryCache(128)
 
 
 @dataclass(frozen=True)
 class Shard:
     """One Parquet file of a data set, local or at any fsspec address.
 
-    ``rows`` and ``size_bytes`` are what its manifest states, where there is one: rows are counted without
-    opening the file then, and another file is refused. ``failures``, pickled with it, makes the context in
-    which the bytes of a remote file are read: there, whoever knows the store names what goes wrong with it.
+    ``rows`` and ``size_bytes`` are those of the manifest, if there is one: then rows are counted without
+    opening the file, and a file with other values is refused. ``failures`` returns a context for reading a
+    remote file, which converts errors of its store; it is pickled with the shard.
     """
 
     path: str
@@ -75,37 +79,36 @@ class Shard:
     size_bytes: int | None = field(default=None, repr=False, compare=False)
 
     def __post_init__(self) -> None:
-        # Which file is there now is noted where that costs next to nothing; what is missing is named when it
-        # is asked for.
+        # The identity of local files is cheap and noted now; a missing file is an error when it is read.
         if not self.is_remote:
             with contextlib.suppress(ToolkitError):
                 _ = self.identity
 
     @property
-    def _footer(self) -> tuple[Any, Any]:
+    def _footer(self) -> Footer:
         return _FOOTERS.get((self.digest, self.rows)) or self._open()[1]
 
     @property
-    def metadata(self) -> Any:
-        """The Parquet footer: row groups, columns, schema; read again when it was not asked for in a while.
+    def metadata(self) -> parquet.FileMetaData:
+        """The Parquet footer: row groups, columns, schema; read again if it was evicted.
 
-        Raises IntegrityError where the file has none, or is not of the size that the manifest states.
+        Raises IntegrityError where the file has none, or differs from the manifest in size.
         """
         return self._footer[0]
 
     @property
-    def schema(self) -> Any:
-        """The Arrow schema, with types of ours: rows are converted when they are decoded."""
+    def schema(self) -> pa.Schema:
+        """The Arrow schema with supported types, to which rows are converted when decoded."""
         return self._footer[1]
 
     @property
-    def types(self) -> dict[str, Any]:
+    def types(self) -> dict[str, pa.DataType]:
         """Arrow type of each column, and of each struct, by dotted name."""
         return column_types(self.schema)
 
     @cached_property
     def class_names(self) -> tuple[str, ...] | None:
-        """Names of the classes, where `datasets` stored them; IntegrityError where they cannot be read."""
+        """Class names that `datasets` stored, if any; IntegrityError where they cannot be read."""
         return class_names(self.schema, None, self.path)
 
     @cached_property
@@ -117,7 +120,7 @@ class Shard:
 
     @cached_property
     def block_rows(self) -> array[int]:
-        """How many rows of each row group are unpacked together; follows from the file alone."""
+        """Number of rows in a block of each row group; depends on the file alone."""
         metadata = self.metadata
         groups = [metadata.row_group(index) for index in range(metadata.num_row_groups)]
         fitting = [_BLOCK_BYTES * group.num_rows // max(group.total_byte_size, 1) for group in groups]
@@ -127,22 +130,22 @@ class Shard:
     def __len__(self) -> int:
         return int(self.metadata.num_rows) if self.rows is None else self.rows
 
-    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> Any:
-        """Decode row groups, all columns or those named (a struct's fields by dotted name)."""
+    def read(self, columns: Sequence[str] | None = None, groups: Sequence[int] | None = None) -> pa.Table:
+        """Decode row groups, with all columns or those named (fields of structs by dotted name)."""
         parquet, (metadata, _) = self._open()
         wanted = range(metadata.num_row_groups) if groups is None else groups
-        for index in wanted if columns is None else ():  # a plain column is no larger than its rows
+        for index in wanted if columns is None else ():  # a column is not larger than its rows
             self._require_bounded(index)
         with self._named_damage():
-            # Arrow's threads would be as many again: shards are read side by side already.
+            # No threads of Arrow, because shards are already read in parallel.
             return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
 
-    def column(self, name: str) -> Any:
+    def column(self, name: str) -> pa.Array:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
-        """Return the row group (or block of one) that holds a row, and the row's index in it."""
+        """Return the row group, or block of one, that holds a row, and the index of the row in it."""
         group = bisect_right(self.group_starts, row) - 1
         number, index = divmod(row - self.group_starts[group], self.block_rows[group])
         return BLOCKS.get((self.digest, group, number)) or self.block(group, number), index
@@ -150,8 +153,8 @@ class Shard:
     def block(self, index: int, number: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
 
-        A cache that cannot be written (full, read-only) costs speed, never the data: the blocks used last are
-        then kept in the memory of this process.
+        If the cache cannot be written (full, read-only), the most recently used blocks are kept in the memory
+        of this process.
         """
         key = self.digest, index, number
 
@@ -162,7 +165,7 @@ class Shard:
         return BLOCKS.get_or_make(key, make)
 
     def _mapped(self, key: Key) -> RowGroup | None:
-        """Map a block of the cache; None when it is not there, or damaged: then it goes."""
+        """Map a block of the cache; None if it is missing, or damaged and therefore removed."""
         file = block_file(key)
         try:
             table, size_bytes = map_block(file)
@@ -178,9 +181,9 @@ class Shard:
         return RowGroup(table, self.path, first_row, size_bytes)
 
     def unpack(self, index: int) -> int:
-        """Unpack a row group into the cache unless it is there; return its size in bytes, 0 where it is not.
+        """Unpack a row group into the cache unless it is there; return its size in bytes, 0 on failure.
 
-        One process of the machine unpacks it, others wait for that one.
+        One process of the machine unpacks it, others wait.
         """
         is_there = self._unpacked(index)
         return max(1, int(self.metadata.row_group(index).total_byte_size)) if is_there else 0
@@ -192,23 +195,23 @@ class Shard:
         if UNPACKED.is_given_up or are_kept(files):
             return not UNPACKED.is_given_up
         with contextlib.ExitStack() as stack:
-            # 256 files for all: one each would stay in the cache for good.
+            # 256 lock files for all row groups, because lock files stay in the cache.
             lock = cache_folder() / LOCKS / self.digest[:2]
             try:
                 lock.parent.mkdir(parents=True, exist_ok=True)
                 patience_s = 0.0 if lock in HELD_UP else None
                 stack.enter_context(store.locked(lock, patience_s=patience_s, is_patient=True))
             except OSError:
-                pass  # without locks no process waits
+                pass  # without locks, processes do not wait
             except BusyError as error:
                 if lock not in HELD_UP:
                     warnings.warn(
-                        f"{error.what}; it is not waited for any more", RuntimeWarning, stacklevel=2
+                        f"{error.what}; this process stops waiting for it", RuntimeWarning, stacklevel=2
                     )
                 HELD_UP.add(lock)
-            # Each time: a notebook may set the variable at any time.
+            # Read each time, because a notebook may set the variable at any time.
             UNPACKED.limit_bytes = cache_limit_bytes()
-            # Whoever held the lock may have unpacked it meanwhile, or a part of it.
+            # The previous holder of the lock may have unpacked all or part of it.
             return are_kept(files) or all(
                 file.exists()
                 or UNPACKED.write(
@@ -218,7 +221,7 @@ class Shard:
             )
 
     def _decoded(self, index: int, number: int) -> RowGroup:
-        """Return a block, decoding its row group up to the last block that is held with it."""
+        """Decode a block, and some blocks before and after it in the row group."""
         found: RowGroup
         for reached, group in enumerate(self.blocks(index)):
             BLOCKS.put((self.digest, index, reached), group)
@@ -230,25 +233,24 @@ class Shard:
 
     @cached_property
     def digest(self) -> str:
-        """Name of the content that the file had when it was met first."""
+        """Digest of the identity of the file when it was first accessed."""
         return hashlib.sha256(repr((LAYOUT, self.identity)).encode()).hexdigest()[:32]
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
-        """Decode the blocks of a row group one after another, keeping none; all columns or those named."""
+        """Decode the blocks of a row group one by one, without caching; all columns or those named."""
         self._require_bounded(index)
         first_row = self.group_starts[index]
         for table in self._block_tables(index, columns):
             yield RowGroup(table, self.path, first_row)
             first_row += len(table)
-        if first_row != self.group_starts[index + 1]:  # a damaged page may end early without a word
+        if first_row != self.group_starts[index + 1]:  # a damaged page may end early without an error
             found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
             raise IntegrityError.in_file(self.path, problem)
 
     def _require_bounded(self, index: int) -> None:
-        """Refuse rows that unpack to more than the limit, by what the footer states of them."""
-        # A large row group is harmless, for blocks of it are unpacked; one of which next to nothing is stored
-        # may be a single row.
+        """Refuse rows that would exceed the limit when unpacked, according to the footer."""
+        # A large row group is harmless, because it is unpacked in blocks, unless it may consist of one row.
         group = self.metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
         size_bytes = sum(
@@ -260,12 +262,12 @@ class Shard:
             size_bytes //= max(group.num_rows, 1)
         require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
-    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[Any]:
+    def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         rows = self.block_rows[index]
         waiting = None
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
-                # The reader may give less than asked for; blocks have to be complete to be found again.
+                # The reader may return fewer rows than requested; blocks must be complete to be found again.
                 table = supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
@@ -276,9 +278,9 @@ class Shard:
 
     @cached_property
     def identity(self) -> tuple[object, ...]:
-        """What distinguished the file from any other when it was met first; compared whenever it is opened.
+        """Identity of the file when it was first accessed; compared whenever it is opened.
 
-        Content changes without it on purpose only; hashing gigabytes would cost more.
+        Hashing gigabytes would cost more, and only deliberate changes keep the identity.
         """
         if not self.is_remote:
             with contextlib.suppress(OSError):
@@ -287,25 +289,25 @@ class Shard:
             return self._opened(None)[1]
 
     def _found_now(self) -> tuple[Any, ...]:
-        """Return what identifies the local file that is there now."""
+        """Return the identity of the local file now."""
         device, *others = stat_key(os.stat(self.path))  # noqa: PTH116
-        # The name too: machines that share a cache may have other files of the same numbers.
+        # With the name, because machines that share a cache may have other files with the same numbers.
         return device, self.path.rpartition("/")[2], *others
 
     @property
     def part_sizes(self) -> Sequence[int]:
-        """Rows of the parts that training mixes: all together."""
+        """Rows of the parts that training shuffles: the file is one part."""
         return (len(self),)
 
     @cached_property
     def split(self) -> str:
-        """Split by the name of the file; empty where that states none."""
+        """Split, from the file name; empty if it states none."""
         name = store.ShardName.parse(self.path.rpartition("/")[2])
         return "" if name is None else name.split
 
     @property
     def set_name(self) -> tuple[str, str]:
-        """Folder and split, or file name where that states no split: shards of one set have one schema."""
+        """Folder and split, or file name without a split; shards of one set have one schema."""
         folder, _, name = self.path.rpartition("/")
         return folder, self.split or name
 
@@ -322,19 +324,21 @@ class Shard:
 
     @property
     def is_remote(self) -> bool:
-        """Whether it is at an address."""
+        """Whether the path is an address."""
         return "://" in self.path
 
-    def _opened(self, metadata: Any) -> tuple[Any, tuple[object, ...], int]:
-        """Open the file, whose footer may be known; return with it its identity and its size in bytes."""
+    def _opened(
+        self, metadata: parquet.FileMetaData | None
+    ) -> tuple[parquet.ParquetFile, tuple[object, ...], int]:
+        """Open the file, whose footer may be known; return it with its identity and size in bytes."""
         if not self.is_remote:
-            # After opening: what takes its place from now on is not what was opened.
+            # After opening, so that the identity is not that of an earlier file.
             return store.open_checked(self.path, metadata), (found := self._found_now()), found[-2]
         stream, identity, size_bytes = self._stream()
         return store.open_checked(stream, metadata), identity, size_bytes
 
     def _stream(self) -> tuple[IO[bytes], tuple[object, ...], int]:
-        """Open the file as it is stored; return with it its identity and its size in bytes."""
+        """Open the bytes of the file; return them with identity and size in bytes."""
         files, name = store.split_uri(self.path)
         stream = files.open(name)
         if not self.is_remote:
@@ -345,7 +349,7 @@ class Shard:
 
     @contextlib.contextmanager
     def stored(self) -> Iterator[IO[bytes]]:
-        """Open the bytes of the file; IntegrityError unless it is the one that was met first."""
+        """Open the bytes of the file; IntegrityError if the file was replaced since the first access."""
         known = self.identity
         with self._named_damage():
             stream, identity, _ = self._stream()
@@ -353,13 +357,13 @@ class Shard:
                 self._require_same(identity, known)
                 yield stream
 
-    def fingerprint(self) -> dict[str, Any]:
-        """Return JSON values that identify the rows; the footer holds the size of every column.
+    def fingerprint(self) -> dict[str, str | int]:
+        """Return JSON values that identify the rows; the footer holds the size of each column.
 
-        The file is noted: another one that takes its place is refused from here on.
+        From now on, a file that replaces this one is refused.
         """
         with self.stored() as stream:
-            # A Parquet file ends in the length of its footer and four letters.
+            # A Parquet file ends with the length of its footer and four letters.
             size_bytes = stream.seek(-8, io.SEEK_END) + 8
             footer_bytes = int.from_bytes(stream.read(4), "little")
             stream.seek(-8 - footer_bytes, io.SEEK_END)
@@ -368,8 +372,8 @@ class Shard:
         name = self.path.rpartition("/")[2]
         return {"file": name, "rows": len(self), "bytes": size_bytes, "footer_sha256": digest}
 
-    def _open(self) -> tuple[Any, tuple[Any, Any]]:
-        """Open the file and return its footer with it, once it is known to be the one that was met first."""
+    def _open(self) -> tuple[parquet.ParquetFile, Footer]:
+        """Open the file, check that it was not replaced, and return it with its footer."""
         key = (self.digest, self.rows)
         footer = _FOOTERS.get(key)
         with self._named_damage():
@@ -378,17 +382,17 @@ class Shard:
         metadata = parquet.metadata
         found = {"rows": metadata.num_rows, "bytes": size_bytes}
         for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
-            if stated not in (None, found[unit]):  # such as a shard of a set that is being replaced
+            if stated not in (None, found[unit]):  # such as a shard of a set that is being overwritten
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
         return parquet, footer or _FOOTERS.put(key, (metadata, supported_schema(parquet.schema_arrow)))
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
-        # Not the first value: that of a device differs between machines that share a file system.
+        # Without the device, which differs between machines that share a file system.
         if found[1:] != known[1:]:
             raise IntegrityError(
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
-                "read, for old and new ones would mix",
+                "read, because old and new ones would mix",
                 next="load the data set again",
             )
 

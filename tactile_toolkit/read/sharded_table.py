@@ -7,9 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, chain
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_toolkit import run
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -21,23 +22,23 @@ from tactile_toolkit.read.source import RowSource
 T = TypeVar("T")
 
 _FEW_SHARDS = 8
-_READERS = 16  # most of them wait, for a disk or a network
+_READERS = 16  # most of them wait for a disk or a network
 
 
 def _in_threads(function: Callable[[RowSource], T], shards: Sequence[RowSource]) -> Iterator[T]:
-    """Yield what a function gives for each shard, in order; many are read at once."""
+    """Yield the result of a function for each shard, in order; shards are read in parallel."""
     return run.in_threads(function, shards, 1 if len(shards) < _FEW_SHARDS else _READERS)
 
 
 @dataclass(frozen=True)
 class ShardedTable:
-    """The rows of several sources, such as shards, in their order; reads nothing until asked."""
+    """The rows of several sources, such as shards, in order; nothing is read until needed."""
 
     shards: tuple[RowSource, ...]
 
     @property
     def files(self) -> tuple[Shard, ...]:
-        """Those of the sources that are files as a whole."""
+        """The sources that are entire files."""
         return tuple(shard for shard in self.shards if isinstance(shard, Shard))
 
     @cached_property
@@ -48,43 +49,43 @@ class ShardedTable:
     def _columns(self) -> dict[str, AnyArray]:
         return {}
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle as paths; maps are opened again in the other process."""
+    def __reduce__(self) -> tuple[object, ...]:
+        """Pickle as paths; the other process opens maps again."""
         return type(self), (self.shards,)
 
     def __len__(self) -> int:
         return self._starts[-1]
 
     @property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the first shard, or None without shards."""
         return self.shards[0].schema if self.shards else None
 
     @property
-    def schemas(self) -> list[Any]:
-        """Arrow schemas of the first shards of all data sets of which shards are here, each of one split."""
-        # Of files that are not named as shards are, each may be of another.
+    def schemas(self) -> list[pa.Schema]:
+        """Arrow schemas of the first shard of each set: a split of a data set."""
+        # Each file that is not named as a shard is its own set.
         first = {shard.set_name: shard for shard in reversed(self.shards)}
         return [shard.schema for shard in reversed(first.values())]
 
     @property
     def part_starts(self) -> Int64:
-        """Where each part that training mixes begins, and the end: a shard, or some rows that are made."""
+        """First row of each part that training shuffles, such as a shard, and the number of rows."""
         sizes = chain.from_iterable(shard.part_sizes for shard in self.shards)
         return np.array([0, *accumulate(sizes)], np.int64)
 
     @property
     def identity(self) -> str:
-        """What distinguishes these rows from all others, also from later ones of the same files."""
+        """Text that identifies these rows, which changes when files are replaced."""
         return repr([shard.identity for shard in self.shards])
 
     @property
     def origins(self) -> list[tuple[str, str]]:
-        """Name of the data set, and split where that is known, of each shard, by where it lies."""
+        """Name of the data set and split, if known, of each shard, from its path."""
         return [shard.origin for shard in self.shards]
 
     def described(self, things: str) -> list[str]:
-        """Say of what data sets and splits some things are, such as ``20 rows``."""
+        """Describe the data sets and splits of ``things``, such as ``20 rows``."""
         names = dict.fromkeys(name for name, _ in self.origins)
         splits = dict.fromkeys(f"split {split}" for _, split in self.origins if split)
         return [f"{things} of {' and '.join(names)}" if names else things, *splits]
@@ -95,7 +96,7 @@ class ShardedTable:
         return self.shards[index].locate(row - self._starts[index])
 
     def row_groups(self, rows: Int64) -> list[tuple[RowSource, int]]:
-        """Return the row groups that hold some rows, which rise; opens no other shard."""
+        """Return the row groups of ascending rows; opens no other shard."""
         found: list[tuple[RowSource, int]] = []
         if not self.shards:
             return found
@@ -107,19 +108,19 @@ class ShardedTable:
         return found
 
     def column(self, name: str) -> AnyArray:
-        """Read one plain column of all rows by dotted name, and only that column; kept for the next call."""
+        """Read one plain column of all rows by dotted name, and no other; cached."""
         return self._kept(
             f"column {name}", map(numpy_values, _in_threads(lambda shard: shard.column(name), self.shards))
         )
 
     def per_shard(self, key: str, compute: Callable[[RowSource], Sequence[AnyArray]]) -> AnyArray:
-        """Join along the first axis what is computed of each shard; kept under ``key`` for the next call."""
+        """Concatenate values computed from each shard; cached under ``key``."""
         return self._kept(key, chain.from_iterable(_in_threads(compute, self.shards)))
 
     def _kept(self, key: str, parts: Iterable[AnyArray]) -> AnyArray:
         if key not in self._columns:
             values = np.concatenate(list(parts) or [np.zeros(0)])
-            # It is kept as it is handed out.
+            # Read-only, because the cached array is returned.
             values.setflags(write=False)
             self._columns.setdefault(key, values)
         return self._columns[key]

@@ -1,4 +1,4 @@
-"""Streams: items one after another, read from their address; loaders of torch take them."""
+"""Streams: items in sequence, read from their address; loaders of torch accept them."""
 
 from __future__ import annotations
 
@@ -15,21 +15,21 @@ S = TypeVar("S", bound=RowSource)
 
 
 def loader_worker() -> Any:
-    """Return which worker of how many this process is for a loader of torch; None where it is none."""
+    """Return the torch worker information of this process; None if it is not a worker of a loader."""
     torch_data = sys.modules.get("torch.utils.data")
     return None if torch_data is None else torch_data.get_worker_info()
 
 
 class Stream(Generic[S]):
-    """Base of streams. Each pass reads from the beginning, a bounded block of rows at a time.
+    """Base class of streams. Each pass reads from the beginning, a bounded block of rows at a time.
 
-    To torch a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers
-    of a loader divide the shards among them, or the row groups where there are fewer shards than workers.
+    For torch, a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers
+    of a loader share the shards, or the row groups if there are fewer shards than workers.
 
     Parameters
     ----------
     shards : tuple of RowSource
-        Shards to read in turn.
+        Shards, read in order.
     """
 
     def __init__(self, shards: tuple[S, ...]) -> None:
@@ -39,14 +39,14 @@ class Stream(Generic[S]):
 
         @property
         def __class__(self) -> type[Self]:
-            # A loader asks `isinstance`, which asks this. Torch may be imported after the stream was made,
-            # and takes seconds to import: the subclass is registered where torch is there already.
+            # Loaders call `isinstance`, which reads this attribute. The class is registered here, because
+            # torch takes seconds to import and may be imported after the stream was created.
             if "torch.utils.data" in sys.modules:
                 sys.modules["torch.utils.data"].IterableDataset.register(type(self))
             return type(self)
 
     def _row_groups(self) -> Iterator[tuple[S, int]]:
-        """Yield the row groups of all shards, or those that this worker of a loader is to read."""
+        """Yield the row groups of all shards, or those of this worker of a loader."""
         found = loader_worker()
         if found is None:
             return row_groups(self.shards)

@@ -1,14 +1,12 @@
-"""Types of other writers, converted to those that the toolkit reads."""
+"""Conversion of Arrow types of other writers to those that the toolkit reads."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import pyarrow as pa
 
 
-def supported_type(data_type: Any) -> Any:
-    """Return the type of ours for the same values: no dictionary, view, 64-bit offset or half float."""
+def supported_type(data_type: pa.DataType) -> pa.DataType:
+    """Return the supported type for the same values: no dictionary, view, 64-bit offset or half float."""
     kinds = pa.types
     if kinds.is_dictionary(data_type):
         return supported_type(data_type.value_type)
@@ -29,12 +27,12 @@ def supported_type(data_type: Any) -> Any:
     return pa.list_(element, data_type.list_size if kinds.is_fixed_size_list(data_type) else -1)
 
 
-def supported_schema(schema: Any) -> Any:
-    """Return a schema with :func:`supported_type` of each column; the schema itself where all are plain."""
+def supported_schema(schema: pa.Schema) -> pa.Schema:
+    """Return a schema with :func:`supported_type` of each column; unchanged if all are supported."""
     types = list(map(supported_type, schema.types))
     if types == schema.types:
         return schema
-    # What other libraries note of a field that is changed, such as its categories, holds no more.
+    # Metadata of a changed field, such as its categories, are no longer valid.
     fields = [
         each if each.type == data_type else pa.field(each.name, data_type, each.nullable)
         for each, data_type in zip(schema, types, strict=True)
@@ -42,7 +40,7 @@ def supported_schema(schema: Any) -> Any:
     return pa.schema(fields, schema.metadata)
 
 
-def supported_table(table: Any) -> Any:
+def supported_table(table: pa.Table) -> pa.Table:
     """Return a table with the types of :func:`supported_schema`; the same table where it has them."""
     schema = supported_schema(table.schema)
     if schema is table.schema or schema.types == table.schema.types:
@@ -51,8 +49,8 @@ def supported_table(table: Any) -> Any:
     return pa.table(columns, schema=schema)
 
 
-def _converted(column: Any, data_type: Any) -> Any:
+def _converted(column: pa.ChunkedArray, data_type: pa.DataType) -> pa.ChunkedArray:
     if "list_view" not in str(column.type):
         return column.cast(data_type)
-    # pyarrow 26 casts those with a null wrongly.
+    # pyarrow 26 casts list views with nulls incorrectly.
     return pa.chunked_array([pa.array(chunk.to_pylist(), data_type) for chunk in column.chunks], data_type)

@@ -1,6 +1,6 @@
-"""Training on any data set of the toolkit: one order for all ranks and workers, left and resumed anywhere.
+"""Batches for training with torch (extra ``torch``), in one order for all ranks and workers, resumable.
 
-The order itself is :mod:`tactile_toolkit.read.order`; here it meets torch (extra ``torch``).
+The order itself is :mod:`tactile_toolkit.read.order`.
 """
 
 from __future__ import annotations
@@ -25,56 +25,54 @@ else:
 
 _FORMAT = "tactile_toolkit_training"
 _VERSION = 1
-# How torchdata 0.11 calls the batches that a StatefulDataLoader has given since it asked its workers.
+# Name in torchdata 0.11 of the number of batches since a StatefulDataLoader asked its workers.
 _SINCE = "_steps_since_snapshot"
-# Where a pass is, in one process: its epoch, the item it began at, and how many batches were given since.
+# State of a pass in one process: epoch, first item, and number of batches since.
 _POSITION = ("epoch", "start", "batches")
-# The table that workers share is made before anyone knows how many there will be.
+# The table that workers share is created before their number is known.
 _MOST_WORKERS = 255
 
 
 def shared_zeros(*shape: int) -> torch.Tensor:
-    """Return zeros, int64, which the workers of a loader share."""
+    """Return zeros, int64, shared by the workers of a loader."""
     zeros = torch.zeros(shape, dtype=torch.int64)
-    # Without shared memory loaders with workers fail; others need none.
+    # Without shared memory, loaders with workers fail; others do not need it.
     with contextlib.suppress(RuntimeError):
         zeros.share_memory_()
     return zeros
 
 
 class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
-    """Batches of a data set for a training job, in one order for all ranks and workers, resumed anywhere.
+    """Batches of a data set for a training job, in one order for all ranks and workers, resumable.
 
     Each pass is one epoch: all items once, shards in random order, and items in random order within a few
-    shards at a time. The order follows from the seed, the number of the epoch and the data set alone. Rank r
-    of n takes every n-th item of it, and all ranks get equally many. The batches of a rank are the same, in
-    the same order, whatever the number of its workers. So the state of any rank can be resumed on any number
-    of ranks and workers, in the middle of an epoch, and no item of it is left out or given twice.
+    shards at a time. The order depends only on the seed, the number of the epoch and the data set. Rank r of
+    n takes every n-th item, and all ranks get equally many. The batches of a rank do not depend on its number
+    of workers. The state of any rank can therefore be resumed on any number of ranks and workers, within an
+    epoch, without omitting or repeating an item.
 
-    Give it to torch's ``DataLoader`` or to torchdata's ``StatefulDataLoader`` with ``batch_size=None``: the
-    batches are made here.
+    Pass it to ``DataLoader`` of torch or ``StatefulDataLoader`` of torchdata with ``batch_size=None``.
 
     Parameters
     ----------
     data : TouchTensors, DigitTensors, SceneTensors, or a data set
-        What to give. Items of a data set itself (rounds, touches, digits, scenes) need a ``collate_fn``.
+        Source of the items. Records (rounds, touches, digits, scenes) need a ``collate_fn``.
     batch_size : int
-        Items of a batch, of each rank.
+        Items in a batch of each rank.
     seed : int or None
-        Seed of the order; None gives the items as they are stored.
+        Seed of the order; None for the stored order.
     window : int
-        How many shards are mixed. Twice as many, those of the window and of the next one, lie unpacked on the
-        disk at a time, see Notes.
+        Number of shards that are shuffled together. Twice as many, those of this window and the next, are
+        unpacked on disk at a time; see Notes.
     drop_last : bool
-        Leave out the end of an epoch that makes no whole batch for every rank. Otherwise the last batch is
-        smaller, and where items do not come out even, some ranks get one of the epoch's first items again, so
-        that all take as many steps.
+        Leave out items that do not make a complete batch for every rank. Otherwise the last batch is smaller,
+        and some ranks may get one of the first items of the epoch again, so that all have equally many steps.
     collate_fn : callable, optional
-        Makes a batch of a list of items: ``torch.utils.data.default_collate`` by default,
+        Makes a batch from a list of items: ``torch.utils.data.default_collate`` by default,
         ``collate_meshes`` for meshes.
     rank, world_size : int, optional
-        Which process of how many this is: as ``torch.distributed`` says, else as the environment variables
-        ``RANK`` and ``WORLD_SIZE`` do, else the only one.
+        Rank of this process and number of ranks; by default those of ``torch.distributed``, else of the
+        environment variables ``RANK`` and ``WORLD_SIZE``, else 0 and 1.
 
     Raises
     ------
@@ -83,13 +81,13 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
     Notes
     -----
-    A process holds one batch, the positions of two windows (16 bytes an item), and maps of what lies
-    unpacked, which the system drops from memory where it needs room. The row groups of a window are unpacked
-    into the cache folder before its first item is given, those of the next window meanwhile, each by one
-    process of the machine. Every machine reads every shard once in an epoch; where the cache holds the whole
-    set (``$TACTILE_TOOLKIT_CACHE_MIB``), in the first epoch only.
+    A process holds one batch, the positions of two windows (16 bytes an item), and maps of unpacked rows,
+    which the system evicts from memory when needed. The row groups of a window are unpacked into the cache
+    folder before its first item is returned, and those of the next window meanwhile, each by one process of
+    the machine. Each machine reads each shard once in an epoch, or only in the first epoch if the cache holds
+    the entire set (``$TACTILE_TOOLKIT_CACHE_MIB``).
 
-    Random transforms draw from torch's generator in each worker: that is not resumed.
+    The generator of torch in each worker, which random transforms use, is not resumed.
 
     Examples
     --------
@@ -144,26 +142,26 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
         self._resumed = (0, 0)
         self._current: dict[str, int] = {}  # empty before a pass
-        # What the next pass is, for this process and for each worker: epoch, start, batches given already,
-        # and of how many workers it was one when it last began a pass (plus 1; 0 when it has not). Shared, so
-        # that workers that live on see what is set here, and new ones what those before them began.
+        # The next pass of this process and of each worker: epoch, start, number of batches already returned,
+        # and the number of workers when it last began a pass plus 1 (0 if it has not). Shared, so that
+        # persistent workers see changes, and new workers see what earlier ones began.
         self._next = shared_zeros(1 + _MOST_WORKERS, 4)
 
     @property
     def epoch(self) -> int:
-        """The epoch of the next pass; each pass is followed by that of the next epoch."""
+        """The epoch of the next pass."""
         return int(self._next[:, 0].max())
 
     def set_epoch(self, epoch: int) -> None:
-        """Choose the epoch of the next pass; a resumed one continues where it was left.
+        """Set the epoch of the next pass; a resumed epoch continues where it stopped.
 
-        Needed only to repeat or skip epochs, or when another number of workers takes over.
+        Needed only to repeat or skip epochs, or when the number of workers changes.
         """
         number = checked_integer(epoch, "epoch")
         self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
 
     def __len__(self) -> int:
-        """Batches of a whole epoch on each rank."""
+        """Batches of a complete epoch on each rank."""
         return len(self._share(0))
 
     def __iter__(self) -> Iterator[Any]:
@@ -172,12 +170,12 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         Raises
         ------
         InputError
-            Another number of workers than in the pass before, and :meth:`set_epoch` was not called.
+            The number of workers changed since the last pass, and :meth:`set_epoch` was not called.
         """
         worker = torch.utils.data.get_worker_info()
         if worker is None:
             epoch, start = (self.epoch, 0) if self._workers_began() else self._next[0, :2].tolist()
-            # Of all rows: workers that take over next time begin there, too.
+            # All rows, so that workers of a later pass begin there too.
             self._next[:] = torch.tensor([epoch + 1, 0, 0, 0])
             self._current = {"epoch": epoch, "start": start, "batches": 0}
             return self._batches(self._current, 0, 1)
@@ -201,7 +199,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         collate = self.collate_fn or torch.utils.data.default_collate
         fetch = getattr(self.data, "__getitems__", lambda chosen: [self.data[each] for each in chosen])
         make = None if self.collate_fn else getattr(self.data, "collated", None)
-        # Points on surfaces are other ones in each epoch.
+        # Points on surfaces differ between epochs.
         if hasattr(self.data, "set_epoch"):
             self.data.set_epoch(current["epoch"])
         try:
@@ -216,10 +214,10 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             ahead.close()
 
     def state_dict(self) -> dict[str, Any]:
-        """Return where this process is in its pass: what ``StatefulDataLoader`` asks of each worker.
+        """Return the state of this process in its pass, for ``StatefulDataLoader``.
 
-        A job saves ``state_dict()`` of the ``StatefulDataLoader``, for workers are ahead of what it was
-        given; without workers it may save this.
+        A job saves ``state_dict()`` of the ``StatefulDataLoader``, because workers are ahead of the job;
+        without workers it may save this state.
 
         Returns
         -------
@@ -228,29 +226,29 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         Raises
         ------
         InputError
-            Called in the job itself while workers make its batches.
+            Called in the job itself while workers make the batches.
         """
         worker = torch.utils.data.get_worker_info()
         if worker is None and self._workers_began():
             raise InputError(
-                "workers make the batches, ahead of what the job was given",
+                "workers make the batches and are ahead of the job",
                 next="save the state_dict() of a torchdata.stateful_dataloader.StatefulDataLoader",
             )
         return {**self._identity, **(self._current or self._planned(0)), **self._division(worker)}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Continue where a pass was left, on any number of ranks and workers.
+        """Resume a pass, on any number of ranks and workers.
 
         Parameters
         ----------
         state_dict : dict
-            Of a ``StatefulDataLoader`` of such batches, or of the batches without workers; of any one rank.
-            Their size may have been another.
+            State of a ``StatefulDataLoader`` of such batches, or of the batches without workers, of any rank.
+            The batch size may differ.
 
         Raises
         ------
         InputError
-            It is not such a state, or of another data set, seed or window.
+            It is not such a state, or belongs to another data set, seed or window.
         """
         states = list(_holding(_FORMAT, state_dict))
         if not states:
@@ -271,11 +269,11 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             self._current = {}
             self._next[1 + worker.id] = torch.tensor([*map(states[0].get, _POSITION), 0])
             return
-        # Where a loader asks its workers for their states now and then only, it counts the batches since.
+        # A loader that does not ask its workers for each batch counts the batches since.
         since = [each[_SINCE] for each in _holding(_SINCE, state_dict)]
         epoch, reached = self._reached(states, sum(since))
         if state_dict is not states[0] and not len(self._share(reached)):
-            epoch, reached = epoch + 1, 0  # a loader continues with the next epoch, too
+            epoch, reached = epoch + 1, 0  # as a loader does
         self._resumed = epoch, reached
         self._set(epoch, reached)
 
@@ -284,22 +282,21 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         return {_FORMAT: _VERSION, "order": self._order.fingerprint}
 
     def _planned(self, row: int) -> dict[str, int]:
-        """Return where the next pass of this process, or of the worker one below the row, begins."""
+        """Return the start of the next pass, of this process (row 0) or of worker row - 1."""
         return dict(zip(_POSITION, self._next[row, :3].tolist(), strict=True))
 
     def _division(self, worker: Any) -> dict[str, int]:
-        """Return among how many the items are divided."""
+        """Return the sizes by which items are divided."""
         workers = 0 if worker is None else worker.num_workers
         return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
 
     def _reached(self, states: Sequence[Mapping[str, Any]], further_batches: int) -> tuple[int, int]:
-        """Return epoch and number of items that all ranks have been given, by the states of all workers."""
+        """Return epoch and number of items that all ranks have received, from the states of all workers."""
         first = states[0]
         workers = max(first["workers"], 1)
         counts = [state["batches"] for state in states]
         batches = sum(counts)
-        # Workers take turns, the first ones first: other counts are of states that were taken at different
-        # times.
+        # Workers take turns in order, so other counts come from states of different times.
         in_turn = [batches // workers + (index < batches % workers) for index in range(workers)]
         if counts != in_turn or any(state["epoch"] != first["epoch"] for state in states):
             raise InputError(
@@ -324,7 +321,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
 
 def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
-    """Yield the mappings that hold a key, at any depth and in their order: loaders put ours into theirs."""
+    """Yield nested mappings with a key, in order: loaders nest our states in theirs."""
     if isinstance(found, Mapping):
         if key in found:
             yield found

@@ -13,10 +13,10 @@ _INT_LIMIT = 1 << 63
 
 
 def whole_number(value: object) -> int | None:
-    """Return the integer that a stored value means, as 3.0 means 3; None where it means none.
+    """Convert a stored value to an integer, such as 3.0 to 3; None if it is not an integer.
 
-    Other libraries store integers as floats where some are missing. Floats from 2**53 on are refused: they
-    may stand for several integers.
+    Other libraries store integers as floats if some are missing. Floats from 2**53 on are refused, because
+    they may represent several integers.
     """
     number: Any = value
     try:
@@ -28,7 +28,7 @@ def whole_number(value: object) -> int | None:
 
 
 def whole_numbers(values: AnyArray) -> Bool:
-    """Return which values mean integers, each as :func:`whole_number` decides."""
+    """Return which values are integers, as in :func:`whole_number`."""
     if values.dtype.kind in "bi":
         return np.ones(values.shape, bool)
     if values.dtype.kind == "u":

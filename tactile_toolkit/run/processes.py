@@ -94,14 +94,14 @@ class ProcessRunner:
         """Yield results as they finish; ToolkitError when one task's worker died ``attempts`` times."""
         waiting = deque((task, 1) for task in tasks)
         called = pickle.dumps(function)
-        hide_main = b"__main__" not in called + pickle.dumps(list(islice(waiting, 1)))
+        is_main_needless = b"__main__" not in called + pickle.dumps(list(islice(waiting, 1)))
         workers: dict[Connection, BaseProcess] = {}  # by our end of the pipe
         held: dict[Connection, tuple[T, int]] = {}  # the task of each worker, and which attempt it is
         answers: list[bytes] = []
         try:
             while True:
                 while len(workers) < min(self.workers, len(waiting) + len(held)):
-                    pipe, process = _start_worker(called, hide_main)
+                    pipe, process = _start_worker(called, is_main_needless)
                     workers[pipe] = process
                 for pipe in list(islice(workers.keys() - held.keys(), len(waiting))):
                     held[pipe] = waiting.popleft()
@@ -137,7 +137,7 @@ def runner_for(workers: int | Runner) -> Runner:
     return InlineRunner() if workers == 1 else ProcessRunner(workers)
 
 
-def _start_worker(function: bytes, hide_main: bool) -> tuple[Connection, BaseProcess]:
+def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:
     """Start a process, and return our end of its pipe, which also closes when either side dies."""
     # spawn: workers inherit no threads or file handles of the caller.
     if multiprocessing.current_process().daemon:
@@ -149,14 +149,14 @@ def _start_worker(function: bytes, hide_main: bool) -> tuple[Connection, BasePro
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
     process = context.Process(target=_work, args=(theirs, function), daemon=True)
-    with _main_hidden() if hide_main else contextlib.nullcontext():
+    with _without_main_module() if is_main_needless else contextlib.nullcontext():
         process.start()
     theirs.close()  # so that it closes with the worker
     return ours, process
 
 
 @contextlib.contextmanager
-def _main_hidden() -> Iterator[None]:
+def _without_main_module() -> Iterator[None]:
     """Start workers without running the caller's script again.
 
     Spawned processes import the main script. Without an ``if __name__ == "__main__"`` guard, or typed into an

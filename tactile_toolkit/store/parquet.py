@@ -22,8 +22,8 @@ from tactile_toolkit.store.files import readable
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
-# Stands before the CRC-32 of the footer that follows. Parquet has checksums of pages, none of the footer;
-# what lies between them is passed over by readers that do not know of it.
+# Precedes the CRC-32 of the footer that follows. Parquet has checksums of pages, but none of the footer;
+# readers skip bytes between the two.
 _FOOTER_MARK = b"TTFC"
 _TAIL_BYTES = 1 << 16
 _PAGE_BYTES = 1 << 20
@@ -36,14 +36,13 @@ _BUFFER_BYTES = 1 << 20
 class ParquetStyle:
     """How a kind of data set is laid out in Parquet.
 
-    Row groups stay well under 100 MB so that reading one row is cheap. Columns with an encoding of their own
-    (path, encoding) get neither a dictionary nor statistics.
+    Row groups stay well under 100 MB, so that reading one row is cheap. Columns with an entry in
+    ``encodings`` (path, encoding) get neither a dictionary nor statistics.
 
-    A page ends at 1 MiB; with ``values_per_page``, with the row in which it has so many values of its column,
-    if that is 32 KiB at least: a changed row then leaves the pages after its own as they were. With
-    ``chunks_by_content`` Arrow ends pages where the content requires it, eight rows apart or more: for rows
-    of some 100 kB at most, several of which differ in size. With ``page_index`` the file has an index of its
-    pages.
+    A page ends at 1 MiB. With ``values_per_page`` it ends with the row that completes this number of values,
+    once it has 32 KiB: then a changed row leaves later pages unchanged. With ``chunks_by_content`` Arrow ends
+    pages by their content, at least eight rows apart: for rows of at most about 100 kB that differ in size.
+    With ``page_index`` the file has an index of its pages.
     """
 
     rows_per_group: int
@@ -55,7 +54,8 @@ class ParquetStyle:
     page_index: bool = True
 
 
-REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)  # reports are small, and read whole
+# Reports are small, and read as a whole.
+REPORT_STYLE = ParquetStyle(rows_per_group=1 << 16, page_index=False)
 
 
 def encode_parquet(table: pa.Table, style: ParquetStyle) -> bytes:
@@ -66,9 +66,9 @@ def encode_parquet(table: pa.Table, style: ParquetStyle) -> bytes:
 
 
 def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: ParquetStyle) -> str:
-    """Write tables, one after another, as the bytes that :func:`encode_parquet` gives of all of them at once.
+    """Write tables, one after another, as the bytes of :func:`encode_parquet` for all of them together.
 
-    Only a row group is held at a time. Returns the SHA-256 of what was written.
+    Only one row group is in memory at a time. Returns the SHA-256 of the bytes.
     """
     digest = hashlib.sha256()
 
@@ -83,7 +83,7 @@ def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: Parquet
 
 
 def _whole_groups(tables: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
-    """Yield tables of so many rows each, the last of fewer."""
+    """Yield tables of this number of rows, the last of fewer."""
     held: list[pa.Table] = []
     for table in tables:
         held.append(table)
@@ -122,13 +122,13 @@ def _write(
 
 
 class _Sink(io.RawIOBase):
-    """Passes on what is written, and puts the checksum of the footer before the footer."""
+    """A stream that inserts the checksum of the footer before the footer."""
 
     def __init__(self, write: Callable[[bytes], object]) -> None:
         super().__init__()
         self._write = write
         self.tail: bytearray | None = None
-        """Keeps back what is written, once it is there: the footer."""
+        """Holds back what is written, if set: the footer."""
 
     def writable(self) -> bool:
         return True
@@ -141,7 +141,7 @@ class _Sink(io.RawIOBase):
         return len(content)
 
     def finish(self) -> None:
-        """Write what was kept back."""
+        """Write the footer that was held back."""
         tail = bytes(self.tail or b"")
         start = len(tail) - _TAIL.size - _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0]
         checksum = _FOOTER_CHECKSUM.pack(_FOOTER_MARK, zlib.crc32(memoryview(tail)[start : -_TAIL.size]))
@@ -152,12 +152,12 @@ class _Sink(io.RawIOBase):
 def named_damage(address: str) -> Iterator[None]:
     """Turn Arrow's errors about a Parquet file into an IntegrityError that names it.
 
-    Raises InputError where the file cannot be read for another reason than its content.
+    Raises InputError if the file cannot be read for another reason than its content.
     """
     try:
         with readable(address):
             yield
-    except GeneratorExit:  # a pass left in its middle, maybe at exit, when Arrow's names are gone
+    except GeneratorExit:  # an unfinished iteration, perhaps at exit, when Arrow's names are gone
         raise
     except FileNotFoundError as error:
         raise IntegrityError(
@@ -175,16 +175,16 @@ def open_parquet(folder: DataFolder, path: str) -> pq.ParquetFile:
 
 
 def open_checked(source: str | IO[bytes], metadata: pq.FileMetaData | None = None) -> pq.ParquetFile:
-    """Open a Parquet file, by its path or as a stream, so that what was damaged is refused when it is read.
+    """Open a Parquet file, by its path or as a stream, so that reading compares checksums.
 
-    A flipped bit may unpack to other numbers without a word. ``metadata`` is the footer where it was read
-    and checked before. Raises pyarrow.ArrowInvalid for a footer that
-    does not match its checksum; reading pages that do not match theirs raises OSError.
+    Otherwise a flipped bit may unpack to other numbers silently. ``metadata`` is the footer, if it was read
+    and checked before. Raises pyarrow.ArrowInvalid for a footer that does not match its checksum; reading
+    pages that do not match theirs raises OSError.
     """
     if metadata is None:
         _require_checked_footer(source)
-    # Not mapped: a file that is cut while it is read would end the process. Buffering ahead starts a thread
-    # of Arrow's, which aborts about 1 % of interpreters at their end.
+    # No memory map: truncating the file while it is read would end the process. Pre-buffering starts a thread
+    # of Arrow, which aborts about 1 % of interpreters at exit.
     return pq.ParquetFile(
         source,
         metadata=metadata,
@@ -197,7 +197,7 @@ def open_checked(source: str | IO[bytes], metadata: pq.FileMetaData | None = Non
 def _require_checked_footer(source: str | IO[bytes]) -> None:
     with Path(source).open("rb") if isinstance(source, str) else contextlib.nullcontext(source) as stream:
         size = stream.seek(0, io.SEEK_END)
-        # One read: streams from afar fetch this much at least.
+        # One read: remote streams fetch at least this much.
         stream.seek(max(0, size - _TAIL_BYTES))
         tail = stream.read()
         length = _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0] if len(tail) > _TAIL.size else 0
@@ -224,12 +224,12 @@ def file_sha256(folder: DataFolder, path: str) -> str:
 
 
 def is_unchanged(folder: DataFolder, path: str, sha256: str) -> bool:
-    """Return whether there is a file with some content."""
+    """Return whether a file exists and has this checksum."""
     return folder.exists(path) and file_sha256(folder, path) == sha256
 
 
 def _paths(schema: pa.Schema) -> list[str]:
-    """Return the paths of a schema's columns in a file, by which pyarrow takes them."""
+    """Return the paths of a schema's columns in a Parquet file."""
     file = io.BytesIO()
     pq.write_table(schema.empty_table(), file)
     columns = pq.ParquetFile(file).schema

@@ -39,6 +39,49 @@ _LIMITS = {"connect_timeout": 5, "read_timeout": 20, "retries": {"total_max_atte
 # The client of each kind of store with buckets.
 _PACKAGES = {"s3": "s3fs", "gs": "gcsfs", "abfs": "adlfs", "az": "adlfs"}
 
+_CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
+_CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
+# Names of failures in stores and their clients; numbers are HTTP status codes.
+_TRANSIENT = re.compile(
+    "SlowDown|InternalError|Unavailable|RequestTimeout|Aborted|Throttling|Conflict|LimitExceeded|408|429|5.."
+)
+_CONNECTION = re.compile("Connect|Timeout|Incomplete|Payload|Streaming|HTTPClientError|ClientOSError")
+_NO_ANSWER = "NoAnswer"
+# The first matching pattern gives the message; it is searched in the status and the names of the exceptions.
+_SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
+    ("FileExpired", IntegrityError, "{address!r} was replaced while it was read", "run it again"),
+    (
+        "InvalidBucketName|NoSuchBucketName|ParamValidation",
+        InputError,
+        "{address!r} holds no name that a bucket or file can have",
+        "check it",
+    ),
+    (
+        # S3 answers 400 to a HEAD request; a client in an endless redirection raises a RecursionError.
+        "Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400",
+        RemoteError,
+        "{address!r} lies in another region ({code}), or the credentials have expired",
+        "set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL if you set it, and renew "
+        "the credentials",
+    ),
+    (
+        "Credential|Profile|Token|Expired|Auth|Access|Signature|Denied|Permission|Skewed|40[13]|Refresh",
+        RemoteError,
+        "{doing} {address!r} is refused ({code}: {answer})",
+        "give credentials that may do that and have not expired, as the store's own tools take them (for S3: "
+        "AWS_PROFILE, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or `aws configure`), and check the clock "
+        "of this machine",
+    ),
+    (
+        _NO_ANSWER,
+        RemoteError,
+        "the store of {address!r} gives no answer ({answer}); finished files stay",
+        "check the network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the same command "
+        "again",
+    ),
+    ("", RemoteError, "{doing} {address!r} failed: {code}: {answer}; finished files stay", "run it again"),
+)
+
 T = TypeVar("T")
 
 
@@ -209,50 +252,6 @@ class _Stream(io.BufferedIOBase):
     def close(self) -> None:
         self._stream.close()
         super().close()
-
-
-_CLIENTS = {"botocore", "aiobotocore", "aiohttp", "gcsfs", "google", "huggingface_hub", "httpx", "httpcore"}
-_CLIENTS |= {"requests", "urllib3", "s3fs", "azure", "adlfs", "fsspec", "httpx2", "httpcore2"}
-# Names of failures in stores and their clients; numbers are HTTP status codes.
-_TRANSIENT = re.compile(
-    "SlowDown|InternalError|Unavailable|RequestTimeout|Aborted|Throttling|Conflict|LimitExceeded|408|429|5.."
-)
-_CONNECTION = re.compile("Connect|Timeout|Incomplete|Payload|Streaming|HTTPClientError|ClientOSError")
-_NO_ANSWER = "NoAnswer"
-# The first matching pattern gives the message; it is searched in the status and the names of the exceptions.
-_SENTENCES: tuple[tuple[str, type[ToolkitError], str, str], ...] = (
-    ("FileExpired", IntegrityError, "{address!r} was replaced while it was read", "run it again"),
-    (
-        "InvalidBucketName|NoSuchBucketName|ParamValidation",
-        InputError,
-        "{address!r} holds no name that a bucket or file can have",
-        "check it",
-    ),
-    (
-        # S3 answers 400 to a HEAD request; a client in an endless redirection raises a RecursionError.
-        "Redirect|AuthorizationHeader|LocationConstraint|RecursionError|301|307|400",
-        RemoteError,
-        "{address!r} lies in another region ({code}), or the credentials have expired",
-        "set AWS_DEFAULT_REGION to the region of the bucket, check AWS_ENDPOINT_URL if you set it, and renew "
-        "the credentials",
-    ),
-    (
-        "Credential|Profile|Token|Expired|Auth|Access|Signature|Denied|Permission|Skewed|40[13]|Refresh",
-        RemoteError,
-        "{doing} {address!r} is refused ({code}: {answer})",
-        "give credentials that may do that and have not expired, as the store's own tools take them (for S3: "
-        "AWS_PROFILE, AWS_ACCESS_KEY_ID and AWS_SECRET_ACCESS_KEY, or `aws configure`), and check the clock "
-        "of this machine",
-    ),
-    (
-        _NO_ANSWER,
-        RemoteError,
-        "the store of {address!r} gives no answer ({answer}); finished files stay",
-        "check the network and the address of the store (for S3: AWS_ENDPOINT_URL), and run the same command "
-        "again",
-    ),
-    ("", RemoteError, "{doing} {address!r} failed: {code}: {answer}; finished files stay", "run it again"),
-)
 
 
 def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | None:

@@ -1,4 +1,4 @@
-"""Reports: one row of facts for each row of the shards, merged into one file."""
+"""Reports: a table with a row of facts for each row of the shards, merged into one file."""
 
 from __future__ import annotations
 
@@ -45,9 +45,9 @@ def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = N
 def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | None:
     """Write one report over all shards of the manifest and return its checksum; None where none has rows.
 
-    Rows of shards finished in an earlier run come from the report that run wrote; the order is always that
-    of the manifest, so the bytes do not depend on the order of the work. Where that report is of the same
-    shards it stays as it is. Raises IntegrityError where rows are missing.
+    Rows of shards from an earlier run are copied from its report. The order is that of the manifest, so the
+    bytes do not depend on the order of the work. A report of the same shards is not rewritten. Raises
+    IntegrityError if rows are missing.
     """
     records = [record for record in manifest.shards if record.report_sha256]
     if not records:
@@ -59,7 +59,7 @@ def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | No
         return known
 
     def write(stream: IO[bytes]) -> str:
-        # What is read is let go before the new file takes its place.
+        # The old file is closed before the new one replaces it.
         with contextlib.closing(_stored_rows(folder, path)) as stored:
             return stream_parquet(stream, _tables(folder, records, pending, stored), REPORT_STYLE)
 
@@ -77,12 +77,12 @@ def _tables(
     pending: Collection[ShardName],
     stored: Iterator[tuple[str, pa.Table]],
 ) -> Iterator[pa.Table]:
-    """Yield the report rows of each of these shards, in their order, which is that of the stored ones."""
+    """Yield the report rows of each of these shards, in order."""
     contents = folder.read_many([each.shard.report_path for each in records if each.shard in pending])
     for record in records:
         content = next(contents) if record.shard in pending else None
         table = None
-        # It is removed where another run of the same ends at this moment, which has merged it.
+        # It may be gone: another run of the same job has just merged it.
         if content is not None and sha256_hex(content) == record.report_sha256:
             with contextlib.suppress(IntegrityError), named_damage(record.shard.report_path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
@@ -98,7 +98,7 @@ def _tables(
 
 
 def _stored_rows(folder: DataFolder, path: str) -> Generator[tuple[str, pa.Table], None, None]:
-    """Yield the shards of a report that a run has merged, each with its rows, which are contiguous."""
+    """Yield the name of each shard in a merged report with its rows, which are contiguous."""
     last = ""
     held: list[pa.Table] = []
     for piece in report_pieces(folder, path):

@@ -1,4 +1,4 @@
-"""Checking a data set folder against its manifest, or against the commit that it was downloaded from."""
+"""Checking a data set folder against its manifest, or against the commit of its download."""
 
 from __future__ import annotations
 
@@ -30,14 +30,12 @@ from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import named_damage, open_checked
 from tactile_toolkit.store.pending import manifest_so_far
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
+from tactile_toolkit.wording import with_count
 
 
 @dataclass(frozen=True, slots=True)
 class Verification:
-    """How much was checked, and all that is wrong; ``reference`` is what the folder was compared with.
-
-    The reference is the manifest, or a commit of the Hub.
-    """
+    """What was checked, and all findings; ``reference`` is the manifest or the commit of the Hub."""
 
     files: int
     rows: int
@@ -47,7 +45,7 @@ class Verification:
 
     @property
     def ok(self) -> bool:
-        """Whether nothing is wrong."""
+        """Whether there are no findings."""
         return not self.findings
 
 
@@ -61,29 +59,28 @@ def verify(
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
 
-    A folder without a manifest that was downloaded, such as a copy of a published data set, is compared with
-    the sizes and checksums that the Hub gave for its files. Of an unfinished set, all finished shards are
-    checked.
+    A downloaded folder without a manifest, such as a copy of a published data set, is compared with the sizes
+    and checksums from the Hub. In an unfinished set, all finished shards are checked.
 
     Parameters
     ----------
     folder : DataFolder
         Folder of a finished data set.
     schema : pyarrow.Schema, optional
-        Schema that every shard must have; not asked of copies of other people's data sets.
+        Schema that every shard must have; not required of data sets of others.
     on_file : callable
         Called with each path before it is read.
     check_card : callable, optional
         Compares the data card with the data, such as :func:`tactile_toolkit.cards.check_card`.
     workers : int
-        Number of threads that read and hash; what is found does not depend on it.
+        Number of threads that read and hash; the findings do not depend on it.
 
     Raises
     ------
     InputError
-        When the folder holds no manifest and was not downloaded.
+        The folder has no manifest and was not downloaded.
     IntegrityError
-        When the manifest, or the record of the download, is itself damaged.
+        The manifest, or the record of the download, is damaged.
     """
     manifest = manifest_so_far(folder)
     shards: dict[str, ShardRecord] = {}
@@ -102,9 +99,9 @@ def verify(
     check = partial(_check_file, folder, schema, shards)
     checked = dict(zip(files, run.in_threads(check, announced(), workers), strict=True))
     findings += [finding for found in checked.values() for finding in found.findings]
-    # Ids of other people's data sets are their own, and may be the same in several splits.
+    # Data sets of others may have the same ids in several splits.
     findings += _repeated_ids({path: checked[path].ids for path in shards})
-    # A damaged set is not compared with its card; cards of others are theirs.
+    # A damaged set is not compared with its card, and a data set of others has no card of ours.
     if check_card is not None and manifest is not None and not findings:
         findings += check_card(folder)
     rows = sum(each.rows for path, each in checked.items() if path in (shards or files))
@@ -136,7 +133,7 @@ def _downloaded_files(folder: DataFolder) -> tuple[dict[str, HubFile], list[Find
 
 
 class _Checked(NamedTuple):
-    """What is wrong with a file, its rows, and of a shard its ids, an Arrow array (None: unreadable)."""
+    """Findings about a file, its number of rows, and the ids of a shard (None: unreadable)."""
 
     findings: list[Finding]
     rows: int = 0
@@ -146,7 +143,7 @@ class _Checked(NamedTuple):
 def _check_file(
     folder: DataFolder, schema: pa.Schema | None, shards: Mapping[str, ShardRecord], file: HubFile
 ) -> _Checked:
-    """Check one file against what is known of it, and a shard of ours against its record and the schema."""
+    """Check the content of a file, and a shard also against its record and the schema."""
     path, address = file.path, folder.address(file.path)
     record, ids, findings = shards.get(path), None, list[Finding]()
     try:
@@ -166,7 +163,7 @@ def _check_file(
         return _Checked([Finding(path, error.what)], 0 if record is None else record.rows)
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
-    # Compared by Arrow: how the element of a list is called does not count.
+    # Arrow ignores the names of list elements.
     if schema is not None and not stored.equals(schema):
         found, expected = (
             [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
@@ -178,10 +175,10 @@ def _check_file(
 
 
 def problem_of_place(folder: DataFolder, path: str) -> str:
-    """Say why a path of a folder is not one of its own files; empty where it is one.
+    """Return why a path is not a file of the folder itself; empty if it is.
 
-    A link may lead to another file of the folder, and from a snapshot of the Hub's cache to its contents.
-    Other files are not read: the folder may be any user's.
+    A link may lead to another file of the folder, or from a snapshot of the Hub's cache to its contents. No
+    other file is read, because the folder may come from anyone.
     """
     if not folder.exists(path):
         return "is missing"
@@ -195,8 +192,8 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
 
 
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
-    """Find shards that are not in a manifest, and files that it does not list."""
-    if not manifest.complete:  # there may be shards that a run is about to record
+    """Find shards that a manifest lacks, and files that it does not list."""
+    if not manifest.complete:  # a run may be about to record further shards
         return [Finding(MANIFEST_FILE, _not_finished(folder, manifest))]
     findings = []
     for split in manifest.splits:
@@ -204,13 +201,13 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
         missing = set(range(shards[0].count)) - {shard.index for shard in shards}
         if missing:
             findings.append(Finding(MANIFEST_FILE, f"split {split!r} has no shards {sorted(missing)}"))
-    # A run may be at work on a split of which nothing is listed.
+    # A run may be at work on a split that is not listed.
     others = set(manifest.split_order) - set(manifest.splits)
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
 
 
 def require_finished(folder: DataFolder) -> None:
-    """Raise UnfinishedError where the run that makes a data set is under way or was interrupted."""
+    """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
     manifest = manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         raise UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
@@ -226,7 +223,7 @@ def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
 def _unlisted(
     folder: DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
 ) -> list[Finding]:
-    """Find files among the shards that are not listed, but for those of other splits and temporary ones."""
+    """Find files in the data folder that are not listed, except those of other splits and hidden ones."""
     findings = []
     for name in folder.names(DATA_FOLDER):
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
@@ -238,11 +235,11 @@ def _unlisted(
 
 @contextlib.contextmanager
 def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
-    """Open a file that has this digest or size; IntegrityError states the problem of any other."""
+    """Open a file with this digest or size; IntegrityError states the problem of any other."""
     problem = problem_of_place(folder, file.path)
     if problem:
         raise IntegrityError(problem)
-    # One of a store is brought here whole, because it is gone through twice.
+    # A file of a store is fetched as a whole, because it is read twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
         found = None if file.digest is None else digest_like(stream, file.digest)
         if found != file.digest:
@@ -254,7 +251,7 @@ def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
 
 
 def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
-    """Yield a finding for each shard in which an id stands twice, or again after an earlier shard."""
+    """Yield a finding for each shard with a duplicate id, or an id of an earlier shard."""
     readable = {path: each for path, each in ids.items() if each is not None}
     suspects: set[object] = set()
     for kind in {array.type for array in readable.values()}:
@@ -267,6 +264,6 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:
             first = first_files.get(repeated[0], path)
-            problem = f"is not unique, it also stands in {first} ({len(repeated)} such ids)"
+            problem = f"is not unique, it is also in {first} ({with_count(len(repeated), 'such ids')})"
             yield Finding(path, f"id {repeated[0]!r} {problem}")
         first_files.update(dict.fromkeys(held, path))

@@ -1,8 +1,4 @@
-"""Records of touches: their published schema and rows, and the codecs of their images and clips.
-
-``schema`` names and types the columns, ``rows`` packs arrays into them and takes touches out of them,
-``jpeg`` decodes and encodes images, ``avi`` finds the frames of a clip and writes one.
-"""
+"""Touches, for all packages that make or read them: schema, contact heights, images."""
 
 from lazy_loader import attach_stub
 

@@ -1,6 +1,7 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .contact import (
+    CELL_M as CELL_M,
     PRESS_DEPTH_M as PRESS_DEPTH_M,
     RENDERED_CONTACT_M as RENDERED_CONTACT_M,
     contact_height_option as contact_height_option,

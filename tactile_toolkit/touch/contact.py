@@ -1,4 +1,4 @@
-"""From which height above the plate on a touch counts as one of an object; options that commands share."""
+"""The cell and the plate, contact heights, and options that commands share."""
 
 from __future__ import annotations
 
@@ -8,24 +8,27 @@ from tactile_toolkit.checked_fields import real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import is_count
 
+CELL_M = (0.12, 0.12)
+"""Size of the cell in which objects are touched, along x and y, metres (package tactile-mnist 0.13.0)."""
+
 PRESS_DEPTH_M = 0.002125
-"""How far the highest point under the gel is pressed into it where touches are rendered, metres (package
-tactile-mnist 0.13.0): the height of a sensor that stops on the bare plate."""
+"""Depth to which the highest point under the gel is pressed into it in rendered touches, metres (package
+tactile-mnist 0.13.0); the height of a sensor that stops on the bare plate."""
 
 RENDERED_CONTACT_M = 1e-6
-"""Any height above the plate is one of an object where touches are rendered; a micrometre is for rounding."""
+"""Contact height of rendered touches, metres: any height above the plate, with a micrometre for rounding."""
 
 
 def height_text(min_height_m: float) -> str:
-    """Write from which height on, metres, a touch counts: "the gel stopped 6 mm or more above the plate"."""
+    """Describe a contact height, metres: "the gel stopped 6 mm or more above the plate"."""
     height = f"{1e3 * min_height_m:.4g} mm or more " if min_height_m > RENDERED_CONTACT_M else ""
     return f"the gel stopped {height}above the plate"
 
 
 def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False) -> list[str]:
-    """Write for a card how many touches met no object; nothing where all met one.
+    """Return lines for a card on touches without an object; empty if all met one.
 
-    Where the height of the plate is an estimate, so is their number.
+    Their number is an estimate if the height of the plate is one.
     """
     if missed is None:
         return [
@@ -42,7 +45,7 @@ def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False)
 
 
 def size_option(default: Any, shown: str = "") -> Any:
-    """Declare the size of pictures, width and height in pixels; ``shown`` is the default in words."""
+    """Declare the option of the size of images, in pixels; ``shown`` is the default in help texts."""
     return text(
         default,
         name="--size",
@@ -61,7 +64,7 @@ def _size(words: str) -> tuple[int, int]:
 
 
 def contact_height_option(**option: Any) -> Any:
-    """Declare the height from which a touch counts as contact; other bounds and spellings as of ``real``."""
+    """Declare the option of the contact height; further arguments are those of ``real``."""
     return real(
         None,
         optional=True,

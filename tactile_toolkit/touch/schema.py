@@ -1,4 +1,4 @@
-"""The published schema of touches: its columns and types, and rows packed from arrays and taken apart."""
+"""Columns and types that all sets of touches share, as in the published schema."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from tactile_toolkit import read
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
-"""The column that makes a data set one of clips or one of images."""
+"""Column of clips or images, by which the kind of a data set is recognised."""
 
 MEDIA_TYPE = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
-"""Arrow type of an image or clip: its bytes, and the name it once had."""
+"""Arrow type of an image or clip: its bytes and its original file name."""
 
 CLASS_NAMES = tuple(str(digit) for digit in range(10))
 
@@ -22,7 +22,7 @@ CLASS_NAMES = tuple(str(digit) for digit in range(10))
 def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Schema:
     """Add the metadata from which `datasets` reads the features: classes, images, numbers.
 
-    Without ``label_names`` a class is a plain number; an empty list states that there are no classes.
+    Without ``label_names``, the class is a plain number; an empty list means that there are no classes.
     """
     features = {field.name: _feature(field.name, field.type, label_names) for field in schema}
     return schema.with_metadata(read.feature_metadata(features))
@@ -34,7 +34,7 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | Non
     if read.list_depth(data_type)[0]:
         length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1
         inner = _feature(name, data_type.value_type, label_names)
-        # "Sequence" is the spelling that both old and new releases of `datasets` read as a list.
+        # Both old and new releases of `datasets` read "Sequence" as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}
     if name in MEDIA_COLUMN.values() or data_type == MEDIA_TYPE:
         return {"_type": "Video" if name == MEDIA_COLUMN["seq"] else "Image"}

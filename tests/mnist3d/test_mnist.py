@@ -20,6 +20,9 @@ from mnist3d.sources.mnist import MnistSource, download_mnist
 from tactile_toolkit.errors import HubError, ItemError, MissingExtraError
 from tests.mnist3d.mnist_files import PREFIXES, bars, idx, name_of, write
 from tests.mnist3d.sources import refusal
+from tests.real_input import SHARED, needs_shared
+
+CASES = SHARED / "cases" / "solid"
 
 
 @pytest.mark.parametrize("end", ["", ".gz"])
@@ -142,6 +145,13 @@ class TestRefusals:
         write(tmp_path)
         (tmp_path / name_of("test", "labels")).write_bytes(b"")
         assert "expected an intact IDX file" in refusal(MnistSource(str(tmp_path)))
+
+    def test_shorter_than_its_header(self, tmp_path: Path) -> None:
+        write(tmp_path)
+        images, labels = (tmp_path / name_of("test", kind) for kind in ("images", "labels"))
+        images.write_bytes(labels.read_bytes()[:12])
+        message = refusal(MnistSource(str(tmp_path)))
+        assert f"{images}: found a file that cannot be read (damaged or cut off)" in message
 
     @pytest.mark.parametrize("kept", [5, 40, -4])
     def test_gzip_cut_off(self, tmp_path: Path, kept: int) -> None:
@@ -325,3 +335,21 @@ class TestDownload:
         with pytest.raises(HubError, match=r"to .*file \(.*Not a directory.* and a folder with 70 MB"):
             download_mnist(str(tmp_path / "file"))
         assert mirror.is_dir()
+
+
+@needs_shared
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("x01_emnist", "found ['emnist-digits-train-images-idx3-ubyte.gz', "),
+        ("x04_letters", "found label 12 in row 0, expected digits from 0 to 9"),
+        ("x02_unpacked_gz", ""),
+    ],
+)
+def test_files_of_public_reports(name: str, words: str) -> None:
+    """EMNIST is transposed and has letters; torchvision unpacks files, or names those that are not packed."""
+    source = MnistSource(str(CASES / name))
+    if words:
+        assert words in refusal(source)
+    else:
+        assert len(source.catalog().ids) == 4

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import math
 import pickle
 import re
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import partial
 from typing import Any
 
@@ -282,7 +283,7 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     for row, column in np.ndindex(5, 5):
         mask &= ~disc(6, 40 + 30 * row, 40 + 30 * column)[:200, :200]
     mask = np.pad(mask, 30)
-    pattern = r"needs ([\d,]+) vertices to keep its 1 bodies and 25 holes.* ask for ([\d,]+) "
+    pattern = r"needs ([\d,]+) vertices to keep its topology .bodies: 1, holes: 25.* ask for ([\d,]+) "
     with pytest.raises(ItemError, match=pattern) as refused:
         solidify(drawn(mask), SolidSpec(target_vertices=100), method=method)
     assert refused.value.reason == "vertex-budget"
@@ -365,7 +366,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(
 
 def test_a_specification_survives_a_manifest_and_a_process_border() -> None:
     spec = SolidSpec(profile="linear", threshold=90, lattice_pitch_mm=0.7)
-    assert SolidSpec.from_dict(spec.to_dict()) == spec
+    assert SolidSpec(**json.loads(json.dumps(asdict(spec)))) == spec
     assert pickle.loads(pickle.dumps(spec)) == spec
 
 
@@ -392,9 +393,7 @@ def test_numbers_that_describe_no_solid_are_refused_by_name(wrong: dict[str, Any
         replace(SolidSpec(), **wrong)
 
 
-def test_unknown_fields_and_methods_are_refused() -> None:
-    with pytest.raises(InputError, match="colour"):
-        SolidSpec.from_dict({"colour": "red"})
+def test_unknown_methods_are_refused() -> None:
     with pytest.raises(InputError, match="quick"):
         solidify(six(), SolidSpec(), method="quick")
 

@@ -266,6 +266,14 @@ def test_a_chunk_unpacks_to_its_size_and_no_further(tmp_path: Path) -> None:
     refused(tmp_path / "bomb.zarr.zip", "not an intact zip")
 
 
+def test_a_zip_around_the_folder_of_a_group_is_named(tmp_path: Path) -> None:
+    home = unzipped(write_zip(tmp_path / "b.zarr.zip"))
+    with zipfile.ZipFile(tmp_path / "outer.zip", "w") as archive:
+        for path in home.rglob("*"):
+            archive.write(path, f"b.zarr/{path.relative_to(home)}")
+    refused(tmp_path / "outer.zip", "no arrays in its group 'data'.*what is inside of the group's folder")
+
+
 @pytest.mark.parametrize("codec", ["lz4", "blosc", "zstd", "gzip"])
 def test_a_chunk_that_unpacks_to_less_than_it_states_is_damaged(codec: str, tmp_path: Path) -> None:
     """What a buffer held before would else be stored as pixels."""

@@ -19,7 +19,7 @@ import realtouch
 from realtouch.convert import shard_tasks
 from realtouch.exchange import flat, lerobot
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.run import InlineRunner, Part
+from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
@@ -142,8 +142,7 @@ def test_parts_kills_and_damage_end_in_the_same_bytes(
     # Starting workers takes longer than their work: one layout shows that their number changes no byte.
     realtouch.export(single_folder, whole, layout, split="train", workers=2 if layout == "lerobot" else 1)
     for number in (1, 0):
-        runner = Part(number, 2, InlineRunner())
-        realtouch.export(single_folder, parts, layout, split="train", workers=runner)
+        realtouch.export(single_folder, parts, layout, split="train", part=Part(number, 2))
     realtouch.export(single_folder, parts, layout, split="train", finish=True)
     assert folder_bytes(parts) == folder_bytes(whole)
     foreign = [

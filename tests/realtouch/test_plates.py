@@ -40,9 +40,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     assert "`plate_z_m`" in card
     assert "do not count" not in card
     items = [item for task in plan_gallery(str(tmp_path / "some")).tasks for item in task.make()]
-    assert [(item.measures["in_contact"], item.facets["contact"]) for item in items] == [
-        (4, ("all touches",))
-    ] * 4
+    assert [(item.values["in_contact"], item.values["contact"]) for item in items] == [(4, "all touches")] * 4
     # Above the plate that is no more, the deepest of those that are left is in contact, too.
     assert (draw_grid(after[0], 4) == CONTACT).all(axis=2).any()
     assert realtouch.verify(tmp_path / "some").ok

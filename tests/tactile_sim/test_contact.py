@@ -104,7 +104,7 @@ def test_pictures_and_galleries_frame_them(touches):
         framed = (draw_grid(record, 12) == CONTACT).all(axis=2).any()
         assert framed == of_round.any()
     items = [item for task in plan_gallery(str(touches)).tasks for item in task.make()]
-    assert [item.measures["in_contact"] for item in items] == met.sum(axis=1).tolist()
+    assert [item.values["in_contact"] for item in items] == met.sum(axis=1).tolist()
     for item, of_round in zip(items, met, strict=True):
         listed = item.content["touches"]["list"]
         assert [entry["contact"] for entry in listed] == of_round.tolist()

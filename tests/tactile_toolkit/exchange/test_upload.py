@@ -209,7 +209,7 @@ def test_a_picture_that_stays_behind_is_named(server, folder):
     card = folder / "README.md"
     before = card.read_text()
     card.write_text(before + "\n![mine](pictures/mine.png)\n")
-    with pytest.raises(IntegrityError, match=r"pictures/mine.png is shown by README.md and is not part"):
+    with pytest.raises(IntegrityError, match=r"pictures/mine.png is shown by README.md and is not uploaded"):
         upload(folder)
     assert server.repositories == {}
     card.write_text(before + "\n![ours](./previews/scenes.png)\n")

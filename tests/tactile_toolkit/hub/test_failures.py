@@ -72,9 +72,7 @@ def test_not_found_private_and_not_logged_in(server, tmp_path):
     for name in ("someone/hidden", "someone/nothing"):
         for token in (None, server.account("else")):
             text = said(server, tmp_path, reading(name), repo=name, token=token)
-            assert text.startswith(
-                f"4 HubError Hub data set {name!r} was not found, or is private and not for"
-            )
+            assert text.startswith(f"4 HubError Hub data set {name!r} was not found, or is private;")
             assert "hf auth login" in text
 
 

@@ -154,6 +154,7 @@ DAMAGED = {
     "page.stl": (b"<html>not found</html>\n" * 9, "begins with '<html>not found</html>'"),
     "short.obj": (b"v 1 2\nf 1 1 1\n", "fewer than three coordinates"),
     "beyond.obj": (CUBE_OBJ.replace("f ", "f 99 ").encode(), "names vertex 98, counted from 0"),
+    "bare.obj": ((CUBE_OBJ + "f\n").encode(), "a face has 0 corners"),
     "zero.obj": (CUBE_OBJ.replace("f ", "f 0 ").encode(), "a face names vertex 0 of 8 so far"),
     "underscore.obj": (CUBE_OBJ.replace("f 2 ", "f 0_2 ").encode(), "'0_2' is not a number"),
     "huge.obj": (CUBE_OBJ.replace("f ", f"f {10**30} ").encode(), "faces name vertices 1 to 1000000"),

@@ -13,7 +13,7 @@ import trimesh
 import mnist3d
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, read_mesh
 from tactile_toolkit.printing import Physics, PlateSpec, arrange, export_files, write_plates
 from tests.tactile_toolkit.printing.solids import box, ell, named, open_box, ring
 from tests.tactile_toolkit.toy import folder_bytes
@@ -162,3 +162,14 @@ def test_urdf_files_keep_the_paths_of_their_meshes(tmp_path: Path):
     assert root.find("mujoco/compiler").attrib == {"strippath": "false"}
     mujoco = pytest.importorskip("mujoco", reason="needs mujoco, of the extra simulators")
     assert mujoco.MjModel.from_xml_path(str(tmp_path / made.file)).nmesh > 0
+
+
+def test_meshes_of_urdf_are_asked_for_their_unit(tmp_path: Path):
+    """URDF is in metres, and OBJ states no unit: parts read in mm are a thousand times too small."""
+    solid = ell(40, 12)
+    export_files(named([solid]), str(tmp_path), "urdf")
+    (visual,) = tmp_path.rglob("visual.obj")
+    with pytest.raises(InputError, match=r"probably in m; next: give --unit m "):
+        read_mesh(visual)
+    found = read_mesh(visual, unit="m")
+    assert np.ptp(found.bounds_m, axis=0) == pytest.approx(np.ptp(solid.bounds_m, axis=0), rel=1e-6)

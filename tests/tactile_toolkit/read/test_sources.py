@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import pickle
 
-import numpy as np
 import pytest
 
 import starstruck_gen
-from realtouch.touch_dataset import TouchSingleDataset
 from starstruck_gen.scenes_on_the_fly import MadeScenes
-from tactile_toolkit.read import ChosenGroups, Row, RowSource, Shard, ShardedTable, all_blocks
+from tactile_toolkit.read import Row, RowSource, Shard, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
 
@@ -27,10 +25,10 @@ def shard(tmp_path_factory: pytest.TempPathFactory) -> Shard:
 def source_of(kind: str, shard: Shard) -> RowSource:
     if kind == "made":
         return MadeScenes(starstruck_gen.SceneSpec(), "train", 5, 3)
-    return shard if kind == "file" else ChosenGroups(shard, [0, 2])
+    return shard
 
 
-@pytest.mark.parametrize("kind", ["file", "chosen", "made"])
+@pytest.mark.parametrize("kind", ["file", "made"])
 def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> None:
     source = source_of(kind, shard)
     copy: RowSource = pickle.loads(pickle.dumps(source))
@@ -45,18 +43,3 @@ def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> N
     assert source.column("id").to_pylist() == [row.value("id") for row in in_blocks]
     assert (copy.identity, copy.set_name, copy.origin) == (source.identity, source.set_name, source.origin)
     assert in_blocks[0].group.table.schema.equals(source.schema)
-
-
-def test_chosen_row_groups_are_rows_of_the_file(shard: Shard) -> None:
-    whole, chosen = (
-        TouchSingleDataset(ShardedTable((each,))) for each in (shard, ChosenGroups(shard, [0, 2]))
-    )
-    assert chosen.ids.tolist() == whole.ids[[0, 1, 4, 5]].tolist()
-    assert [each._row.number for each in chosen] == [0, 1, 4, 5]
-    assert chosen.identity != whole.identity
-    assert len(chosen.touches()) == 8
-    assert chosen._row_groups(np.array([3])) == [(chosen._table.shards[0], 1)]
-    assert all(chosen._table.shards[0].unpack(index) for index in range(2))
-    images = {record._row.number: record.sensor_image[0] for _, record in chosen.rounds_without_media()}
-    assert list(images) == [0, 1, 4, 5]
-    assert all(np.array_equal(image, whole[row].sensor_image[0]) for row, image in images.items())

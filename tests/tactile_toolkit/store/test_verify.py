@@ -81,11 +81,11 @@ NO_ID = "holds no column 'id' of one value for each row"
         (lambda table: table.slice(1), ["has 4 rows, expected 5"]),
         (
             with_ids(pa.array([10, 11, 12, 13, 11])),
-            ["id 11 is not unique, it also stands in {} (1 such ids)"],
+            ["id 11 is not unique, it is also in {} (1 such id)"],
         ),
         (
             with_ids(pa.array([0, 11, 4, 12, 1])),
-            ["id 0 is not unique, it also stands in {first} (3 such ids)"],
+            ["id 0 is not unique, it is also in {first} (3 such ids)"],
         ),
         (
             with_ids(pa.array([[1]] * 5)),

@@ -1,4 +1,4 @@
-"""Relief and oblique views of meshes, with equal pixels on all machines."""
+"""Solids in oblique views, with equal pixels on all machines."""
 
 from __future__ import annotations
 
@@ -12,16 +12,18 @@ from tactile_toolkit.arithmetic import cosine_sine, moved
 from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
 from tactile_toolkit.mesh import Mesh, highest_faces, joined
 from tactile_toolkit.pictures.lettering import PAPER, Colour
-from tactile_toolkit.pictures.picture_files import TILE_STYLE, figure_html
+from tactile_toolkit.pictures.relief_views import box_downsample
+from tactile_toolkit.pictures.vectors import face_normals, unit_vectors
 
-_PITCH_M = 0.0002
-_TILE_PX = 96
-_MOST_PX = 4096  # largest side of a relief
+# Pictures are drawn larger by this factor and averaged, for smooth edges.
+_SAMPLING = 2
 
-# Direction of the light of reliefs: right, up and out of the picture.
-_LIGHT = np.array([-0.45, 0.55, 0.70])
+# Direction (right, up, towards the viewer) and strength of the lights, and reflection of bodies.
+_LIGHTS = (((-0.5, 0.75, 0.9), 0.88), ((0.9, 0.1, 0.6), 0.30))
+_AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
 
-_DARKEST, _RANGE = 60, 180
+# Triangles with a larger angle between them meet at a visible edge.
+_COS_SHARP = math.cos(math.radians(40.0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,52 +51,6 @@ OBLIQUE = View(-25.0, 42.0)
 """View from the front, slightly left and far above: digits are readable and show their height."""
 
 
-def box_downsample(pixels: UInt8, factor: int) -> UInt8:
-    """Reduce a picture, (H, W) or (H, W, 3), by an integer factor; each pixel is a mean.
-
-    Sides that are not a multiple of ``factor`` are padded with white.
-    """
-    height, width = (-(-side // factor) for side in pixels.shape[:2])
-    padding = [(0, height * factor - pixels.shape[0]), (0, width * factor - pixels.shape[1])]
-    padded = np.pad(pixels, [*padding, *[(0, 0)] * (pixels.ndim - 2)], constant_values=255)
-    blocks = padded.reshape(height, factor, width, factor, *pixels.shape[2:])
-    sums = blocks.sum(axis=(1, 3), dtype=np.uint32)
-    return np.asarray((sums + factor * factor // 2) // (factor * factor), np.uint8)
-
-
-def relief(vertices_m: Floating, faces: Integers, pitch_m: float = _PITCH_M) -> UInt8:
-    """Draw a mesh from above in shaded relief, with pixels of ``pitch_m``, or larger ones for large meshes.
-
-    Returns levels of uint8, shape (H, W): 255 is empty paper; row 0 is the largest y.
-    """
-    vertices, faces = np.asarray(vertices_m, np.float64), np.asarray(faces)
-    low, high = vertices[:, :2].min(axis=0), vertices[:, :2].max(axis=0)
-    # A mesh in millimetres that is read in metres would have 10^10 pixels.
-    pitch_m = max(pitch_m, float((high - low).max()) / _MOST_PX)
-    # Four pixels of margin on each side, and one for the pixel of the last corner.
-    width, height = (np.ceil((high - low) / pitch_m).astype(int) + 9).tolist()
-    columns, rows = ((vertices[:, :2] - low) / pitch_m + 4).T
-    # Rows grow with y here, so that triangles keep their orientation; the picture is flipped at the end.
-    seen = highest_faces(np.stack([columns, rows, vertices[:, 2]]), faces, (height, width))
-    normals = _across(vertices, faces)
-    # Faces that point away are lit as if they did not, so that damaged meshes are visible.
-    normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
-    light = moved(_unit(normals), _LIGHT[:, None])[:, 0]
-    shades = np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
-    return np.append(shades, np.uint8(255))[seen[::-1]]
-
-
-def relief_tile_html(vertices_m: Floating, faces: Integers, caption: str) -> str:
-    """Return HTML for notebooks of a small relief and its caption, which is plain text."""
-    pitch_m = max(float(np.ptp(vertices_m[:, :2], axis=0).max()) / _TILE_PX, 1e-6)
-    return figure_html(relief(vertices_m, faces, pitch_m), caption, TILE_STYLE)
-
-
-def relief_of(mesh: Mesh, px_per_mm: float, smoothing: int = 3) -> UInt8:
-    """Draw a mesh as :func:`relief` does, with smooth edges. The margin is one to two pixels."""
-    return box_downsample(relief(mesh.vertices_m, mesh.faces, 1e-3 / (px_per_mm * smoothing)), smoothing)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DrawnBody:
     """A mesh to draw in a colour, red, green and blue; unshaded unless ``lit``."""
@@ -102,17 +58,6 @@ class DrawnBody:
     mesh: Mesh
     colour: Colour
     lit: bool = True
-
-
-# Pictures are drawn larger by this factor and averaged, for smooth edges.
-_SAMPLING = 2
-
-# Direction (right, up, towards the viewer) and strength of the lights, and reflection of bodies.
-_LIGHTS = (((-0.5, 0.75, 0.9), 0.88), ((0.9, 0.1, 0.6), 0.30))
-_AMBIENT, _DIFFUSE, _SPECULAR = 0.22, 0.78, 0.12
-
-# Triangles with a larger angle between them meet at a visible edge.
-_COS_SHARP = math.cos(math.radians(40.0))
 
 
 def draw_bodies(
@@ -147,21 +92,10 @@ def draw_bodies(
     return box_downsample(pixels, _SAMPLING)
 
 
-def _across(points: Float64, faces: Integers) -> Float64:
-    """Return normals of triangles, (F, 3), with twice their areas as lengths."""
-    corners = points[faces]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-
-
-def _unit(vectors: Float64) -> Float64:
-    lengths = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.asarray(vectors / np.where(lengths > 0, lengths, 1.0))
-
-
 def _corner_normals(points: Float64, faces: Integers) -> Float64:
     """Return normals at the corners of triangles, (F, 3, 3): sums over triangles that meet smoothly."""
-    across = _across(points, faces)
-    own, corners = _unit(across), faces.ravel()
+    across = face_normals(points, faces)
+    own, corners = unit_vectors(across), faces.ravel()
     by_vertex = np.argsort(corners, kind="stable")
     first = np.searchsorted(corners[by_vertex], corners)
     meeting = np.bincount(corners)[corners]
@@ -172,7 +106,7 @@ def _corner_normals(points: Float64, faces: Integers) -> Float64:
         is_smooth = (own[at // 3] * own[other]).sum(axis=1) > _COS_SHARP
         sums[at] += np.where(is_smooth[:, None], across[other], 0.0)
     # Triangles that point away are lit as if they did not, so that damaged meshes are visible.
-    return np.asarray(_unit(sums).reshape(-1, 3, 3) * np.where(own[:, None, 2:] < 0, -1.0, 1.0))
+    return np.asarray(unit_vectors(sums).reshape(-1, 3, 3) * np.where(own[:, None, 2:] < 0, -1.0, 1.0))
 
 
 def _normals_at(
@@ -192,14 +126,14 @@ def _normals_at(
     share_b = np.clip((x * to_c_y - y * to_c_x) / area, 0, 1)[:, None]
     share_c = np.clip((to_b_x * y - to_b_y * x) / area, 0, 1)[:, None]
     a, b, c = np.moveaxis(normals, 1, 0)
-    return _unit(a + share_b * (b - a) + share_c * (c - a))
+    return unit_vectors(a + share_b * (b - a) + share_c * (c - a))
 
 
 def _lit(plain: Float64, normals: Float64) -> Float64:
     """Shade colours, (n, 3), with diffuse light and highlights (Phong 1975)."""
     levels = _AMBIENT * plain
     for direction, strength in _LIGHTS:
-        towards = _unit(np.array(direction))
+        towards = unit_vectors(np.array(direction))
         facing = np.maximum(moved(normals, towards[:, None]), 0.0)
         mirrored = np.maximum(2 * facing * normals[:, 2:] - towards[2], 0.0)
         # To the power of 12 by products, which all processors round alike.
