@@ -81,7 +81,7 @@ def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8
     return ((found[0].astype(np.int64) + found[-1]) // 2).astype(np.uint8)
 
 
-def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
+def as_pictures(pictures: object, dimensions: tuple[int, ...] = (4,)) -> UInt8:
     """Return pictures as an array of uint8 with three channels; InputError for any other."""
     found = np.asarray(pictures)
     if found.dtype != np.uint8 or found.ndim not in dimensions or found.shape[-1] != 3:
@@ -93,7 +93,7 @@ def as_pictures(pictures: Any, dimensions: tuple[int, ...] = (4,)) -> UInt8:
     return found
 
 
-def _with_background(pictures: Any, background: Any) -> tuple[UInt8, UInt8]:
+def _with_background(pictures: object, background: object) -> tuple[UInt8, UInt8]:
     """Return pictures and a background of the same size; InputError for any other."""
     found, base = as_pictures(pictures, (3, 4)), as_pictures(background, (3,))
     if found.shape[-3:] != base.shape:

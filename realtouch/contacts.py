@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from realtouch.contact_picture import (
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.sensor_images import SensorImages, in_parallel
 from realtouch.touch_clips import TouchClip
-from realtouch.touches import Touches, with_no_contact
+from realtouch.touches import AnyTouches, Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -30,7 +29,7 @@ _BATCH_BYTES = 64 << 20
 _MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
 
 
-def background(pictures: Any) -> UInt8:
+def background(pictures: object) -> UInt8:
     """Return the median image, which shows the gel without contact.
 
     Parameters
@@ -63,7 +62,7 @@ def background(pictures: Any) -> UInt8:
     return median_of(lambda: _batches(pictures))
 
 
-def _batches(pictures: Any) -> Iterator[UInt8]:
+def _batches(pictures: object) -> Iterator[UInt8]:
     """Yield pictures a few at a time, shape (n, H, W, 3)."""
     if isinstance(pictures, TouchSingleRound):
         pictures = pictures.sensor_image
@@ -140,7 +139,7 @@ class Contacts:
         Whether it shows contact by the rule.
     """
 
-    touches: Touches[Any]
+    touches: AnyTouches
     frame: Int64
     area_px: Int64
     intensity: Float64
@@ -175,9 +174,7 @@ class Contacts:
         return touch.clip[int(self.frame[index])]
 
 
-def contacts_by_image(
-    touches: Touches[Any], rule: ContactRule | None = None, *, threads: int = 1
-) -> Contacts:
+def contacts_by_image(touches: AnyTouches, rule: ContactRule | None = None, *, threads: int = 1) -> Contacts:
     """Find the image of each touch that shows contact best, and decide whether there was contact.
 
     The background is the median of each clip; for single images, the median of those images of the round that
@@ -221,7 +218,7 @@ def contacts_by_image(
 
 
 def _measure_clips(
-    touches: Touches[Any], rule: ContactRule, threads: int, frame: Int64, score: ContactScore
+    touches: AnyTouches, rule: ContactRule, threads: int, frame: Int64, score: ContactScore
 ) -> None:
     """Fill in the best frame of each clip and its score."""
 
@@ -232,7 +229,7 @@ def _measure_clips(
     in_parallel(measure, len(touches), threads)
 
 
-def _measure_images(touches: Touches[Any], rule: ContactRule, threads: int, score: ContactScore) -> None:
+def _measure_images(touches: AnyTouches, rule: ContactRule, threads: int, score: ContactScore) -> None:
     """Fill in the score of each image; images of a round have their background in common."""
     places = touches.round_positions
     rounds, sizes = np.unique(places, return_counts=True)

@@ -66,7 +66,7 @@ class Pose(RigidTransform):
         """Inverse; may be called for the same, as scipy's method is."""
         return InversePose(super().inv().as_matrix(), normalize=False)
 
-    def to_dict(self) -> dict[str, list[Any]]:
+    def to_dict(self) -> dict[str, list[object]]:
         """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
         return {"translation": self.translation.tolist(), "rotation": self.quaternion.tolist()}
 
@@ -90,7 +90,7 @@ class Pose(RigidTransform):
         super().__setitem__(index, value)
         self._rotation = None
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # By the stored values; pickling by scipy would lose the quaternion.
         return (Pose.of, (self.translation, self.quaternion))
 

@@ -103,7 +103,7 @@ class Poses(Sequence["Pose"]):
         """False: there are several, even where there happens to be one."""
         return False
 
-    def to_dict(self) -> dict[str, list[Any]]:
+    def to_dict(self) -> dict[str, list[object]]:
         """Return ``translation`` and ``rotation`` (x, y, z, w) as lists."""
         return self.transform.to_dict()
 

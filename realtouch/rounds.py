@@ -217,7 +217,9 @@ class TouchSeqRound(TouchRound):
             decode_frames(clips, range(len(clips)), contact_frames_of(self._row, chosen), pixels, cores)
         return pixels
 
-    def contact_windows(self, touches: Any = slice(None), *, threads: int | None = None) -> tuple[UInt8, ...]:
+    def contact_windows(
+        self, touches: object = slice(None), *, threads: int | None = None
+    ) -> tuple[UInt8, ...]:
         """Decode every frame of contact of several touches.
 
         Parameters

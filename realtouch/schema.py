@@ -75,7 +75,7 @@ def _is_rendered(schema: pa.Schema) -> bool:
     return has_images and pose is not None and read.list_depth(pose)[0] == 2
 
 
-def origin_of(schema: Any, manifest: store.Manifest | None) -> Origin:
+def origin_of(schema: pa.Schema, manifest: store.Manifest | None) -> Origin:
     """Return where touches are from: rendered ones by their columns, others by the manifest."""
     if manifest is not None:
         options = manifest.spec.get("options")

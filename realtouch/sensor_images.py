@@ -92,7 +92,7 @@ class SensorImages(Sequence[UInt8]):
     def __iter__(self) -> Iterator[UInt8]:
         return (self._decode(touch) for touch in range(self._count))
 
-    def batch(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
+    def batch(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode several images into one array.
 
         Parameters
@@ -145,7 +145,7 @@ class SensorImages(Sequence[UInt8]):
         with self._row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (SensorImages, (self._row,))
 
     def __repr__(self) -> str:

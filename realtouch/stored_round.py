@@ -181,7 +181,7 @@ class StoredRound(StoredColumns):
             raise self.missing_column("info")
         return read_info(self)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (_unpickled, super().__reduce__())
 
 

@@ -7,14 +7,13 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from itertools import accumulate, pairwise
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
 from realtouch.rounds import TouchRound
 from realtouch.schema import POSE_COLUMN
-from realtouch.touch_dataset import TouchDataset
-from realtouch.touches import Touches
+from realtouch.touch_dataset import AnyDataset
+from realtouch.touches import AnyTouches
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M
 
@@ -66,12 +65,12 @@ class Summary:
     fps: float | None = None
     gel_ids: dict[str, int] = field(default_factory=dict)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
         return asdict(self)
 
 
-def summarise(dataset: TouchDataset[Any]) -> Summary:
+def summarise(dataset: AnyDataset) -> Summary:
     """Count what a data set holds; reads small columns and one image or clip.
 
     Parameters
@@ -119,7 +118,7 @@ def summarise(dataset: TouchDataset[Any]) -> Summary:
     return found
 
 
-def _clip_frames(touches: Touches[Any]) -> tuple[int, int, int]:
+def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
     """Return the least, the median and the largest number of frames of a clip."""
     dataset = touches.dataset
     rows = dataset._row_numbers[touches.round_positions].tolist()
@@ -152,12 +151,12 @@ class PaperNumber:
     found: str
     agrees: bool
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
         return asdict(self)
 
 
-def paper_numbers(splits: Mapping[str, TouchDataset[Any]]) -> list[PaperNumber]:
+def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
     """Measure what the paper states about real touches; reads one picture only.
 
     Parameters
@@ -227,7 +226,7 @@ def _class_text(labels: Sequence[int]) -> str:
     return f"{len(counts)} of {' or '.join(map(str, sorted(set(counts.values())))) or 'no'} rounds"
 
 
-def _gel_replacements(gels: Sequence[Any], counts: Sequence[int]) -> tuple[str, list[int]]:
+def _gel_replacements(gels: Sequence[object], counts: Sequence[int]) -> tuple[str, list[int]]:
     """Return after how many touches the gel was replaced; rounds are in the order of recording."""
     if any(gel is None for gel in gels):
         return "not stated", []

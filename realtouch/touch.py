@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from realtouch.picture_views import touch_html
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
@@ -125,7 +125,7 @@ class Touch:
     def __hash__(self) -> int:
         return hash((self.touch_index, self.round))
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         # A round of clips has some 50 MB; between processes a touch takes its own bytes alone.
         alone = self._alone()
         return (Touch, (alone.round, alone.touch_index, 0))

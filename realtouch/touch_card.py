@@ -17,7 +17,7 @@ from realtouch.rounds import TouchSeqRound, TouchSingleRound
 from realtouch.schema import media_kind, origin_of
 from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch
-from realtouch.touch_dataset import TouchDataset, dataset_of
+from realtouch.touch_dataset import AnyDataset, dataset_of
 from tactile_toolkit import cards, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
@@ -33,6 +33,11 @@ _TILE_WIDTH = 96
 # Each costs unpacking a block; a card does not try all blocks of a damaged set.
 _ROUNDS_SEEN = 4
 _COMMANDS = {"to-single": "clips-to-images"}  # as manifests name it
+_TASKS = {
+    "task_categories": ["robotics", "image-classification"],
+    "task_ids": ["multi-class-image-classification"],
+}
+_CAPTIONS = {True: "Some touches, each at the end of contact", False: "Some touches"}
 _WINDOW = "18.88 x 14.16 mm of gel"
 
 
@@ -57,56 +62,49 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     """
     words = cards.card_words(WORDS)
     facts = cards.folder_summary(folder, manifest)
-    operation = None if manifest is None else manifest.spec.get("operation")
+    operation, made, spec = None, list[tuple[str, str]](), None
+    unknown = {"made": words["made"]["unknown"]}
+    if manifest is not None:
+        operation, made, spec = manifest.spec.get("operation"), _made(manifest), manifest.spec["options"]
+        unknown = {}
     origin = origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     rule = ContactHeight.of(read.column_types(facts.schema))
-    # Of plain pictures, and of rows in foreign formats, there are no rounds that could be loaded.
-    is_plain = operation in ("frames", "export")
-    if is_plain:
-        template, licence_text = str(operation), of_origin.get("licence_of_others", of_origin["licence_text"])
+    licence_text, heights = of_origin["licence_text"], [of_origin.get("drift")]
+    # Plain pictures and rows in foreign formats are not rounds that could be loaded.
+    if operation in ("frames", "export"):
+        template, licence_text = str(operation), of_origin.get("licence_of_others", licence_text)
         content = _plain_content(folder, facts, manifest, words)
-        heights = [of_origin.get("drift")]
     else:
         kind = media_kind(facts.schema, folder.address())
-        template, licence_text = kind if origin == "real" else origin, of_origin["licence_text"]
+        template = kind if origin == "real" else origin
         content = _stored_content(facts, kind, rule, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
-        heights = [of_origin.get("drift"), words["plates"][rule.plate]]
+        heights.append(words["plates"][rule.plate])
+    limits = [*of_origin["limits"], *content.limits]
+    if origin == "real":
+        limits = [*of_origin["limits"], *content.words.get("limits", ()), *content.limits]
     cell = words["frames"]["cell"].replace("$window", of_origin.get("window", _WINDOW))
-    in_cell = " ".join(filter(None, [cell, *heights]))
     is_clips = template == "seq"
-    unknown = {} if manifest is not None else {"made": words["made"]["unknown"]}
     cards.Card(
         template=KIND.card_template.format(template),
         title=f"{of_origin['title']} {content.words['title']}",
         columns=content.columns,
-        picture=(
-            "touches.png",
-            lambda _facts: _sheet(content.pictures),
-            "Some touches, each at the end of contact" if is_clips else "Some touches",
-        ),
+        picture=("touches.png", lambda _facts: _sheet(content.pictures), _CAPTIONS[is_clips]),
         licence=of_origin["licence"],
-        tags=[*of_origin["tags"], *(["video"] if is_clips else [])],
+        tags=of_origin["tags"] + ["video"] * is_clips,
         nouns=content.nouns,
-        tasks={
-            "task_categories": ["robotics", "image-classification"],
-            "task_ids": ["multi-class-image-classification"],
-        },
+        tasks=_TASKS,
         figures=content.figures,
-        made=[] if manifest is None else _made(manifest),
-        limits=[
-            *of_origin["limits"],
-            *(content.words.get("limits", ()) if origin == "real" else ()),
-            *content.limits,
-        ],
-        spec=None if manifest is None else manifest.spec["options"],
+        made=made,
+        limits=limits,
+        spec=spec,
         values={
             **content.values,
             **unknown,
             "rounds": f"{facts.rows:,}",
             "contact_rule": str(rule),
-            "frames": of_origin.get("frames", in_cell),
+            "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
             "printability": of_origin["printability"],
             "licence_text": licence_text,
             "citation_text": of_origin["citation_text"],
@@ -154,7 +152,7 @@ def _stored_content(
     """Return what a card says of rounds; reads small columns and a few rounds."""
     datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
-    def of_each(count: Callable[[TouchDataset[Any]], Any], empty: Any = None) -> list[Any]:
+    def of_each(count: Callable[[AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)

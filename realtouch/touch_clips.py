@@ -90,7 +90,7 @@ class TouchClip(Sequence[UInt8]):
             return self.frames(index)
         return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
 
-    def frames(self, index: Any = slice(None), *, threads: int = 1) -> UInt8:
+    def frames(self, index: object = slice(None), *, threads: int = 1) -> UInt8:
         """Decode frames into one array.
 
         Parameters
@@ -250,7 +250,7 @@ class TouchClip(Sequence[UInt8]):
         except ValueError as error:
             raise self._row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (TouchClip, (self._row, self.touch))
 
     def __repr__(self) -> str:
@@ -295,7 +295,7 @@ class SensorClips(Sequence[TouchClip]):
         with self.row.naming("sensor_video"):
             return room_for(count, size, out)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (SensorClips, (self.row,))
 
     def __repr__(self) -> str:

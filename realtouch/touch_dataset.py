@@ -14,7 +14,7 @@ from realtouch.integrity import class_names_of
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.schema import POSE_COLUMN, media_kind
 from realtouch.stored_round import StoredRound, rows_of, stored_rows, stored_touch_counts
-from realtouch.touches import R, Touches
+from realtouch.touches import AnyTouches, R, Touches
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError
@@ -176,6 +176,10 @@ class TouchSeqDataset(TouchDataset[TouchSeqRound]):
     kind = "seq"
 
 
+AnyDataset = TouchDataset[Any]
+"""Rounds of either kind."""
+
+
 def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind."""
     dataset = _DATASETS[media_kind(shards[0].schema, shards[0].path)]
@@ -208,7 +212,7 @@ class TouchStream(read.Stream[read.Shard]):
         """Name of each class."""
         return class_names_of(self.shards)
 
-    def touches(self) -> Touches[Any]:
+    def touches(self) -> AnyTouches:
         """Return the flat view: every touch of every round, in order, with random access.
 
         A row group is read from its address when one of its rows is first asked for, and kept in the cache.

@@ -15,7 +15,7 @@ from realtouch.rounds import TouchRound, TouchSeqRound
 from realtouch.schema import origin_of
 from realtouch.touch import Touch
 from realtouch.touch_clips import TouchClip
-from realtouch.touch_dataset import TouchDataset
+from realtouch.touch_dataset import AnyDataset
 from tactile_toolkit import catalog, gallery, mesh, places
 from tactile_toolkit.array_types import Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
@@ -64,7 +64,7 @@ def plan_gallery(
     if touches < 1:
         raise InputError(f"--touches is {touches}; expected 1 or more")
 
-    def known(rows: TouchDataset[Any], _split: str) -> list[_Known]:
+    def known(rows: AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):
             return []
         try:

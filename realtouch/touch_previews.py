@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -142,7 +141,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
     """
-    placed: list[Any] = [None] * len(touches)
+    placed: dict[int, PlacedTouch] = {}
 
     def read(number: int) -> None:
         touch = Touch(record, int(touches[number]))
@@ -157,7 +156,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
         placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
 
     in_parallel(read, len(touches), _MOST_THREADS)
-    return placed
+    return [placed[number] for number in range(len(touches))]
 
 
 def cell_map(

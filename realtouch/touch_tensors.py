@@ -15,8 +15,8 @@ from realtouch.contact import require_method
 from realtouch.rounds import TouchSingleRound
 from realtouch.sensor_images import room_for
 from realtouch.touch import Touch
-from realtouch.touch_dataset import TouchDataset, TouchStream
-from realtouch.touches import Touches
+from realtouch.touch_dataset import AnyDataset, TouchStream
+from realtouch.touches import AnyTouches, Touches
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
@@ -80,7 +80,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: TouchDataset[Any] | TouchStream | Touches[Any],
+        dataset: AnyDataset | TouchStream | AnyTouches,
         transform: Transform | None = None,
         target: Target = "label",
         frames: str | None = None,
@@ -99,7 +99,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
 
     @property
-    def sequence(self) -> Touches[Any]:
+    def sequence(self) -> AnyTouches:
         """The touches, in the order of the items."""
         return self.touches
 

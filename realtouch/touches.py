@@ -269,7 +269,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             n = len(self)
         return super(Touches, chosen).sample(n, seed)
 
-    def images(self, index: Any = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
+    def images(self, index: object = slice(None), *, threads: int = 1, out: UInt8 | None = None) -> UInt8:
         """Decode the images of several touches of a ``single`` set into one array.
 
         Parameters
@@ -356,7 +356,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
 
 
-def with_no_contact(touches: Touches[Any], contact: Bool, fraction: float, seed: int) -> Int64:
+AnyTouches = Touches[Any]
+"""Touches of rounds of either kind."""
+
+
+def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: int) -> Int64:
     """Return the places of all touches with contact, and of a share without.
 
     Raises InputError for an invalid fraction, seed or mask.

@@ -96,7 +96,7 @@ class Source:
     def _files(self) -> Iterator[read.Shard]:
         return chain.from_iterable(self.shards.values())
 
-    def fingerprint(self) -> dict[str, list[dict[str, Any]]]:
+    def fingerprint(self) -> dict[str, list[dict[str, object]]]:
         """Return JSON values that identify the rows: names, sizes and footers of the files.
 
         The footer holds offset and size of every column chunk: other content gives another footer, and
@@ -196,7 +196,7 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
     marked = {}
     for split, chosen in choices.items():
         ids = dataset_of(source.shards[split]).ids
-        first: dict[Any, int] = {}
+        first: dict[object, int] = {}
         rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
         marked[split] = [
             each._replace(is_repeated=row != each.row) for each, row in zip(chosen, rows, strict=True)

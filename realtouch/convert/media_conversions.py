@@ -12,16 +12,15 @@ import pyarrow as pa
 from realtouch.avi import write_avi
 from realtouch.contact import ContactMethod, require_method
 from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
-from realtouch.convert.picture_files import shown_touches
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.convert.touch_pictures import shown_touches
 from realtouch.schema import POSE_COLUMN, bytes_lists, column_type, flat_row, number_lists
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
-from tactile_toolkit import read, store
+from tactile_toolkit import places, read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
@@ -37,7 +36,7 @@ _SEQ_ONLY = (
 
 
 def clips_to_images(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     frame: str = "contact_end",
     **job: Unpack[JobOptions],
@@ -151,7 +150,7 @@ class TakeContactFrames:
 
 
 def resize(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     width: int,
     height: int,

@@ -1,15 +1,13 @@
-"""The picture that stands for each touch; touches as plain image files with an index."""
+"""Touches as plain image files with an index in CSV and Parquet."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from os import PathLike
 from typing import Any, Literal, Unpack
 
-import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod, require_method
@@ -27,16 +25,13 @@ from realtouch.convert.conversion import (
     write_changed,
 )
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.poses import Poses
+from realtouch.convert.touch_pictures import TouchPicture, columns_of_touches, shown_touches
 from realtouch.rounds import TouchSingleRound
-from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
-from realtouch.touch_clips import SensorClips, TouchClip
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import read, store
-from tactile_toolkit.array_types import Float64, Floating, UInt8
+from tactile_toolkit import places, read, store
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image, is_jpeg
 
 IMAGE_FOLDER = "images"
@@ -57,75 +52,8 @@ _INDEX_SCHEMA = pa.schema(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TouchPicture:
-    """The picture that represents a touch, and the pose of the gel at that moment.
-
-    ``images`` holds it at ``place``: the images of the round, or the clip whose frame it is. ``pose`` are
-    position and quaternion, seven numbers, or none where there are no poses.
-    """
-
-    touch: int
-    frame: int
-    images: SensorImages | TouchClip
-    place: int
-    pose: Floating
-
-    @property
-    def stored(self) -> memoryview:
-        """The picture as it is stored."""
-        return self.images.encoded(self.place)
-
-    @property
-    def pixels(self) -> UInt8:
-        """The picture, decoded."""
-        return self.images[self.place]
-
-
-def shown_touches(row: StoredRound, method: ContactMethod) -> Iterator[TouchPicture]:
-    """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
-    if row.kind == "single":
-        images = TouchSingleRound(row).sensor_image
-        poses = np.empty((len(images), 0))
-        if row.has_poses:
-            poses = _pose_values(row.poses(), slice(None))
-        for touch in range(len(images)):
-            yield TouchPicture(touch, 0, images, touch, poses[touch])
-        return
-    for touch, clip in enumerate(SensorClips(row)):
-        frame, pose = clip.contact_index(method), np.empty(0)
-        if row.has_poses:
-            pose = _pose_values(row.pose_sequences(touch)[0], frame)
-        yield TouchPicture(touch, frame, clip, frame, pose)
-
-
-def _pose_values(at: Poses, index: int | slice) -> Float64:
-    return np.hstack([at.position_m[index], at.quaternion[index]])
-
-
-def columns_of_touches(
-    row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
-) -> dict[str, Any]:
-    """Return the columns of a table of the touches of a round, as far as the source stores them."""
-    label, count = row.label_value(), len(shown)
-    columns: dict[str, Any] = {
-        "label": np.full(count, label),
-        "label_name": [dict(enumerate(names)).get(label)] * count,
-        "round_id": [row.name()] * count,
-        "touch": np.arange(count),
-        "frame": [each.frame for each in shown],
-    }
-    if row.has("object_id"):
-        columns["object_id"] = np.full(count, row.integer("object_id"))
-    if row.has("pos_in_cell"):
-        columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
-    if shown:
-        columns |= dict(zip(POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False))
-    return columns
-
-
 def frames(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     kind: Literal["png", "jpeg"] = "png",
     frame: str = "contact_end",
@@ -151,9 +79,9 @@ def frames(
     Returns
     -------
     Manifest
-        Each file is named in ``index.csv`` with its checksum, label, position and pose. Whatever in an id is
-        not a letter, a digit, ``-`` or ``_`` is escaped in names of files, as in addresses. A round whose
-        id stands in a round before it is left out like a damaged one.
+        Each file is named in ``index.csv`` with its checksum, label, position and pose. Characters of an id
+        other than letters, digits, ``-`` and ``_`` are percent-encoded. Rounds with a duplicate id are left
+        out.
 
     Raises
     ------
@@ -167,9 +95,9 @@ def frames(
     method = require_method(frame)
 
     def plan(opened: Source, limit: int | None) -> Conversion:
-        options: dict[str, Any] = {"kind": kind, "frame": None, "limit": limit}
-        if opened.kind == "seq":
-            options["frame"] = method
+        options: dict[str, Any] = {"kind": kind, "frame": method, "limit": limit}
+        if opened.kind == "single":
+            options["frame"] = None
         if difference is not None:
             options["difference"] = difference
         return Conversion(
@@ -200,7 +128,7 @@ class WritePictures:
     difference: Literal["grey", "absolute"] | None = None
     names: tuple[str, ...] = CLASS_NAMES
 
-    def schema(self, source: Any) -> pa.Schema:
+    def schema(self, source: pa.Schema | None) -> pa.Schema:
         """Return the columns of the index; it names the classes unless they are the digits."""
         if self.names == CLASS_NAMES:
             return _INDEX_SCHEMA

@@ -21,14 +21,13 @@ from realtouch.convert.shard_tasks import JobOptions, write_conversion
 from realtouch.schema import column_type, flat_row, is_per_touch, take_touches
 from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
-from tactile_toolkit import catalog, read, store
+from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.places import Name, Place
 from tactile_toolkit.touch import height_text
 
 
 def select(
-    source: Name | Place,
+    source: places.Name | places.Place,
     out: str | PathLike[str],
     *,
     contact: bool = False,

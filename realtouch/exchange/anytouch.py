@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from functools import cache
 from itertools import groupby
 from operator import itemgetter
-from typing import Any
 
 import pyarrow as pa
 
@@ -24,7 +23,7 @@ from realtouch.exchange.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.exchange.stored_images import as_jpeg, background_of
+from realtouch.exchange.stored_images import StoredImage, as_jpeg, background_of
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
@@ -35,7 +34,7 @@ _LIST_END = "_bg.txt"
 _LEFT_OUT = "-1"
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (index["label"].to_numpy() < 0).any():
         raise InputError("touches without a class; in this format the label -1 leaves an image out")

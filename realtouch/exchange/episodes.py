@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -106,9 +105,9 @@ class Episodes:
 
     def _episodes(
         self, row: StoredRound
-    ) -> Iterator[tuple[int | None, list[int], list[memoryview], dict[str, Any]]]:
+    ) -> Iterator[tuple[int | None, list[int], list[memoryview], dict[str, object]]]:
         """Yield each episode: its touch (None: all of the round), those of its images, images, columns."""
-        columns: dict[str, Any] = {}
+        columns: dict[str, object] = {}
         if row.has("sensor_image"):
             row.entries_of("sensor_image")
             images = SensorImages(row)

@@ -27,7 +27,7 @@ _LONGEST_INTEGER = 18  # digits
 _FARTHEST_M = (0.18, 0.18, 0.36)
 
 
-def text_of(values: Mapping[str, Any], name: str | None) -> str:
+def text_of(values: Mapping[str, object], name: str | None) -> str:
     """Return a value as text; empty for null, NaN, lists and objects of JSON."""
     value = values.get(name) if name else None
     if value is None or value != value or isinstance(value, (list, dict)):
@@ -45,7 +45,7 @@ def integer_text(text: str) -> str:
     return _NUMBER.sub(r"\1", text)
 
 
-def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]) -> int:
+def label_of(values: Mapping[str, object], column: str | None, names: Sequence[str]) -> int:
     """Return the number of the class, -1 if it is unknown; ItemError if it is not a class."""
     if isinstance(values.get(column or NUMBERED), (list, dict)):
         raise ItemError(
@@ -60,7 +60,7 @@ def label_of(values: Mapping[str, Any], column: str | None, names: Sequence[str]
     raise ItemError("label", f"the label {shown(label)!r}; expected a class")
 
 
-def object_of(values: Mapping[str, Any], column: str | None) -> int:
+def object_of(values: Mapping[str, object], column: str | None) -> int:
     """Return the number of the object, 0 without a column of them; ItemError for anything else."""
     if not column:
         return 0
@@ -70,14 +70,14 @@ def object_of(values: Mapping[str, Any], column: str | None) -> int:
     return int(text)
 
 
-def position_of(values: Mapping[str, Any], columns: ImportColumns) -> tuple[float, ...]:
+def position_of(values: Mapping[str, object], columns: ImportColumns) -> tuple[float, ...]:
     """Return the intended position, x and y in metres, or nothing; ItemError for anything else."""
     position = _numbers(values, columns, columns.position, 2, "position")
     _require_metres(position, "position")
     return position
 
 
-def pose_of(values: Mapping[str, Any], columns: ImportColumns) -> tuple[float, ...]:
+def pose_of(values: Mapping[str, object], columns: ImportColumns) -> tuple[float, ...]:
     """Return position in metres and quaternion x, y, z, w, or nothing; ItemError if it is not a pose."""
     pose = _numbers(values, columns, columns.pose, 7, "pose")
     if not pose:
@@ -101,7 +101,7 @@ def _require_metres(place: tuple[float, ...], reason: str) -> None:
 
 
 def _numbers(
-    values: Mapping[str, Any],
+    values: Mapping[str, object],
     columns: ImportColumns,
     names: tuple[str, ...] | None,
     count: int,

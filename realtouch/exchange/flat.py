@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import pyarrow as pa
 
@@ -26,8 +25,8 @@ from realtouch.convert.conversion import (
     table_of,
     with_files,
 )
-from realtouch.convert.picture_files import columns_of_touches, shown_touches
-from realtouch.exchange.stored_images import image_column, require_intact
+from realtouch.convert.touch_pictures import columns_of_touches, shown_touches
+from realtouch.exchange.stored_images import StoredImage, image_column, require_intact
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_round import StoredRound
 from realtouch.touch import touch_id
@@ -44,7 +43,7 @@ FRAMES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}
 _MOST_ROWS_PER_GROUP = 1 << 14
 
 
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[dict[str, Any]]], Made]
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[StoredImage]], Made]
 """Makes files of the touches of a shard, of plain columns and images: ``bytes`` and ``path``."""
 
 
@@ -70,7 +69,7 @@ class _PackImages:
 
 
 def plan_flat(
-    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
 ) -> Conversion:
     """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
     image_bytes = source.media_bytes() // FRAMES_PER_MEDIA[source.kind] or 1
@@ -100,7 +99,7 @@ class PackedFormat:
     no_gaps: bool = False
 
     def plan(
-        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
     ) -> Conversion:
         """Plan an export with files of all touches, and their plain columns as an index."""
         return replace(

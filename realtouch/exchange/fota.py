@@ -16,7 +16,7 @@ import pyarrow as pa
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.stored_images import as_jpeg
+from realtouch.exchange.stored_images import StoredImage, as_jpeg
 from realtouch.exchange.webdataset import find_webdataset, tar_of
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
 from tactile_toolkit import store
@@ -25,7 +25,7 @@ _FOLDER = "fota"
 _PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
     samples = (
         (f"{PurePath(image['path']).stem}.jpg", as_jpeg(image["bytes"]), {**fields, **_pose_mm(fields)})

@@ -47,7 +47,7 @@ class FoundTouch:
     path: str
     start: int
     size: int
-    values: Mapping[str, Any] = field(repr=False)
+    values: Mapping[str, object] = field(repr=False)
     problem: ItemError | None = None
     number: int = 0
     fields: tuple[str, ...] = field(default=(), repr=False)
@@ -80,7 +80,7 @@ class FoundTouch:
 def found_file(
     home: store.DataFolder,
     name: str,
-    values: Mapping[str, Any],
+    values: Mapping[str, object],
     sizes: Callable[[str], Mapping[str, int]],
     problem: ItemError | None = None,
 ) -> FoundTouch:
@@ -213,9 +213,9 @@ IMPORTS: dict[str, ImportFormat] = {
     for layout in get_args(ImportLayout)
 } | {
     "replay": ImportFormat(
-        lazy("realtouch.exchange.replay:find_replay"),
-        lazy("realtouch.exchange.replay:encoded_frames"),
+        lazy("realtouch.exchange.replay_import:find_replay"),
+        lazy("realtouch.exchange.replay_import:encoded_frames"),
         1,  # the pictures of one array are of one size
-        lazy("realtouch.exchange.replay:describe_conversion"),
+        lazy("realtouch.exchange.replay_import:describe_conversion"),
     )
 }

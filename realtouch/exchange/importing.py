@@ -67,8 +67,7 @@ def import_images(
     table : str, optional
         Path of the table; by default the only CSV file in the folder.
     classes : sequence of str, optional
-        Names of the classes in order; by default those in the data, or the numbers from 0 to at least 9;
-        none, and labels of -1, where nothing is known of classes.
+        Names of the classes in order; by default those in the data. Without any, all labels are -1.
     split : str, optional
         Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
         ``train``.
@@ -93,9 +92,8 @@ def import_images(
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
     if not home.exists():
-        raise InputError(
-            f"{home.address()!r} does not exist; expected a folder of images or tars", next="check the name"
-        )
+        found = f"{home.address()!r} does not exist"
+        raise InputError(f"{found}; expected a folder of images or tars", next="check the name")
     catalog.refuse_source(folder, home.address(), [Shard(home.address("any file"))])
     chosen = columns or ImportColumns()
     items = _items(home, layout, chosen, table)

@@ -54,7 +54,7 @@ _NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
 
 def plan_lerobot(
-    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, Any]
+    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
 ) -> Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
@@ -200,7 +200,7 @@ class _WriteMeta:
         }
         return files | write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
 
-    def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, Any]:
+    def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         return {
             "codebase_version": _VERSION,
             "robot_type": None,
@@ -217,7 +217,7 @@ class _WriteMeta:
             "features": {each.name: self._feature(each) for each in frames},
         }
 
-    def _feature(self, each: pa.Field) -> dict[str, Any]:
+    def _feature(self, each: pa.Field) -> dict[str, object]:
         if each.type == MEDIA_TYPE:
             return {"dtype": "image", "shape": [*self.size, 3], "names": ["height", "width", "channels"]}
         if pa.types.is_fixed_size_list(each.type):
@@ -226,7 +226,7 @@ class _WriteMeta:
         return {"dtype": _DTYPES.get(each.type, "int64"), "shape": [1], "names": None}
 
 
-def _json_bytes(values: Mapping[str, Any]) -> bytes:
+def _json_bytes(values: Mapping[str, object]) -> bytes:
     return (json.dumps(values, indent=4) + "\n").encode()
 
 
@@ -257,7 +257,7 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
     return columns
 
 
-def _episode(values: pa.Array) -> dict[str, Any]:
+def _episode(values: pa.Array) -> dict[str, object]:
     """Return the statistics of a feature in an episode; those of images are of a sample, from 0 to 1."""
     if values.type != MEDIA_TYPE:
         numbers = _flat_rows(values)
@@ -286,7 +286,7 @@ def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
     return {name: float(value) for name, value in found.items()}
 
 
-def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, Any]:
+def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, object]:
     """Return the statistics of all frames; of images put together from the episodes, as LeRobot does.
 
     One number of each frame is in memory at a time: 8 bytes a frame.
@@ -305,7 +305,7 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
     return found
 
 
-def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, Any]:
+def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, object]:
     """Put the statistics of the images of all episodes together, weighed by their counts."""
     columns = [f"stats/{name}/{statistic}" for statistic in _NAMES]
     table = pa.concat_tables([shard.read(columns=columns) for shard in episodes])

@@ -11,7 +11,7 @@ import io
 import pickle
 import pickletools
 from collections.abc import Iterator
-from typing import Any
+from typing import IO, Any
 
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
@@ -19,7 +19,7 @@ from pyarrow import csv as arrow_csv
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
-from realtouch.exchange.stored_images import background_of
+from realtouch.exchange.stored_images import StoredImage, background_of
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
@@ -37,7 +37,7 @@ _OF_LISTS = frozenset(
 )
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
     stream = io.BytesIO()
     arrow_csv.write_csv(index, stream)
@@ -64,13 +64,13 @@ def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> di
 plan_sparsh = PackedFormat(_FOLDER, _pack, _write_backgrounds).plan
 
 
-def _part(stream: io.IOBase | Any, start: int, size: int) -> bytes:
+def _part(stream: IO[bytes], start: int, size: int) -> bytes:
     stream.seek(start)
     content: bytes = stream.read(size)
     return content
 
 
-def _places(stream: Any, name: str) -> Iterator[tuple[int, int]]:
+def _places(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
     """Yield place and size of each image in a pickled list; executes nothing of it."""
     lists = 0
     try:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -14,6 +15,13 @@ from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_
 
 _JPEG_END = b"\xff\xd9"
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
+
+
+class StoredImage(TypedDict):
+    """An image as it is stored."""
+
+    bytes: bytes
+    path: str
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:

@@ -25,6 +25,7 @@ from realtouch.exchange.found_touches import (
     source_of,
     visible_files,
 )
+from realtouch.exchange.stored_images import StoredImage
 from realtouch.tars import files_of_tar
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
@@ -36,7 +37,7 @@ _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
 _MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
 
 
-def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, Any]]]) -> bytes:
+def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, object]]]) -> bytes:
     """Return a tar of images, each with its fields as JSON; the same samples give the same bytes."""
     stream = io.BytesIO()
     with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
@@ -163,7 +164,7 @@ def _fields(content: bytes) -> dict[str, Any]:
         ) from error
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[dict[str, Any]]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the touches of a shard as one tar; the same touches give the same bytes."""
     pairs = zip(images, index.to_pylist(), strict=True)
     samples = ((image["path"], image["bytes"], fields) for image, fields in pairs)

@@ -310,7 +310,7 @@ class ZarrWriter(zipfile.ZipFile):
         name = ".".join([str(number), *"0" * (values.ndim - 1)])
         self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
 
-    def add_json(self, path: str, stated: Mapping[str, Any], indent: int | None = None) -> None:
+    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
         """Write a file of JSON."""
         self._add(path, json.dumps(stated, indent=indent).encode())
 
