@@ -24,6 +24,11 @@ from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.read import RecordDataset, picks_several, positions
 
 _LOG = logging.getLogger(__name__)
+# Formats of objects that are not read.
+_OTHER_FORMATS = (
+    *(".gltf", ".dae", ".fbx", ".off", ".amf", ".wrl", ".x3d", ".3ds", ".blend"),
+    *(".step", ".stp", ".iges", ".igs", ".usd", ".usda", ".usdc", ".usdz"),
+)
 _FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
 _SPLITS = ("train", "test")
 
@@ -221,12 +226,18 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
 
 
 def _files_in(folder: Path) -> list[Path]:
+    """Return the mesh files of a folder; a warning names meshes of formats that are not read."""
     # Hidden files may be half-written. In natural order (2 before 10) and not in that of the file system,
     # so that ids are the same on every machine.
-    found = (file for file in folder.iterdir() if file.suffix.lower() in FORMATS and not file.is_dir())
-    return sorted(
-        (file for file in found if not store.is_hidden(file.name)), key=lambda file: natural_key(file.name)
-    )
+    visible = (file for file in folder.iterdir() if not (file.is_dir() or store.is_hidden(file.name)))
+    files = sorted(visible, key=lambda file: natural_key(file.name))
+    found = [file for file in files if file.suffix.lower() in FORMATS]
+    # A drawing may lie next to the mesh that was made of it.
+    known = {file.stem for file in found}
+    others = [each for each in files if each.suffix.lower() in _OTHER_FORMATS and each.stem not in known]
+    for file in others if found else ():
+        _LOG.warning("%s: left out; expected one of %s", file, ", ".join(FORMATS))
+    return found
 
 
 def _view_of_files(files: list[Path], classes: list[str], read: Callable[[Path], Any]) -> MeshView:

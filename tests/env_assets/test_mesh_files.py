@@ -110,6 +110,20 @@ def test_meshes_in_metres_need_their_unit(tmp_path: Path) -> None:
         meshes_at(tmp_path / "set", "train", unit="m")
 
 
+def test_meshes_of_formats_that_are_not_read_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path, "a.STL")
+    for name in ("a.step", "b.STEP", "c.dae", "a.mtl", "._d.dae"):
+        (tmp_path / name).write_text("x")
+    view = meshes_at(tmp_path, "train", unit="m")
+    assert [each.id for each in view] == [0]
+    named = [
+        record.getMessage().partition(": left out; expected one of .stl")[0] for record in caplog.records
+    ]
+    assert named == [str(tmp_path / "b.STEP"), str(tmp_path / "c.dae")]
+
+
 def test_a_link_out_of_a_folder_of_meshes_is_not_followed(tmp_path: Path) -> None:
     write(tmp_path, "own.stl")
     (tmp_path / "folder").mkdir()
