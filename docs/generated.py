@@ -41,7 +41,7 @@ SHARED = (
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
     "starstruck_gen.scene_spec.COLLISION_RULES",
-    "tactile_sim.pressing.MESA_SAMPLE_PX",
+    "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",
     "tactile_toolkit.mesh.WARNINGS",
@@ -334,7 +334,7 @@ def _formats_page() -> str:
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
-    from tactile_sim.columns import TouchRow, touch_schema
+    from tactile_sim.touch_rows import SyntheticRound, touch_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import card_words
     from tactile_toolkit.cards.card_tables import field_table, markdown_table
@@ -361,7 +361,7 @@ def _formats_page() -> str:
         "columns stay as they are.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
         "## Synthetic touches (`tactile-sim`)\n\n"
-        + table(touch_schema(tuple(map(str, range(10)))), TouchRow),
+        + table(touch_schema(tuple(map(str, range(10)))), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
     return "\n\n".join(parts) + "\n"

@@ -32,7 +32,7 @@ from env_assets.published.packages import (
     require_sensor,
     takes_recorded_noise,
 )
-from tactile_sim.pressing import Pressable, center_view, render_touch
+from tactile_sim import Pressable, center_view, render_touch
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.cache import cache_folder
@@ -434,7 +434,7 @@ def learned_sensor(
     sensor, or the file holds no weights.
     """
     _require_sensor("weights do", environment, settings, "cycle_gan", "torch")
-    from tactile_sim.learned.networks import generator_of, read_weights
+    from tactile_sim.learned.weights import generator_of, read_weights
 
     read = read_weights(weights)
     # Named by its content: environments of two files of one name must not share a sensor, which the package
@@ -467,7 +467,7 @@ def _learned_renderer() -> Any:
         def _render_direct(self, depth: Any, output_size: tuple[int, int]) -> Any:
             import torch
 
-            from tactile_sim.learned.networks import depth_channels
+            from tactile_sim.learned.channels import depth_channels
             from tactile_sim.pressing import depth_image
 
             shown = depth_image(depth.cpu().numpy(), center_view(*self._size_px))
