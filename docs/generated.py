@@ -36,7 +36,6 @@ API = (
 """Modules on whose public names users may rely."""
 
 SHARED = (
-    "env_assets.wrench.spec.WIDTHS_ACROSS_FLATS_MM",
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
@@ -329,7 +328,7 @@ def _outside_code(text: str) -> Iterator[str]:
 
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
-    from env_assets.wrench.making import WrenchRow, wrench_schema
+    from env_assets.wrench.dataset import WrenchRow, wrench_schema
     from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS

@@ -7,8 +7,7 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
-from env_assets.meshes import MeshView, require_fitting_meshes
-from env_assets.provider import KINDS, AssetProvider, meshes_at
+from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
 from tactile_envs.config import configured
 from tactile_envs.ids import IDS, EnvSpec
 from tactile_toolkit import mesh, store
