@@ -11,7 +11,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from env_assets.meshes import MeshView, flat_turn, require_fitting_meshes
+from env_assets.fitting import require_fitting_meshes
+from env_assets.mesh_view import MeshView, flat_turn
 from env_assets.provider import meshes_at
 from tactile_toolkit.errors import InputError
 from tests.env_assets.shapes import box
