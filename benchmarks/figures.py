@@ -67,9 +67,9 @@ BENCHMARKS = {
     "starstruck": Benchmark(("starstruck_gen", *_STORE)),
     "real_touches": Benchmark(
         (
-            "realtouch/media.py",
-            "realtouch/columns.py",
-            "realtouch/dataset.py",
+            "realtouch/touch_clips.py",
+            "realtouch/stored_columns.py",
+            "realtouch/touch_dataset.py",
             "tactile_toolkit/touch",
             *_READ,
         )
@@ -94,7 +94,7 @@ BENCHMARKS = {
     "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "native_environments": Benchmark(("tactile_envs",)),
     "touches": Benchmark(("tactile_sim", "env_assets/published/environments.py")),
-    "training_order": Benchmark(("realtouch/torch.py", "tactile_toolkit/touch", *_READ)),
+    "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }
 

@@ -14,7 +14,7 @@ from .card_check import (
     check_card as check_card,
     pictures_in as pictures_in,
 )
-from .card_head import (
+from .yaml_head import (
     CARD_FILE as CARD_FILE,
     card_head as card_head,
     configs as configs,
@@ -25,7 +25,7 @@ from .card_tables import (
     between as between,
     markdown_table as markdown_table,
 )
-from .folder_summary import (
+from .folder_facts import (
     FolderSummary as FolderSummary,
     folder_summary as folder_summary,
     viewer_files as viewer_files,

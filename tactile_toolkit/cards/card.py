@@ -14,9 +14,9 @@ from typing import Any
 import numpy as np
 
 from tactile_toolkit import pictures, read, store
-from tactile_toolkit.cards.card_head import CARD_FILE, card_head, head_text
 from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown_table, split_table
-from tactile_toolkit.cards.folder_summary import FolderSummary, folder_summary
+from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
+from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head, head_text
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
 from tactile_toolkit.shown_text import markdown_text, printable, printable_json

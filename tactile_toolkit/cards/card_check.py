@@ -14,8 +14,8 @@ import yaml
 from PIL import Image
 
 from tactile_toolkit import store
-from tactile_toolkit.cards.card_head import CARD_FILE, card_head
-from tactile_toolkit.cards.folder_summary import FolderSummary, folder_summary
+from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
+from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head
 from tactile_toolkit.errors import ToolkitError
 
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)

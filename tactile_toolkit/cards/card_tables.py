@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
-from tactile_toolkit.cards.folder_summary import FolderSummary
+from tactile_toolkit.cards.folder_facts import FolderSummary
 from tactile_toolkit.shown_text import markdown_code, markdown_text
 
 ColumnWords: TypeAlias = tuple[str, str]

@@ -61,7 +61,7 @@ from .training_batches import (
     TrainingBatches as TrainingBatches,
     shared_zeros as shared_zeros,
 )
-from .whole_numbers import (
+from .integer_columns import (
     whole_number as whole_number,
     whole_numbers as whole_numbers,
 )

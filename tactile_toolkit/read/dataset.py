@@ -18,6 +18,7 @@ from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read.indexing import flattened, picks_several, positions
+from tactile_toolkit.read.integer_columns import whole_numbers
 from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.random_parts import random_order, random_parts
 from tactile_toolkit.read.record import Record, Row
@@ -25,7 +26,6 @@ from tactile_toolkit.read.schemas import column_types
 from tactile_toolkit.read.shard import Shard
 from tactile_toolkit.read.sharded_table import ShardedTable
 from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.read.whole_numbers import whole_numbers
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import class_name, with_count
 

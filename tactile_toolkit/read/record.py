@@ -11,8 +11,8 @@ import pyarrow as pa
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read.arrow_views import table_bytes
+from tactile_toolkit.read.integer_columns import whole_number
 from tactile_toolkit.read.row_group import RowGroup, Rows
-from tactile_toolkit.read.whole_numbers import whole_number
 
 T = TypeVar("T")
 

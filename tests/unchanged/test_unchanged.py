@@ -31,7 +31,7 @@ RECORD = recorded()
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
 CHANGING = {"_Run", "DiskCache", "_Object"}
-"""Dataclasses that are not frozen: a training while it runs, a cache, a part while it is read."""
+"""Dataclasses that are not frozen: a training while it runs, a cache, a part while it is read, a row of a plate."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)

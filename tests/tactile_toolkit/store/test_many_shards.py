@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from tactile_toolkit.cards import card_head, check_card, configs, folder_summary
-from tactile_toolkit.cards.card_head import head_text
+from tactile_toolkit.cards.yaml_head import head_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.split_files import parquet_paths
 from tactile_toolkit.store import ShardName, build, open_folder

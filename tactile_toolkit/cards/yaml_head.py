@@ -13,7 +13,7 @@ from typing import Any
 import yaml
 
 from tactile_toolkit import store
-from tactile_toolkit.cards.folder_summary import FolderSummary
+from tactile_toolkit.cards.folder_facts import FolderSummary
 from tactile_toolkit.shown_text import printable
 
 CARD_FILE = "README.md"
