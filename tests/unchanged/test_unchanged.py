@@ -31,7 +31,7 @@ RECORD = recorded()
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
 CHANGING = {"_Run", "DiskCache", "_Object", "_Row"}
-"""Dataclasses that are not frozen: a training, a cache, a part while it is read, a row of a plate that fills."""
+"""Dataclasses that are not frozen: a training, a cache, a part while it is read, a row of a plate."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
