@@ -110,7 +110,6 @@ def test_what_ids_of_environments_stand_for_is_unchanged():
     assert environments.ids() == RECORD["environments"]
 
 
-@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.env
 @pytest.mark.parametrize("name", environments.COURSES)
