@@ -259,6 +259,7 @@ def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code
     assert (done.returncode, done.stderr) == (code, message if why else "")
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", ">&- 2>&-", "<&- 2>&-"])
 def test_the_exit_code_needs_no_stream(tmp_path, redirected):
     assert _redirected(tmp_path, ["info", "missing"], redirected).returncode == 2
@@ -337,6 +338,7 @@ def test_too_little_memory_is_named(error, monkeypatch, capsys):
     assert said.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_a_library_that_does_not_fit_into_memory_is_named(tmp_path):
     code = """
     import resource, sys

@@ -76,12 +76,14 @@ def test_bad_input_is_one_line_and_writes_nothing(tmp_path, monkeypatch, words, 
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_the_home_of_the_user_is_known(tmp_path, monkeypatch):
     monkeypatch.setenv("HOME", str(tmp_path))
     assert run("wrench", "--out", tmp_path / "wrench", "--stl", "~/wrench.stl").exit_code == 0
     assert (tmp_path / "wrench.stl").is_file()
 
 
+@pytest.mark.thorough
 def test_info_lists_what_a_provider_would_give(tmp_path):
     assert run("info", tmp_path).stdout == f"{tmp_path} holds no data sets\n"
     run("wrench", "--out", tmp_path / "wrench")

@@ -224,6 +224,7 @@ def test_tables_for_other_libraries(folder: Path, tmp_path: Path, capsys: pytest
         np.testing.assert_allclose(size, digit.mesh.extents)
 
 
+@pytest.mark.thorough
 def test_tables_are_a_data_set_folder(
     folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -27,6 +27,7 @@ def folders(tmp_path_factory) -> dict[str, Path]:
 ITEMS = {"mnist3d": (10, "digits"), "starstruck": (6, "scenes"), "realtouch": (1, "rounds")}
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("program", ITEMS)
 def test_gallery_says_what_was_made_and_what_next(program, folders, tmp_path, capsys):

@@ -141,6 +141,7 @@ def test_bad_input_is_named_in_two_lines(tmp_path, monkeypatch, capsys, argument
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.mark.thorough
 def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
     arguments = ("generate", "--source", "folder", "--images", shared / "digits" / "png", *SMALL)
     assert call(*arguments, "--out", tmp_path / "digits") == 0
@@ -149,6 +150,7 @@ def test_real_pictures_in_a_folder(shared, tmp_path, capsys):
     assert set(digits.writers.tolist()) <= {1, 2, 4, 5, 6}
 
 
+@pytest.mark.thorough
 def test_real_mnist(shared, tmp_path):
     arguments = ("generate", "--source", "mnist", "--images", shared / "mnist", *SMALL)
     assert call(*arguments, "--out", tmp_path / "digits", "--quiet") == 0

@@ -43,6 +43,7 @@ def test_a_folder_whose_name_begins_with_a_tilde_is_not_the_home_folder(tmp_path
     assert Path(open_folder(parse_address(text)).address()) == meant  # read twice, as commands do
 
 
+@pytest.mark.thorough
 def test_commands_leave_the_home_folder_alone(tmp_path, monkeypatch):
     home = tmp_path / "home"
     home.mkdir()

@@ -140,6 +140,7 @@ def test_one_picture_goes_into_the_file_that_is_named(digits, scenes, clips, tmp
     assert "2 pictures; next: give a folder" in several.stderr
 
 
+@pytest.mark.thorough
 def test_a_dry_run_writes_nothing_and_tells_all(digits, scenes, clips, tmp_path, run):
     for room, arguments, names in (
         ("mnist3d", (digits, "--kind", "sheet"), ["digits-test-sheet.png"]),

@@ -67,6 +67,7 @@ def test_every_option_reaches_the_specification(tmp_path):
     assert run("validate", tmp_path / "set").exit_code == 0
 
 
+@pytest.mark.thorough
 def test_proportions_reach_the_specification_and_info(tmp_path):
     made = run(
         *("generate", "--out", tmp_path / "set", "--quiet", "--workers", 1, "--scenes", 6, "--radius-mm", 8),
@@ -111,6 +112,7 @@ def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     assert told.count("\n") == 1
 
 
+@pytest.mark.thorough
 def test_validate_and_verify_pass(made):
     folder, _ = made
     result = run("validate", folder, "--workers", 2)

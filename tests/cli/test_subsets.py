@@ -71,6 +71,7 @@ def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsy
     assert not (tmp_path / "twice").exists()
 
 
+@pytest.mark.thorough
 def test_objects_are_taken_out_by_id(tmp_path, capsys):
     folder = _made("mnist3d", tmp_path / "all")
     ids = [row["id"] for row in _rows(folder)["test"]]

@@ -297,6 +297,7 @@ class TestRefusals:
         assert "ink: found 'blue', expected one of auto, dark, light" in message
 
 
+@pytest.mark.thorough
 def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path: Path) -> None:
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "slow.jpg").write_bytes(jpeg_of_scans(101))
@@ -335,6 +336,7 @@ def test_a_changed_folder_is_listed_again(tmp_path: Path) -> None:
     assert made.catalog().labels.tolist() == [0, 1]
 
 
+@pytest.mark.thorough
 @needs_shared
 def test_real_pictures_come_back_as_they_are() -> None:
     made = FolderSource(str(PICTURES))

@@ -162,6 +162,7 @@ def test_golden_row(tmp_path):
 GOLDEN = "54d92eab70b4442d1c87ff48e98a7dee8419e6879c8471803f99ad4881540344"
 
 
+@pytest.mark.thorough
 def test_writer_splits_share_no_writer(tmp_path):
     spec = DigitSetSpec(SyntheticSource(count=700), COARSE, SplitSpec(by="writer"), limit=2)
     generate(spec, str(tmp_path / "set"))

@@ -309,6 +309,7 @@ def test_memory_does_not_grow_with_the_file(tmp_path: Path) -> None:
     assert int(printed_by(_READ_WITHIN_LIMITS, made.images, made.writer_info)) < 30
 
 
+@pytest.mark.thorough
 @needs_shared
 def test_real_layout_equals_the_pictures_of_the_same_digits() -> None:
     from PIL import Image

@@ -51,6 +51,7 @@ def digits(recognition: ModuleType) -> object:
     return recognition.load_digits(SHARED / "digits")
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("count", [200, TRAIN_COUNT // 2])
 def test_mnist_reads_synthetic_digits(recognition: ModuleType, mnist: object, count: int) -> None:

@@ -180,6 +180,7 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.DigitDataset
     assert {count for counts in repairs.values() for count in counts} == {0}
 
 
+@pytest.mark.thorough
 def test_the_check_sees_a_broken_file(digits: mnist3d.DigitDataset, tmp_path: Path) -> None:
     """What is asserted above fails for a surface without three triangles."""
     whole = place_on_plate(digits[0])

@@ -42,6 +42,7 @@ def test_a_notebook_shows_what_is_stored_in_it(
     assert notebook.stat().st_size < LARGEST_BYTES
 
 
+@pytest.mark.thorough
 def test_a_set_without_any_contact_is_walked_through_too(
     offline: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

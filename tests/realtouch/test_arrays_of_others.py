@@ -243,6 +243,7 @@ def test_episodes_are_as_many_as_frames_at_most(tmp_path: Path) -> None:
     refused(home, "episode_ends")
 
 
+@pytest.mark.thorough
 def test_a_chunk_unpacks_to_its_size_and_no_further(tmp_path: Path) -> None:
     """A few bytes stand for gigabytes; a zip adds another thousandfold."""
     bomb = zlib.compress(bytes(1 << 26), 9)

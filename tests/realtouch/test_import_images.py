@@ -61,6 +61,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
         realtouch.import_images(home, out, "folder")
 
 
+@pytest.mark.thorough
 def test_images_that_readers_would_see_differently(tmp_path: Path) -> None:
     """What is deeper than 8 bits would be cut at 255; what asks to be turned is turned by some readers."""
     upright = Image.new("RGB", (32, 24), (9, 9, 9))

@@ -98,6 +98,7 @@ def test_killed_again_and_again_it_ends_with_the_same_bytes(
     assert realtouch.verify(str(out)).ok
 
 
+@pytest.mark.thorough
 def test_half_written_pictures_are_removed(
     single_folder: Path, undisturbed: dict[str, dict[str, bytes]], tmp_path: Path
 ) -> None:

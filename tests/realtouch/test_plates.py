@@ -46,6 +46,7 @@ def test_a_selection_of_contacts_has_contact(source: Path, truth: list[RoundTrut
     assert realtouch.verify(tmp_path / "some").ok
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 def test_it_stays_through_further_conversions(source: Path, tmp_path: Path) -> None:
     realtouch.select(source, tmp_path / "some", contact=True)

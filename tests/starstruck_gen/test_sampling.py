@@ -110,6 +110,7 @@ def test_unusable_seed_or_split_is_refused(seed, split):
         sample_scenes(SceneSpec(), split, seed, 0, 1)
 
 
+@pytest.mark.thorough
 def test_numbers_are_uniform():
     """Kolmogorov-Smirnov at 1 %, fixed seed: the first object of a scene meets no obstacle."""
     scenes = sample_scenes(SceneSpec(), "train", 11, 0, 4_000)

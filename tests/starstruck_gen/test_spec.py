@@ -108,6 +108,7 @@ def test_shapes_too_fine_for_stored_coordinates_are_refused_with_what_to_change(
         assert part in str(caught.value)
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("side_m", [0.24, 0.16, 0.4])
 def test_shapes_as_fine_as_the_cell_allows_are_sound(side_m, tmp_path):

@@ -214,6 +214,7 @@ def test_predictions_without_a_loss_are_refused(assets, task):
         np.testing.assert_equal(one, other)
 
 
+@pytest.mark.thorough
 def test_observations_are_kept_by_whoever_has_them(assets):
     """A step writes no array that an earlier one gave; depth is what the picture shows, from the camera."""
     env = make_vector(DEPTH, num_envs=2, assets=assets, config={"depth_in_info": True})

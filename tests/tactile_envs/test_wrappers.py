@@ -206,6 +206,7 @@ class _Pictures(ap_gym.ActivePerceptionVectorWrapper):
         return {**observation, "pixels": np.asarray(self.env.render())}, *rest
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("sparse", [False, True])
 def test_the_stack_of_apple(assets, sparse):

@@ -289,6 +289,7 @@ def test_a_row_of_millions_of_vertices_is_refused(tmp_path: Path, monkeypatch: p
         assert peak < 50
 
 
+@pytest.mark.thorough
 def test_padded_rows_are_none_of_those(tmp_path: Path) -> None:
     rows = [[0.0] * 30_000] * 100
     pq.write_table(pa.table({"id": range(100), "padding": rows}), tmp_path / "train.parquet")

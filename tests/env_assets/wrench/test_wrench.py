@@ -175,6 +175,7 @@ def test_the_published_way_of_loading_reads_it(tmp_path):
     assert row["label"] == 0
 
 
+@pytest.mark.thorough
 def test_the_same_wrench_is_written_once_and_another_is_refused(tmp_path):
     folder = tmp_path / "wrench"
     write_wrench(WrenchSpec(), str(folder))

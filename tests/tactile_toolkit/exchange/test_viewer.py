@@ -150,6 +150,7 @@ def test_a_download_leaves_it_out(server, sent, made, tmp_path):
     assert "viewer" not in (part / "README.md").read_text().split("---\n")[1]
 
 
+@pytest.mark.thorough
 def test_an_upload_without_it_takes_it_back(server, sent, made):
     repository = server.create(NAME, sent)
     repository.commit({"viewer/notes.md": repository.blob("viewer/notes.md", b"of somebody")}, "notes")

@@ -201,6 +201,7 @@ def test_pyarrow_misses_no_package_but_pandas(monkeypatch: pytest.MonkeyPatch) -
     assert found == ["pandas", "wave"]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     "error",
     [

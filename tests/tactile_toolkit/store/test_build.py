@@ -259,6 +259,7 @@ def test_another_source_is_told_in_few_words(tmp_path):
     assert len(str(told.value)) < 500
 
 
+@pytest.mark.thorough
 def test_workers_leave_with_a_killed_parent(tmp_path):
     script = """
         import sys

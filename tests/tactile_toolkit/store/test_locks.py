@@ -167,6 +167,7 @@ def stopped_beside(place: Path, moment: str) -> BusyError:
         return caught.value
 
 
+@pytest.mark.thorough
 @pytest.mark.one_at_a_desk
 @needs_list
 @pytest.mark.parametrize(("moment", "finished"), [("before", 0), ("after", 6)])

@@ -182,6 +182,7 @@ def test_a_set_that_cannot_be_moved_now_is_moved_by_the_next_run(finished, tmp_p
     assert folder_bytes(finished) == folder_bytes(tmp_path / "fresh")
 
 
+@pytest.mark.thorough
 def test_a_run_that_leaves_everything_out_fails_and_leaves_nothing(finished, tmp_path):
     plan = other_plan()
     empty = replace(plan, tasks=tuple(replace(task, ids=(109, 119)) for task in plan.tasks))
