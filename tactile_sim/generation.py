@@ -170,7 +170,7 @@ class GenerateSpec:
 
 
 @dataclass(frozen=True)
-class TouchMaking(generation.Generator):
+class TouchMaking(generation.RowGenerator):
     """How rounds of touches are made: for each object a plan of where it lies and is touched, then pictures.
 
     ``rows`` are those of the objects that are touched. The items are numbers of rounds, object after object.

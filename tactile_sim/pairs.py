@@ -203,7 +203,7 @@ def _sensor(window: str, size_px: tuple[int, int]) -> Sensor:
 
 
 @dataclass(frozen=True)
-class PairsMaking(generation.Generator):
+class PairsMaking(generation.RowGenerator):
     """How a training set is made: objects are pressed for the split ``depth``, touches drawn for ``real``.
 
     The items are numbers of depth images, and numbers of touches with whether they met their object.

@@ -64,10 +64,14 @@ def integer(
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    limit = _MOST_INTEGER if most is None else most
+    limit = most
+    if most is None:
+        limit = _MOST_INTEGER
 
     def fits(value: Any) -> bool:
-        return optional if value is None else is_integer(value) and least <= value <= limit
+        if value is None:
+            return optional
+        return is_integer(value) and least <= value <= limit
 
     span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
@@ -96,7 +100,9 @@ def real(
 
     ends = ((" from {:g}", least), (" above {:g}", above), (" to {:g}", most), (" and below {:g}", below))
     span = "".join(words.format(end) for words, end in ends if math.isfinite(end)) or ", finite"
-    what = f"{many} numbers" if many else "a number"
+    what = "a number"
+    if many:
+        what = f"{many} numbers"
     return _field(default, Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
 
 
@@ -108,7 +114,9 @@ def choice(
     def fits(value: Any) -> bool:
         if isinstance(default, tuple):
             return isinstance(value, tuple) and set(value) <= set(known)
-        return value in known if isinstance(value, str) else optional and value is None
+        if isinstance(value, str):
+            return value in known
+        return optional and value is None
 
     expected = f"{'None or ' if optional else ''}one of {', '.join(known)}"
     return _field(default, Rule(str, fits, expected, option, tuple(known)))

@@ -17,7 +17,9 @@ def with_count(count: int, nouns: str) -> str:
 
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class, or its number if it has no name."""
-    return names[label] if 0 <= label < len(names) else str(label)
+    if 0 <= label < len(names):
+        return names[label]
+    return str(label)
 
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
@@ -28,4 +30,6 @@ def did_you_mean(name: str, known: Iterable[str]) -> str:
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)
-    return f"; did you mean {lowered[close[0]]!r}?" if close else ""
+    if close:
+        return f"; did you mean {lowered[close[0]]!r}?"
+    return ""

@@ -47,7 +47,7 @@ def wrench_schema() -> pa.Schema:
 
 
 @dataclass(frozen=True)
-class WrenchMaking(generation.Generator):
+class WrenchMaking(generation.RowGenerator):
     """How a wrench is made."""
 
     spec: WrenchSpec

@@ -199,7 +199,9 @@ def _build(
 def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
     """Return for the specification of a copy how much of unfinished sources there was."""
     counts = [each.unfinished for each in sources if each.unfinished]
-    return {"unfinished": ", ".join(counts)} if counts else {}
+    if counts:
+        return {"unfinished": ", ".join(counts)}
+    return {}
 
 
 def _copy_plan(

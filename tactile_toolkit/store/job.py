@@ -36,7 +36,9 @@ class MissingPartsError(IntegrityError):
     """
 
     def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
-        which = "part" if array.isdigit() else "parts"
+        which = "parts"
+        if array.isdigit():
+            which = "part"
         super().__init__(
             f"{shards:,} of {parts:,} shards of {where!r} are not finished, or a node writes to a folder "
             f"that this machine does not see; they are those of {which} {array} of {parts:,}",

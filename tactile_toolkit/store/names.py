@@ -50,7 +50,9 @@ def problem_of_name(name: object) -> str:
         and len(name.encode(errors="replace")) <= _LONGEST_BYTES
         and all(map(_is_plain_part, name.split("/")))
     )
-    return "" if is_plain else "is not the plain relative path of a visible file on every system"
+    if is_plain:
+        return ""
+    return "is not the plain relative path of a visible file on every system"
 
 
 def _is_plain_part(part: str) -> bool:
