@@ -103,7 +103,7 @@ def real(
     what = "a number"
     if many:
         what = f"{many} numbers"
-    return _field(default, Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
+    return _field(default, Rule(float, fits, f"{_or_none(optional)}{what}{span}", option))
 
 
 def choice(
@@ -118,7 +118,7 @@ def choice(
             return value in known
         return optional and value is None
 
-    expected = f"{'None or ' if optional else ''}one of {', '.join(known)}"
+    expected = f"{_or_none(optional)}one of {', '.join(known)}"
     return _field(default, Rule(str, fits, expected, option, tuple(known)))
 
 
@@ -130,6 +130,10 @@ def switch(default: bool, **option: Unpack[OptionText]) -> Any:
 def text(default: Any = None, **option: Unpack[OptionText]) -> Any:
     """Declare a text, or the result of ``read``, which checks it."""
     return _field(default, Rule(str, lambda _: True, "", option))
+
+
+def _or_none(optional: bool) -> str:
+    return "None or " * optional
 
 
 def rule_of(declared: Field[Any]) -> Rule | None:

@@ -245,7 +245,7 @@ def forecast(
         ],
         left.total(),
         round(left.total() * item_bytes),
-        round(left.total() * item_s / processes + (_START_S if left else 0), 1),
+        round(left.total() * item_s / processes + _START_S * bool(left), 1),
         sampled,
         _existing_rows(folder) if options.overwrite else None,
     )

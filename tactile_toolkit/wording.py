@@ -15,6 +15,13 @@ def with_count(count: int, nouns: str) -> str:
     return f"{count:,} {nouns}"
 
 
+def shortened(text: str, length: int) -> str:
+    """Return a text, cut with ``...`` if it has more than ``length`` characters."""
+    if len(text) <= length:
+        return text
+    return f"{text[:length]}..."
+
+
 def class_name(names: Sequence[str], label: int) -> str:
     """Return the name of a class, or its number if it has no name."""
     if 0 <= label < len(names):

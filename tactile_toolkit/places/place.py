@@ -241,6 +241,12 @@ class Place:
             )
         return self.splits[0]
 
+    def chosen_splits(self, split: str | None) -> tuple[str, ...]:
+        """Return one split, or all if none is named."""
+        if split is None:
+            return self.splits
+        return (split,)
+
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False
     ) -> tuple[read.Shard, ...]:

@@ -203,7 +203,8 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
         write_manifest(folder, replace(current, complete=False, files=others))
     if plan.report_file is not None:
         checksum = merge_reports(folder, plan.report_file, manifest)
-        files |= {plan.report_file: checksum} if checksum is not None else {}
+        if checksum is not None:
+            files[plan.report_file] = checksum
     files |= plan.write_files(folder, manifest)
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:

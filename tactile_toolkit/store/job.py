@@ -23,6 +23,7 @@ from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.run_options import RunOptions
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import AnyTask
+from tactile_toolkit.wording import shortened
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
@@ -265,9 +266,11 @@ def _differences(found: object, wanted: object, path: str = "") -> list[str]:
 def _short(value: object) -> str:
     """Return a value as text; a long one, such as the files of a source, is cut and gets a digest."""
     text = repr(value)
-    if len(text) <= _LONGEST_SHOWN:
+    short = shortened(text, _LONGEST_SHOWN)
+    if short == text:
         return text
-    short = f"{len(value):,} entries" if isinstance(value, list) else f"{text[:_LONGEST_SHOWN]}..."
+    if isinstance(value, list):
+        short = f"{len(value):,} entries"
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 
