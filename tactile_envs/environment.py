@@ -16,9 +16,9 @@ from gymnasium.vector.utils import batch_space
 from realtouch import Poses
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
-from tactile_envs.drawing import PredictionView, Scene, draw_scene
+from tactile_envs.drawing import EnvDrawing, PredictionView, draw_environment
 from tactile_envs.episode_log import EpisodeLog
-from tactile_envs.episodes import Episodes
+from tactile_envs.episode_state import EpisodeState
 from tactile_envs.ids import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
@@ -97,7 +97,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._camera = Camera(config.sensor_type, config.sensor_output_size, weights)
         self._toucher = Toucher(self._camera.depth_size, num_envs, threads)
         self._motion = Motion.of(config)
-        self._episodes = Episodes(num_envs)
+        self._episodes = EpisodeState(num_envs)
         self._log = EpisodeLog(num_envs, config.step_limit)
         self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
         self._upright.flags.writeable = False  # shared by the poses of all steps
@@ -309,8 +309,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             self._felt,
             strict=True,
         )
-        scenes = (Scene(self._pool, *each, cell_m, window_m) for each in places)
-        return tuple(draw_scene(scene, view, i) for i, scene in enumerate(scenes))
+        scenes = (EnvDrawing(self._pool, *each, cell_m, window_m) for each in places)
+        return tuple(draw_environment(scene, view, i) for i, scene in enumerate(scenes))
 
     def close(self, **options: Any) -> None:  # its own words: those of gymnasium are not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""

@@ -13,7 +13,7 @@ from tactile_envs.motion import Motion
 from tactile_toolkit.array_types import Float64
 
 
-class Episodes:
+class EpisodeState:
     """Objects and sensors of ``count`` environments.
 
     Attributes
