@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from mnist3d.digit_rows import PARQUET_STYLE
 from tactile_sim import GenerateSpec, TouchPlan
-from tactile_sim.generation import TouchMaking
+from tactile_sim.generation import TouchGenerator
 from tactile_toolkit.store import DataFolder, ParquetStyle, encode_parquet, open_folder, read_manifest
 
 # Any 256 random numbers cut alike; these are not those of the Hub.
@@ -71,7 +71,7 @@ def style_of(folder: DataFolder) -> ParquetStyle:
         return PARQUET_STYLE
     options = manifest.spec["options"]
     spec = GenerateSpec(tuple(options["size_px"]), plan=TouchPlan(touches=options["plan"]["touches"]))
-    return TouchMaking(spec, {}, {}).layout().style
+    return TouchGenerator(spec, {}, {}).layout().style
 
 
 def changed(tables: list[pa.Table]) -> tuple[list[pa.Table], list[pa.Table], list[pa.Table]]:

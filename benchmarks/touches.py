@@ -1,4 +1,4 @@
-"""How fast touches are rendered: against the published environment, its renderer, and Taxim on JAX.
+"""How fast touches are rendered: against the renderer of the published environments, and Taxim on JAX.
 
 Usage: python benchmarks/touches.py [PART ...]
 
@@ -96,31 +96,6 @@ def depth_and_taxim(digits: Any) -> None:
             )  # fmt: skip
 
 
-def environments(folder: str) -> None:
-    """Time steps of the registered environment with both renderers."""
-    import env_assets
-
-    provider = env_assets.AssetProvider(places={"mnist3d": folder})
-    for count in (1, 16):
-        steps_ms = {}
-        for renderer in ("opengl", "fast"):
-            env = env_assets.make(
-                "TactileMNIST-Depth-test-v0", provider=provider, num_envs=count, renderer=renderer
-            )
-            env.reset(seed=0)
-            env.action_space.seed(0)
-
-            def step(env: Any = env) -> None:
-                for _ in range(15):
-                    env.step(env.action_space.sample())
-
-            steps_ms[renderer] = best_ms(step, 15 * count)
-            env.close()
-        what = f"a step of an environment, {count} at once, 64x64; the package's renderer"
-        fast_s, opengl_s = steps_ms["fast"] / 1e3, steps_ms["opengl"] / 1e3
-        tell(f"step_{count}", what, fast_s, "s", other=opengl_s, target="at least 5")
-
-
 def sets(folder: str, split: str) -> None:
     """Time the writing of data sets of depth touches, in the plan of the defaults."""
     plan = tactile_sim.TouchPlan(16, TOUCHES)
@@ -174,13 +149,11 @@ def written_ms(folder: str, split: str, spec: tactile_sim.GenerateSpec, workers:
 
 
 def main() -> None:
-    parts = sys.argv[1:] or ["depth", "environments", "sets", "workers"]
+    parts = sys.argv[1:] or ["depth", "sets", "workers"]
     with tempfile.TemporaryDirectory() as folder:
         mnist3d.generate(mnist3d.DigitSetSpec(SyntheticSource(), per_class=4), folder, ["test"])
         if "depth" in parts:
             depth_and_taxim(mnist3d.load(folder, "test"))
-        if "environments" in parts:
-            environments(folder)
         if "sets" in parts:
             sets(folder, "test")
         if "workers" in parts:

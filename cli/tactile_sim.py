@@ -61,7 +61,7 @@ def generate(
     spec = _spec_of(sink, picture, plan=TouchPlan(**plan), **given)
     if not making.dry_run:
         run.prepare_batch_process()
-    touches = tactile_sim.TouchMaking.of(opening.open(sink, objects), spec)
+    touches = tactile_sim.TouchGenerator.of(opening.open(sink, objects), spec)
     require = partial(touches.refuse_sources, objects, out)
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
@@ -168,7 +168,7 @@ def pairs(
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
     run.prepare_batch_process()
-    pairs = tactile_sim.PairsMaking.of(objects, real, split, spec)
+    pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
     generate_set(sink, "pressing and scaling", pairs, out, None, making, print_set, require)
 

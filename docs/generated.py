@@ -333,7 +333,7 @@ def _formats_page() -> str:
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
-    from tactile_sim.touch_rows import SyntheticRound, touch_schema
+    from tactile_sim.touch_rows import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import card_words
     from tactile_toolkit.cards.card_tables import field_table, markdown_table
@@ -360,7 +360,7 @@ def _formats_page() -> str:
         "columns stay as they are.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
         "## Synthetic touches (`tactile-sim`)\n\n"
-        + table(touch_schema(tuple(map(str, range(10)))), SyntheticRound),
+        + table(synthetic_schema(tuple(map(str, range(10)))), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
     return "\n\n".join(parts) + "\n"

@@ -2,7 +2,8 @@
 
 from .config import Config as Config
 from .entry_points import make_one as make_one, make_vector as make_vector
-from .environment import TactileEnv as TactileEnv, TactileVectorEnv as TactileVectorEnv
+from .environment import TactileVectorEnv as TactileVectorEnv
 from .ids import IDS as IDS, register as register
+from .single_environment import TactileEnv as TactileEnv
 
 __version__: str

@@ -75,7 +75,7 @@ class _Canvas:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Scene:
+class EnvDrawing:
     """One environment as it is drawn.
 
     Mesh ``number`` of a pool lies at ``placement`` (x, y, turn) in a cell of size ``cell_m``; the ``sensor``
@@ -92,7 +92,7 @@ class Scene:
     window_m: tuple[float, float]
 
 
-def draw_scene(scene: Scene, view: PredictionView, index: int) -> UInt8:
+def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UInt8:
     """Draw one environment, (240, 336, 3) uint8; ``index`` is the number of its prediction."""
     per_m = (_SIDE_PX - 1) / max(scene.cell_m)
     heights = np.zeros((_SIDE_PX, _SIDE_PX + PADDING), np.float32)

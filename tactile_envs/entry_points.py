@@ -14,7 +14,8 @@ from tactile_toolkit import mesh, store
 from tactile_toolkit.errors import InputError, needs_extra
 
 with needs_extra("native environments", "ap-gym", "native"):
-    from tactile_envs.environment import TactileEnv, TactileVectorEnv
+    from tactile_envs.environment import TactileVectorEnv
+    from tactile_envs.single_environment import TactileEnv
 
 
 PUBLISHED = "published"

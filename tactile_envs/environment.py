@@ -16,12 +16,13 @@ from gymnasium.vector.utils import batch_space
 from realtouch import Poses
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
-from tactile_envs.drawing import PredictionView, Scene, draw_scene
+from tactile_envs.drawing import EnvDrawing, PredictionView, draw_environment
 from tactile_envs.episode_log import EpisodeLog
-from tactile_envs.episodes import Episodes
+from tactile_envs.episode_state import EpisodeState
 from tactile_envs.ids import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
+from tactile_envs.reset_options import ResetOptions
 from tactile_envs.tasks import make_task
 from tactile_envs.toucher import Toucher
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
@@ -30,9 +31,6 @@ from tactile_toolkit.errors import InputError
 Observation = dict[str, AnyArray]
 
 _NO_DRIFT = np.zeros(3)
-_PLACE = "initial_sensor_target_pose"
-_RESET_MASK = "reset_mask"
-_OPTIONS = ("datapoint_idx", "initial_object_pose", _PLACE, _RESET_MASK)
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 _CLOSED = "the environment was closed; next: make another one"
 
@@ -99,7 +97,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._camera = Camera(config.sensor_type, config.sensor_output_size, weights)
         self._toucher = Toucher(self._camera.depth_size, num_envs, threads)
         self._motion = Motion.of(config)
-        self._episodes = Episodes(num_envs)
+        self._episodes = EpisodeState(num_envs)
         self._log = EpisodeLog(num_envs, config.step_limit)
         self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
         self._upright.flags.writeable = False  # shared by the poses of all steps
@@ -167,22 +165,19 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was closed.
         """
         self._require_open()
-        options = options or {}
-        _require_options(options)
+        given = ResetOptions.of(options or {}, self.num_envs)
         super().reset(seed=seed)
         episodes = self._episodes
-        for i, wanted in enumerate(self._given(options, "datapoint_idx")):
-            number = wanted
-            if wanted is None:
-                number = self.np_random.integers(0, len(self._pool))
-            if not 0 <= int(number) < len(self._pool):
+        for i, number in enumerate(given.numbers):
+            if number is None:
+                number = int(self.np_random.integers(0, len(self._pool)))
+            if not 0 <= number < len(self._pool):
                 raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
             episodes.upcoming[i] = number
-        poses, places = self._poses(options, "initial_object_pose", 3), self._poses(options, _PLACE, 2)
-        self._begin(poses)
-        for i, start in enumerate(places):
-            if start is not None:
-                episodes.targets[i, :2] = start
+        self._begin(given.poses)
+        for i, place in enumerate(given.places):
+            if place is not None:
+                episodes.targets[i, :2] = place
         return self._touch()
 
     def _begin(self, poses: Sequence[Float64 | None] | None = None) -> None:
@@ -293,23 +288,6 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             info["depth"] = touches.depths_m
         return observation, info
 
-    def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
-        given = list(options.get(name, [None] * self.num_envs))
-        if len(given) != self.num_envs:
-            raise InputError(f"option {name!r} has {len(given)} entries; expected {self.num_envs}")
-        return given
-
-    def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[Float64 | None]:
-        """Return the first ``count`` numbers that are given for each environment, or None."""
-        found: list[Float64 | None] = [None] * self.num_envs
-        for i, given in enumerate(self._given(options, name)):
-            if given is not None:
-                numbers = np.asarray(given, np.float64).reshape(-1)[:count]
-                if len(numbers) < count or not np.isfinite(numbers).all():
-                    raise InputError(f"option {name!r} has {given!r}; expected {count} numbers")
-                found[i] = numbers
-        return found
-
     def render(self) -> tuple[UInt8, ...] | None:
         """Draw each environment, (240, 336, 3) uint8; None without a render mode.
 
@@ -331,8 +309,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             self._felt,
             strict=True,
         )
-        scenes = (Scene(self._pool, *each, cell_m, window_m) for each in places)
-        return tuple(draw_scene(scene, view, i) for i, scene in enumerate(scenes))
+        scenes = (EnvDrawing(self._pool, *each, cell_m, window_m) for each in places)
+        return tuple(draw_environment(scene, view, i) for i, scene in enumerate(scenes))
 
     def close(self, **options: Any) -> None:  # its own words: those of gymnasium are not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
@@ -381,36 +359,3 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def spec(self, spec: Any) -> None:
         self._registration = copy.copy(spec)
         self._registration.max_episode_steps = self.config.step_limit
-
-
-def _require_options(options: Mapping[str, Any]) -> None:
-    """Refuse options of a reset that are unknown, and a reset of some environments alone (InputError)."""
-    if unknown := [name for name in options if name not in _OPTIONS]:
-        raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
-    mask = options.get(_RESET_MASK)
-    if mask is not None and not np.all(mask):
-        raise InputError(
-            f"option {_RESET_MASK!r} leaves environments out; episodes of a vector begin and end together",
-            next="reset all of them, or make several vectors",
-        )
-
-
-class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[misc]
-    """One environment: a vector of one, seen as a single one."""
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        # Without it, copies look for it in the vector that they have not got yet, without an end.
-        self.__dict__.update(state)
-
-    def step(self, action: Mapping[str, Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Take one touch; see gymnasium for what is returned."""
-        observation, reward, terminated, truncated, info = super().step(action)
-        return observation, float(reward), bool(terminated), bool(truncated), info
-
-    def render(self) -> UInt8 | None:
-        """Return a picture, (240, 336, 3) uint8; None without a render mode."""
-        pictures = self.vector_env.render()
-        if pictures is None:
-            return None
-        picture: UInt8 = pictures[0]
-        return picture

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactile_envs.episodes import Episodes
+from tactile_envs.episode_state import EpisodeState
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
 from tactile_envs.touch_kernels import PADDING, touch
@@ -18,7 +18,7 @@ from tactile_toolkit.array_types import Bool, Float32, Float64
 _PARTS_A_THREAD = 8
 
 
-class Touches(NamedTuple):
+class SensorReadings(NamedTuple):
     """One touch of each environment.
 
     ``images`` (n, H, W) are depth images; ``depths_m``, likewise or (0, 0, 0), distances from the camera of
@@ -51,7 +51,7 @@ class Toucher:
         self.window_m = view.window_m
         middle = [size / 2 - 0.5 - at for size, at in zip(size_px, view.sample_px, strict=True)]
         self._window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
-        # Touches on objects take ten times as long as others: threads take small parts in turns.
+        # Touches of objects take ten times as long as others: threads take small parts in turns.
         parts = np.array_split(range(num_envs), max(1, (threads > 1) * threads * _PARTS_A_THREAD))
         self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
         room = (size_px[1], size_px[0] + PADDING)
@@ -63,14 +63,14 @@ class Toucher:
         return {**self.__dict__, "_threads": None}
 
     def touch(
-        self, pool: MeshPool, episodes: Episodes, motion: Motion, drift: Float64, *, with_depth: bool
-    ) -> Touches:
+        self, pool: MeshPool, episodes: EpisodeState, motion: Motion, drift: Float64, *, with_depth: bool
+    ) -> SensorReadings:
         """Bring the sensors down where they are; then let the objects slip by ``drift``, as of the kernel."""
         count = self._shape[0]
         depth_shape: Sequence[int] = (0, 0, 0)
         if with_depth:
             depth_shape = self._shape
-        touches = Touches(
+        touches = SensorReadings(
             np.empty(self._shape, np.float32),
             np.empty(depth_shape, np.float32),
             np.empty((count, 3), np.float32),

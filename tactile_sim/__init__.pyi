@@ -1,8 +1,8 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .generation import TouchMaking as TouchMaking, generate as generate
+from .generation import TouchGenerator as TouchGenerator, generate as generate
 from .optics import make_optics as make_optics
-from .pair_generation import PairsMaking as PairsMaking, make_pairs as make_pairs
+from .pair_generation import PairsGenerator as PairsGenerator, make_pairs as make_pairs
 from .learning_specs import PairsSpec as PairsSpec, TrainConfig as TrainConfig
 from .poses import pose as pose
 from .pressable import Pressable as Pressable
@@ -11,7 +11,7 @@ from .round_plan import RoundPlan as RoundPlan, plan_round as plan_round
 from .sensor import Sensor as Sensor, center_view as center_view, full_view as full_view
 from .sensor_noise import SensorNoise as SensorNoise
 from .touch_preview import TouchPreview as TouchPreview, preview_touch as preview_touch
-from .touch_rows import SyntheticRound as SyntheticRound, touch_schema as touch_schema
+from .touch_rows import SyntheticRound as SyntheticRound, synthetic_schema as synthetic_schema
 from .touch_spec import (
     SENSOR_NOISE as SENSOR_NOISE,
     GenerateSpec as GenerateSpec,

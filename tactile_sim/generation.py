@@ -20,7 +20,7 @@ from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import plan_round
 from tactile_sim.sensor import Sensor, sensor_of_window
 from tactile_sim.sensor_noise import add_noise
-from tactile_sim.touch_rows import DRAWN, SyntheticRound, touch_schema
+from tactile_sim.touch_rows import DRAWN, SyntheticRound, synthetic_schema
 from tactile_sim.touch_spec import GenerateSpec
 from tactile_toolkit import catalog, generation, mesh, read, store
 from tactile_toolkit.array_types import UInt8
@@ -65,7 +65,7 @@ def content_fingerprint(shard: read.Shard) -> dict[str, Any]:
 
 
 @dataclass(frozen=True)
-class TouchMaking(generation.RowGenerator):
+class TouchGenerator(generation.RowGenerator):
     """Makes rounds of touches: for each object a plan of where it lies and is touched, then images.
 
     ``rows`` are the rows of the touched objects. The items are numbers of rounds, object after object.
@@ -77,7 +77,7 @@ class TouchMaking(generation.RowGenerator):
     kind = KIND
 
     @classmethod
-    def of(cls, source: Name | Place, spec: GenerateSpec) -> TouchMaking:
+    def of(cls, source: Name | Place, spec: GenerateSpec) -> TouchGenerator:
         """Open the source; InputError where it holds no solids, or not the objects of a given plan."""
         make_optics(spec.optics, spec.weights)  # missing packages are reported before anything is written
         place = open_place(source).require_complete()
@@ -136,7 +136,7 @@ class TouchMaking(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return touch_schema(self.source[split].label_names)
+        return synthetic_schema(self.source[split].label_names)
 
     def make(self, split: str, items: Any) -> Iterator[SyntheticRound | store.Skipped]:
         """Render the rounds; for an object that bounds no solid yield the reason, once."""
@@ -290,6 +290,6 @@ def generate(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
-    touches = TouchMaking.of(source, spec)
+    touches = TouchGenerator.of(source, spec)
     require = partial(touches.refuse_sources, source, out)
     return generation.generate(touches, out, splits, require=require, **run)

@@ -43,7 +43,7 @@ _contacts_by_image = lazy("realtouch:contacts_by_image")
 
 
 @dataclass(frozen=True)
-class PairsMaking(generation.RowGenerator):
+class PairsGenerator(generation.RowGenerator):
     """Makes a training set: presses objects for the split ``depth``, and draws touches for ``real``.
 
     The items are numbers of depth images, and numbers of touches with whether they have contact.
@@ -57,7 +57,7 @@ class PairsMaking(generation.RowGenerator):
     kind = replace(KIND, nouns="images")
 
     @classmethod
-    def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsMaking:
+    def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsGenerator:
         """Open both sources; InputError for a source of another kind, or without meshes."""
         solids = open_split(places.open_place(objects), split)
         if not len(solids):
@@ -157,7 +157,7 @@ class PairsMaking(generation.RowGenerator):
 def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
     sensor, least_m = sensor_of_window(spec.window, spec.size_px), spec.min_height_m
-    assert least_m is not None, "set by PairsMaking.of"
+    assert least_m is not None, "set by PairsGenerator.of"
     if spec.is_empty(number):  # a bare plate is the same wherever it is touched
         return np.ones(spec.size_px[::-1], np.float32)
     for positions in ("cell", "object"):  # small objects are seldom met by chance
@@ -177,7 +177,7 @@ def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> 
 
 def _draw(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
     """Draw touches with and without contact, each once, in the pattern of the other split."""
-    assert spec.min_height_m is not None, "set by PairsMaking.of"
+    assert spec.min_height_m is not None, "set by PairsGenerator.of"
     if set(_POSES).isdisjoint(touches.column_names):
         contact, highest = _contacts_by_image(touches).contact, "as their images show"
     else:
@@ -241,6 +241,6 @@ def make_pairs(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    pairs = PairsMaking.of(objects, real, split, spec)
+    pairs = PairsGenerator.of(objects, real, split, spec)
     require = partial(pairs.refuse_sources, objects, out)
     return generation.generate(pairs, out, require=require, **run)

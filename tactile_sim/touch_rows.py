@@ -73,6 +73,6 @@ DRAWN = (
 
 
 @cache
-def touch_schema(class_names: tuple[str, ...]) -> pa.Schema:
+def synthetic_schema(class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of a shard."""
     return with_features(plain_schema(SyntheticRound), class_names)

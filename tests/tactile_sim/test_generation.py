@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 import realtouch
 import starstruck_gen
 import tactile_sim
-from tactile_sim.generation import TouchMaking
+from tactile_sim.generation import TouchGenerator
 from tactile_sim.optics import make_optics
 from tactile_sim.round_plan import REACH_M
 from tactile_toolkit.errors import InputError
@@ -69,7 +69,7 @@ def test_shards_and_row_groups_hold_as_many_rounds_as_their_bytes_allow(scenes):
     """A later version that divided them otherwise would not continue a set, nor make the same files again."""
     for size_px, touches, largest, rows_per_group in (((64, 64), 256, 161, 20), ((320, 240), 64, 52, 6)):
         spec = tactile_sim.GenerateSpec(size_px, "depth", plan=tactile_sim.TouchPlan(2, touches))
-        layout = TouchMaking.of(scenes, spec).layout()
+        layout = TouchGenerator.of(scenes, spec).layout()
         assert (layout.largest, layout.style.rows_per_group) == (largest, rows_per_group)
 
 
@@ -252,12 +252,12 @@ def test_plans_that_cannot_be_are_refused(values):
 
 def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
-        TouchMaking.of(tmp_path / "nothing", SPEC)
+        TouchGenerator.of(tmp_path / "nothing", SPEC)
     (tmp_path / "part.stl").touch()
     with pytest.raises(InputError, match=r"is a mesh; expected a data set, .*`tactile-sim render FILE`"):
-        TouchMaking.of(tmp_path / "part.stl", SPEC)
+        TouchGenerator.of(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
-        plan_build(TouchMaking.of(scenes, SPEC), ["dev"])
+        plan_build(TouchGenerator.of(scenes, SPEC), ["dev"])
     shard = next(Path(scenes, "data").glob("train-*"))
     (tmp_path / "data").mkdir()
     pq.write_table(pq.read_table(shard).slice(0, 0), tmp_path / "data" / shard.name)
@@ -265,7 +265,7 @@ def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
         tactile_sim.generate(tmp_path, SPEC, tmp_path / "out", ["train"])
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"mesh\.vertices"):
-        TouchMaking.of(str(touches), SPEC)
+        TouchGenerator.of(str(touches), SPEC)
     with pytest.raises(InputError, match="expected one of"):
         tactile_sim.GenerateSpec(optics="lens")
 
@@ -399,7 +399,7 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
         assert (row.sensor_image[1] == of_all[row.id].sensor_image[1]).all()
     unknown = tactile_sim.GenerateSpec(optics="depth", plan=PLAN, ids=[99])
     with pytest.raises(InputError, match="no object with id 99"):
-        TouchMaking.of(scenes, unknown)
+        TouchGenerator.of(scenes, unknown)
 
 
 def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys):

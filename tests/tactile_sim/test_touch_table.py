@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_sim.generation import TouchMaking
+from tactile_sim.generation import TouchGenerator
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.solids import block
 
@@ -109,7 +109,7 @@ def test_a_set_holds_the_rounds_that_are_given(tmp_path):
     unknown = {**TABLE, "object_id": [1, 1, 0, 99]}
     plan = tactile_sim.TouchPlan(positions="given", given=tactile_sim.TouchTable(**unknown))
     with pytest.raises(InputError, match="touches of objects 99 are given"):
-        TouchMaking.of(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan))
+        TouchGenerator.of(scenes, tactile_sim.GenerateSpec(optics="depth", plan=plan))
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -11,11 +10,10 @@ from tactile_envs.config import Config
 from tactile_envs.episode_kernels import place
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.array_types import Float64
 
 
-@dataclass(eq=False)
-class Episodes:
+class EpisodeState:
     """Objects and sensors of ``count`` environments.
 
     Attributes
@@ -30,17 +28,10 @@ class Episodes:
         Position of each sensor, and where it was sent, metres.
     """
 
-    count: int
-    step: int = 0
-    chosen: Int64 = field(init=False)
-    upcoming: Int64 = field(init=False)
-    objects: Float64 = field(init=False)
-    sensors: Float64 = field(init=False)
-    targets: Float64 = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.chosen, self.upcoming = np.full((2, self.count), -1, np.int64)
-        self.objects, self.sensors, self.targets = np.zeros((3, self.count, 3))
+    def __init__(self, count: int) -> None:
+        self.count, self.step = count, 0
+        self.chosen, self.upcoming = np.full((2, count), -1, np.int64)
+        self.objects, self.sensors, self.targets = np.zeros((3, count, 3))
 
     def begin(
         self,
