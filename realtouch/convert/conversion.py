@@ -96,7 +96,7 @@ class Source:
     def _files(self) -> Iterator[read.Shard]:
         return chain.from_iterable(self.shards.values())
 
-    def fingerprint(self) -> dict[str, list[dict[str, object]]]:
+    def fingerprint(self) -> dict[str, list[dict[str, str | int]]]:
         """Return JSON values that identify the rows: names, sizes and footers of the files.
 
         The footer holds offset and size of every column chunk: other content gives another footer, and
