@@ -24,25 +24,26 @@ from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
-from tactile_sim.learned.evaluation import add_noise_per_object, two_sample_test
-from tactile_sim.learned.networks import (
+from tactile_sim.learned.channels import depth_of
+from tactile_sim.learned.classifiers import two_sample_test
+from tactile_sim.learned.cyclegan_optics import CycleganOptics
+from tactile_sim.learned.evaluation import add_noise_per_object
+from tactile_sim.learned.networks import GeneratorNetwork, initialise
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
+from tactile_sim.learned.weights import (
     PUBLISHED_SIZE_PX,
-    CycleganOptics,
-    Generator,
     GeneratorWeights,
-    depth_of,
     generator_of,
-    initialise,
     published_weights,
     read_weights,
     weights_of,
     write_weights,
 )
-from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
-from tactile_sim.noise import SensorNoise
-from tactile_sim.optics import TaximOptics, scaled
+from tactile_sim.learning_specs import TrainConfig
+from tactile_sim.optics import scaled
 from tactile_sim.pairs import Pairs
-from tactile_sim.spec import TrainConfig
+from tactile_sim.sensor_noise import SensorNoise
+from tactile_sim.taxim import TaximOptics
 from tactile_toolkit.store import open_folder
 
 SIZE = (64, 64)
@@ -239,7 +240,7 @@ def main() -> None:
             "--sensor-noise", noise, "--out", work / f"evaluation-{noise}",
         )  # fmt: skip
         print((work / f"evaluation-{noise}" / "evaluation.md").read_text())
-    untrained = Generator(config.filters, config.blocks)
+    untrained = GeneratorNetwork(config.filters, config.blocks)
     initialise(untrained, 0)
     write_weights(open_folder(str(work)), "untrained.npz", weights_of(untrained, SIZE))
     known = Known(work)

@@ -81,7 +81,7 @@ def verify(
         store.require_finished(place)
     for finding in result.findings:
         sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
-    record = store.read_record(place)
+    record = store.read_download_record(place)
     again = f"run the same `{kind.command_of(manifest)}` with --check, which makes damaged shards again"
     if record is not None:
         again = f"download {record.repo_id} there again, only what is damaged is fetched"

@@ -44,7 +44,7 @@ def _print_copy(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print what the splits of a data set without a manifest hold, and where they are from."""
     repository: store.DownloadRecord | hub.HubRepository | None = place.repository
     if place.folder is not None:
-        repository = store.read_record(place.folder) or repository
+        repository = store.read_download_record(place.folder) or repository
     entries, rows = [], []
     for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]

@@ -5,40 +5,31 @@ from __future__ import annotations
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
-from typing import Annotated, Any
 
 import env_assets
 from cli.application import command, new_app, run
 from cli.checks import Objects, verify
 from cli.contents import show
-from cli.declared_options import OptionsOf
 from cli.exports import export
 from cli.merge_and_split import merge, split
 from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.upkeep import cache
+from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
-from env_assets.wrench.spec import WrenchSpec
 from tactile_toolkit import mesh
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit.checked_fields import text
 from tactile_toolkit.wording import with_count
 
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
-app = new_app("env-assets", "Assets of environments: the wrench, and what a folder of assets holds.")
+app = new_app("env-assets", "Assets of environments: the wrench, and the published environments.")
 
 
 @command(app)
 def wrench(
     *,
-    size: str = text(
-        "13", metavar="MM|M8", help="Nut of the first jaw: width across flats in mm, or its thread."
-    ),
-    second_size: str | None = text(
-        metavar="MM|M6", help="Nut of the second jaw; by default the next smaller one."
-    ),
-    single: bool = switch(False, help="Make only one jaw."),
-    lengths: Annotated[dict[str, Any], OptionsOf(WrenchSpec)],
+    spec: WrenchSpec,
     out: Path = local_out_folder("wrench-data"),
     stl: Path | None = text(
         metavar="FILE",
@@ -51,18 +42,17 @@ def wrench(
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
-    Example: env-assets wrench --size 13 --out assets/wrench --stl wrench.stl
+    Example: env-assets wrench --opening-mm 13 --out assets/wrench --stl wrench.stl
     """
     if stl is not None:
         mesh.file_ending(stl)
         stl.is_file()  # a name that the system refuses is named before anything is made
-    spec = WrenchSpec.for_size(size, second_size, single=single, **lengths)
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
     places = {"folder": str(out), "mesh_file": stl and str(stl), "written": not dry_run}
     sink.document({**places, **env_assets.wrench_facts(spec, report)})
-    openings = " and ".join(f"{each:g}" for each in (spec.opening_mm, spec.second_opening_mm) if each)
+    openings = f"{spec.opening_mm:g} and {spec.second_opening_mm:g}"
     sides = " x ".join(f"{side:.1f}" for side in report.size_mm)
     sink.line(
         f"wrench for {openings} mm across flats: {sides} mm, {report.mass_g:.1f} g of PLA, "
@@ -72,40 +62,6 @@ def wrench(
         sink.line(f"warning: {warning}")
     files = " and ".join(map(str, filter(None, (out, stl))))
     sink.line(_WRITTEN[dry_run].format(files))
-
-
-@command(app)
-def info(
-    *,
-    root: Path = argument("DIR", "Folder of an AssetProvider.", read=Path, default=Path("tactile-assets")),
-    sink: Sink,
-) -> None:
-    """Show which data sets a folder of assets holds, and how large their meshes are.
-
-    Example: env-assets info assets
-    """
-    summaries = env_assets.inventory(root)
-    sink.document(summaries)
-    if not summaries:
-        sink.line(f"{root} holds no data sets")
-    header = ("name", "split", "kind", "rows", "classes", "largest mm", "volume mm³")
-    rows = [
-        (
-            each["name"],
-            each["split"],
-            each["kind"] or "-",
-            each["rows"],
-            " ".join(each["classes"]) or "-",
-            " x ".join(f"{side:.1f}" for side in each["largest_mm"] or ()) or "-",
-            " to ".join(f"{volume:,.0f}" for volume in each["volume_mm3"] or ()) or "-",
-        )
-        for each in summaries
-        if each["problem"] is None
-    ]
-    sink.table(header, rows)
-    for each in summaries:
-        if each["problem"] is not None:
-            sink.line(f"{each['name']} {each['split']}: {each['problem']}")
 
 
 @command(app, name="list")

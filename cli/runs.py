@@ -18,7 +18,7 @@ from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
-    from tactile_toolkit.generation import Forecast, Generator as RowMaking
+    from tactile_toolkit.generation import Forecast, RowGenerator
 
 _LEFT_OUT_SHOWN = 20
 
@@ -32,7 +32,7 @@ Of a sink, a kind, a manifest, the folder, and how long it took where it was jus
 def generate_set(
     sink: Sink,
     what: str,
-    rows: RowMaking,
+    rows: RowGenerator,
     out: str,
     splits: Sequence[str] | None,
     making: Making,
@@ -161,7 +161,7 @@ def print_set(
         }
     )
     if not manifest.complete:
-        record, activity = store.read_record(store.open_folder(out)), "run"
+        record, activity = store.read_download_record(store.open_folder(out)), "run"
         next_step = f"repeat the same `{kind.command_of(manifest)}`, or name what is missing with --finish"
         if record is not None:
             activity, next_step = "download", f"download {record.repo_id} there again; it continues"

@@ -20,8 +20,8 @@ from cli.previews import preview_touches
 from cli.quantities import bytes_text
 from cli.runs import generate_set, print_set
 from cli.shared import add_shared
+from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
-from tactile_sim.spec import SENSOR_NOISE, PairsSpec, PictureOptions, TouchPlan, TrainConfig
 from tactile_toolkit import mesh, run, store, touch
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
@@ -42,7 +42,7 @@ def generate(
     chosen: RowFilter,
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
-    picture: PictureOptions,
+    picture: Annotated[dict[str, Any], OptionsOf(GenerateSpec)],
     making: Making,
     sink: Sink,
 ) -> None:
@@ -58,7 +58,7 @@ def generate(
     given = chosen.given()
     split = given.pop("split")
     splits = split and (split,)
-    spec = _noted(sink, picture, tactile_sim.GenerateSpec.of(picture, TouchPlan(**plan), **given))
+    spec = _spec_of(sink, picture, plan=TouchPlan(**plan), **given)
     if not making.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchMaking.of(opening.open(sink, objects), spec)
@@ -66,9 +66,11 @@ def generate(
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
 
-def _noted(sink: Sink, picture: PictureOptions, spec: tactile_sim.GenerateSpec) -> tactile_sim.GenerateSpec:
-    if picture.optics is None and spec.optics == "depth":
-        sink.info("note: pictures are depth images, as Taxim needs the extra `sim`: --optics taxim")
+def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec:
+    """Return the specification of the options that were given."""
+    spec = GenerateSpec(**{"optics": tactile_sim.default_optics(), **picture, **others})
+    if "optics" not in picture and spec.optics == "depth":
+        sink.info("note: images are depth images, as Taxim needs the extra `sim`: --optics taxim")
     return spec
 
 
@@ -115,7 +117,7 @@ def render(
     ),
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
-    picture: PictureOptions,
+    picture: Annotated[dict[str, Any], OptionsOf(GenerateSpec)],
     out: Path = text(
         Path("touch.png"), name="--out", metavar="FILE", read=local_place, help="Image to write."
     ),
@@ -130,17 +132,17 @@ def render(
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
-    spec = _noted(sink, picture, tactile_sim.GenerateSpec.of(picture))
+    spec = _spec_of(sink, picture)
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")
-    seen = tactile_sim.look(solid, spec, at, math.radians(turn_deg))
-    encoded = touch.encode_image(seen.picture, image_format, picture.quality)
+    seen = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
+    encoded = touch.encode_image(seen.picture, image_format, spec.quality)
     store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
     sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
-        f"{100 * seen.contact:.1f} % of the picture is in contact with the object"
+        f"{100 * seen.contact:.1f} % of the image is in contact with the object"
     )
     if not seen.contact:
         (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
@@ -186,7 +188,6 @@ def train(
     deterministic: bool = switch(False, help="Make every run give the same weights, on the CPU."),
     resume: bool = switch(False, help="Continue the training in the folder; an error if there is none."),
     compiled: bool = switch(False, name="--compile", help="Compile the generators first; for GPUs."),
-    tensorboard: bool = switch(False, help="Also write losses and sheets for TensorBoard."),
     sink: Sink,
 ) -> None:
     """Train a CycleGAN: one generator of touches from depth, one of depth from touches.
@@ -214,7 +215,6 @@ def train(
             deterministic=deterministic,
             resume=resume,
             compiled=compiled,
-            tensorboard=tensorboard,
             on_progress=update,
         )
     # JSON has no NaN, which losses are where no step was left to take.
@@ -252,7 +252,7 @@ def evaluate(
 
     baselines = tuple(name for name in BASELINES if taxim or name != "taxim")
     noise = tactile_sim.SensorNoise.named(sensor_noise)
-    with sink.progress("measuring", "steps") as update:
+    with sink.progress("measuring", "methods") as update:
         found = measure(
             weights,
             pairs,

@@ -36,12 +36,11 @@ API = (
 """Modules on whose public names users may rely."""
 
 SHARED = (
-    "env_assets.wrench.spec.WIDTHS_ACROSS_FLATS_MM",
     "realtouch.contact.CLOCK_TOLERANCE_S",
     "realtouch.contact.contact_heights_m",
     "realtouch.contact.contact_window",
     "starstruck_gen.scene_spec.COLLISION_RULES",
-    "tactile_sim.pressing.MESA_SAMPLE_PX",
+    "tactile_sim.sensor.MESA_SAMPLE_PX",
     "tactile_toolkit.mesh.FORMATS",
     "tactile_toolkit.mesh.UNREADABLE",
     "tactile_toolkit.mesh.WARNINGS",
@@ -329,12 +328,12 @@ def _outside_code(text: str) -> Iterator[str]:
 
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
-    from env_assets.wrench.making import WrenchRow, wrench_schema
+    from env_assets.wrench.dataset import WrenchRow, wrench_schema
     from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
-    from tactile_sim.columns import TouchRow, touch_schema
+    from tactile_sim.touch_rows import SyntheticRound, touch_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import card_words
     from tactile_toolkit.cards.card_tables import field_table, markdown_table
@@ -361,7 +360,7 @@ def _formats_page() -> str:
         "columns stay as they are.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
         "## Synthetic touches (`tactile-sim`)\n\n"
-        + table(touch_schema(tuple(map(str, range(10)))), TouchRow),
+        + table(touch_schema(tuple(map(str, range(10)))), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
     return "\n\n".join(parts) + "\n"

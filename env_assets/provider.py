@@ -1,62 +1,37 @@
-"""The provider: assets by name, from a folder, from the Hub, or made on first use."""
+"""Assets by name, from a folder, from the Hub, or made on first use."""
 
 from __future__ import annotations
 
 import logging
 import shlex
 from collections.abc import Mapping, Sequence
-from importlib import import_module
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
 
-import numpy as np
-
-from env_assets.height_map import HeightMap, top_surface
-from env_assets.meshes import MeshView, mesh_bounds_m, mesh_files
-from env_assets.wrench.kind import KIND as WRENCH
-from env_assets.wrenches import WrenchDataset
-from mnist3d.digit_dataset import DigitDataset
-from mnist3d.kind import KIND as DIGITS
-from starstruck_gen.kind import KIND as SCENES
-from starstruck_gen.scene_dataset import SceneMeshDataset
+import realtouch
+from env_assets.asset_kinds import KINDS, THIRD_PARTY_ASSETS, MeshSet, open_meshes
+from env_assets.mesh_files import mesh_files
+from env_assets.mesh_view import MeshView
+from env_assets.wrench.records import WrenchDataset
+from mnist3d import DigitDataset
+from starstruck_gen import SceneMeshDataset
 from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
-from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.mesh import SolidDataset as SolidDataset
-from tactile_toolkit.places import kind_of_rows, open_place
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.places import open_place
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
-    from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset
-    from starstruck_gen.placement import Placement
     from tactile_toolkit.generation import Recipe
 
-
-KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
-"""Assets that the toolkit can make without any input, by name."""
-
-FOREIGN: dict[str, str] = {
-    "abc": "CAD models of the ABC data set; the published selection is "
-    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
-    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
-}
-"""Assets that this toolkit does not make, and where the published ones are from."""
-
-MeshSet = DigitDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
-_DATASETS: dict[str, Any] = {
-    DIGITS.name: DigitDataset,
-    SCENES.name: SceneMeshDataset,
-    WRENCH.name: WrenchDataset,
-}
 _LOG = logging.getLogger(__name__)
 
 
 @runtime_checkable
 class AssetSource(Protocol):
-    """Provides assets by name, as :class:`env_assets.AssetProvider` does; all that an environment needs.
+    """Provides assets by name, like :class:`env_assets.AssetProvider`; an environment needs nothing else.
 
     Data sets keep order and length for as long as the source lives. All methods may be called from several
     threads, and in processes that were forked or spawned after the source was made.
@@ -71,7 +46,9 @@ class AssetSource(Protocol):
         """
         ...
 
-    def touches(self, name: str, split: str = "train") -> TouchSeqDataset | TouchSingleDataset:
+    def touches(
+        self, name: str, split: str = "train"
+    ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset:
         """Return the rounds of real touches of a split, such as ``realtouch.load`` opens them."""
         ...
 
@@ -111,13 +88,6 @@ class AssetProvider:
     ------
     InputError
         A number that cannot be used, or a name in ``places`` that no environment asks for.
-
-    Examples
-    --------
-    >>> provider = AssetProvider("assets", generate=True, per_class=10)  # doctest: +SKIP
-    >>> digit = provider.meshes("mnist3d", "test")[0]  # doctest: +SKIP
-    >>> provider.height_map(digit, pitch_m=0.0002).heights_m.shape  # doctest: +SKIP
-    (310, 232)
     """
 
     def __init__(
@@ -181,15 +151,15 @@ class AssetProvider:
         name = fspath(name)
         opened = self._opened.get(("meshes", name, split))
         if opened is None:
-            opened = _open_meshes(self._shards(name, split), name)
-            # The first to have opened it gives it to all: records are shared between threads.
+            opened = open_meshes(self._shards(name, split), name)
+            # If two threads open it at once, the first one wins: records are shared between threads.
             opened = self._opened.setdefault(("meshes", name, split), opened)
         found: MeshSet = opened
         return found
 
     def touches(
         self, name: str | PathLike[str], split: str = "train"
-    ) -> TouchSeqDataset | TouchSingleDataset:
+    ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset:
         """Return the rounds of real touches of a split, as a lazy sequence of records.
 
         Parameters
@@ -205,16 +175,14 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        from realtouch.opening import load
-
         name = fspath(name)
         opened = self._opened.get(("touches", name, split))
         if opened is None:
             place = self._place(name)
-            # By commit and not by branch: rounds stay as they were when a user pushes meanwhile.
-            opened = load(place, split, revision=self._commit_of(place))
+            # By commit and not by branch, so that rounds stay the same if a user pushes meanwhile.
+            opened = realtouch.load(place, split, revision=self._commit_of(place))
             opened = self._opened.setdefault(("touches", name, split), opened)
-        found: TouchSeqDataset | TouchSingleDataset = opened
+        found: realtouch.TouchSeqDataset | realtouch.TouchSingleDataset = opened
         return found
 
     def volumes_m3(self, name: str, split: str = "train") -> Float64:
@@ -234,77 +202,35 @@ class AssetProvider:
         kept: MeshView = self._opened.setdefault(("measured", name, split), view)
         return kept.volumes_m3
 
-    def height_map(self, record: Any, pitch_m: float = 0.0002) -> HeightMap:
-        """Return the top surface of a mesh as a grid.
-
-        Parameters
-        ----------
-        record : record, Mesh or trimesh.Trimesh
-            In metres.
-        pitch_m : float
-            Side of a pixel, metres.
-
-        Raises
-        ------
-        InputError
-            No mesh, or a pitch that is not positive or makes the grid too large.
-        """
-        return top_surface(record, pitch_m)
-
-    def bounds(self, record: Any) -> Float64:
-        """Return lowest and highest corner of a mesh, shape (2, 3), metres, in its own frame.
-
-        Raises
-        ------
-        InputError
-            No mesh.
-        """
-        return mesh_bounds_m(mesh.as_mesh(record).vertices_m, "the mesh")
-
-    def placements(self, record: Any) -> tuple[Placement, ...]:
-        """Return the objects of a Starstruck scene, stars first; metres and radians, cell frame.
-
-        Raises
-        ------
-        InputError
-            The record is not a scene, or its data set does not store what stands where.
-        """
-        if not hasattr(type(record), "placements"):
-            raise InputError(
-                f"only scenes have placements, found a {type(record).__name__}",
-                next="give a record of `meshes('starstruck')`",
-            )
-        found: tuple[Placement, ...] = record.placements
-        return found
-
     def __getstate__(self) -> dict[str, Any]:
-        """Leave open data sets behind; commits of the Hub go along."""
+        """Leave open data sets behind, but not the commits of the Hub."""
         return {**self.__dict__, "_opened": {}}
 
     def __repr__(self) -> str:
         return f"AssetProvider({str(self.root)!r})"
 
     def _place(self, name: str) -> str:
-        """Return folder, file or repository that a name stands for."""
+        """Return the folder, file or repository of a name."""
         if name in self._places:
             return self._places[name]
-        # The toolkit's own names stand for the root even before anything is there: so it is made there, and a
-        # folder of that name where the user happens to be is not taken for it.
+        # The toolkit's own names are inside the root even before anything is there, so that it is made there;
+        # a folder of that name in the current folder is not used.
         inside = self.root / name
-        return str(inside) if name in KINDS or (store.path_exists(inside) and inside.is_dir()) else name
+        if name in KINDS or (store.path_exists(inside) and inside.is_dir()):
+            return str(inside)
+        return name
 
     def _commit_of(self, place: str) -> str | None:
-        """Return the commit of a repository, looked up on first use and kept; None for a folder or a file."""
+        """Return the commit of a repository, looked up on first use; None for a folder or a file."""
         if place.startswith("/") or store.path_exists(Path(place)):
             return None
-
         named = hub.hub_name(place)
         if named is None or named.revision is not None:
             return None
         commit = self._commits.get(named.repo_id)
         if commit is None:
             commit = hub.open_repository(named.repo_id, self._revision).commit
-            # The first answer stays, whichever thread it came from.
+            # If two threads ask at once, the first answer wins.
             commit = self._commits.setdefault(named.repo_id, commit)
         return commit
 
@@ -312,7 +238,10 @@ class AssetProvider:
         place = self._place(name)
         try:
             return open_place(place, revision=self._commit_of(place)).shards(split)
-        except (InputError, IntegrityError) as error:  # the latter of killed runs too, which continue
+        except (
+            InputError,
+            IntegrityError,
+        ) as error:  # the latter also after interrupted runs
             if name not in KINDS or name in self._places:
                 raise
             recipe: Recipe = KINDS[name].recipe(self._seed, self._per_class)
@@ -320,7 +249,7 @@ class AssetProvider:
                 self._refuse_missing(error, name, split, recipe)
             elif not self._generate:
                 raise
-        # The file stays for good: were it removed, two processes could each hold a file of that name.
+        # The file is never removed: otherwise two processes could each lock a file of that name.
         lock = self.root / f".{name}.lock"
         with store.named_failures(str(lock)):
             self.root.mkdir(parents=True, exist_ok=True)
@@ -335,14 +264,16 @@ class AssetProvider:
         return open_place(place).shards(split)
 
     def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
-        """Refuse a split that a kind does not have, or one that is not to be made here."""
+        """Refuse a split that a kind does not have, or that may not be made here."""
         if split not in recipe.splits:
             raise InputError(
                 f"unknown split {split!r} of {name}; expected one of {', '.join(recipe.splits)}"
             ) from error
         if not self._generate:
             place = self.root / name
-            found = error.what if place.is_dir() else "it is not there"
+            found = error.what
+            if not place.is_dir():
+                found = "it does not exist"
             out = f"--out {shlex.quote(str(place))}"
             command = " ".join(filter(None, (KINDS[name].made_by, recipe.arguments(split), out)))
             raise InputError(
@@ -352,9 +283,7 @@ class AssetProvider:
 
 
 def _checked_places(places: object) -> dict[str, str]:
-    from realtouch.opening import SHORT_NAMES
-
-    known = (*KINDS, *FOREIGN, *SHORT_NAMES)
+    known = (*KINDS, *THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
     if not isinstance(places, Mapping):
         raise InputError(
             f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
@@ -367,102 +296,29 @@ def _checked_places(places: object) -> dict[str, str]:
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-    return {name: absolute_path(fspath(place)) for name, place in places.items()}
+    return {name: _absolute_path(fspath(place)) for name, place in places.items()}
 
 
-def absolute_path(place: str) -> str:
-    """Return a local place in full, so that it follows the current folder as little as the root does."""
+def _absolute_path(place: str) -> str:
+    """Return the absolute path of a local place; other places as they are."""
     try:
         local = store.expanded(place)
-        return str(local.absolute()) if local.exists() else place
+        if local.exists():
+            return str(local.absolute())
     except (InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
-        return place
-
-
-def _open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
-    """Open the shards of one split as the data set that they are.
-
-    InputError where these are not meshes, or of another kind than their name promises. The published wrench
-    has none of our columns: what is not known to be of another kind will do for one.
-    """
-    # Imported now: a process that is forked while another thread imports something waits for ever for that
-    # import's lock. The first time that Arrow makes an array of numpy, it looks for pandas.
-    for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
-        import_module(module)
-    import_module("pyarrow").array([0]).to_numpy()
-    table = read.ShardedTable(shards)
-    mesh.require_mesh_columns(table.schema, name, DIGITS.made_by)
-    kind, expected = kind_of_rows(table.schema), KINDS.get(name)
-    names = read.class_names(table.schema, () if kind is None else kind.class_names)
-    if expected is not None and kind is not expected and (kind is not None or expected.published):
-        raise InputError(
-            f"{name!r} was expected to hold {expected.nouns}, found "
-            f"{kind.nouns if kind else 'other meshes'} (classes {', '.join(names) or 'without names'})",
-            next=f"give the data set by another name, or put {expected.nouns} in its place",
-        )
-    dataset: Any = SolidDataset if kind is None else _DATASETS.get(kind.name, SolidDataset)
-    opened: MeshSet = dataset(table, label_names=names)
-    return opened
+        pass
+    return place
 
 
 def meshes_at(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | MeshSet:
-    """Open what a user names: mesh files, or a data set by folder or name on the Hub; raises as `meshes`.
+    """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
-    ``unit`` is that of mesh files; InputError where the place holds none.
+    ``unit`` is that of mesh files; InputError if the place holds none.
     """
-    # In full where it is there: a name would first be looked for among the assets of the toolkit.
-    named = absolute_path(fspath(place))
+    # An existing place in full: a name would first be looked for among the assets of the toolkit.
+    named = _absolute_path(fspath(place))
     files = mesh_files(named, split, unit)
     if files is not None:
         return files
     mesh.refuse_unit(unit, fspath(place))
     return AssetProvider().meshes(named, split)
-
-
-_UNKNOWN = {"kind": "", "rows": 0, "classes": (), "largest_mm": None, "volume_mm3": None, "problem": None}
-
-
-def inventory(root: Path) -> list[dict[str, Any]]:
-    """Look into every data set folder of a provider's folder, reading the vertices of all meshes.
-
-    By name, splits in the order of the data set; one that cannot be used is named with the reason. InputError
-    when the folder does not exist.
-    """
-    if not root.is_dir():
-        raise InputError(
-            f"{store.open_folder(str(root)).missing_message('data sets')}",
-            next="give the folder of an AssetProvider",
-        )
-    found = []
-    for place in sorted(each for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name)):
-        try:
-            splits = open_place(place).splits
-        except InputError:  # some other folder: there are no Parquet files in it
-            continue
-        except ToolkitError as error:
-            found.append({"name": place.name, "split": "", **_UNKNOWN, "problem": str(error)})
-            continue
-        for split in splits:
-            summary = {"name": place.name, "split": split, **_UNKNOWN}
-            try:
-                summary |= _measured(place, split)
-            except ToolkitError as error:
-                summary["problem"] = str(error)
-            found.append(summary)
-    return found
-
-
-def _measured(place: Path, split: str) -> dict[str, Any]:
-    shards = open_place(place).shards(split)
-    schema = read.ShardedTable(shards).schema
-    # Only touches have the column; they are not opened, as no mesh is to be measured.
-    if "pos_in_cell" in schema.names:
-        return {"kind": "touches", "rows": sum(map(len, shards))}
-    kind, view = kind_of_rows(schema), MeshView.of(_open_meshes(shards, str(place)))
-    found = {"kind": kind.name if kind else "meshes", "rows": len(view), "classes": view.label_names}
-    if not len(view):
-        return found
-    largest_mm = np.max(view.bounds_m[:, 1] - view.bounds_m[:, 0], axis=0) * mesh.MM_PER_M
-    volumes_mm3 = view.volumes_m3 * mesh.MM_PER_M**3
-    volume_mm3 = (round(float(volumes_mm3.min()), 3), round(float(volumes_mm3.max()), 3))
-    return {**found, "largest_mm": tuple(largest_mm.round(3).tolist()), "volume_mm3": volume_mm3}

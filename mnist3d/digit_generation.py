@@ -70,7 +70,7 @@ class DigitSetSpec:
 
 
 @dataclass(frozen=True)
-class DigitMaking(generation.Generator):
+class DigitMaking(generation.RowGenerator):
     """How digits are made: the source is divided into splits, and each image becomes a checked solid."""
 
     spec: DigitSetSpec

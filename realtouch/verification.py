@@ -179,7 +179,7 @@ def verify(
 def _compare_files(place: places.Place, findings: list[Damage], workers: int) -> bool:
     """Compare the files of a folder with its manifest or download record; return whether it has one."""
     folder, manifest = place.folder, place.manifest
-    if folder is None or (manifest is None and store.read_record(folder) is None):
+    if folder is None or (manifest is None and store.read_download_record(folder) is None):
         return False
     listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
     findings += [Damage(each.file, None, None, "", each.problem) for each in listed]

@@ -96,7 +96,7 @@ class SceneSetSpec:
 
 
 @dataclass(frozen=True)
-class SceneMaking(generation.Generator):
+class SceneMaking(generation.RowGenerator):
     """How scenes are made: by rejection sampling, then as solids."""
 
     spec: SceneSetSpec

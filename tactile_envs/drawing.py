@@ -1,14 +1,17 @@
-"""Pictures of environments from above: cell, object, sensor, what it feels, and what is predicted."""
+"""Drawings of environments from above: cell, object, sensor, its image, and the prediction."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 
-from tactile_envs.kernels import PADDING, raise_object
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.touch_kernels import PADDING, raise_object
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
+
+Colour: TypeAlias = tuple[float, float, float]
 
 _SIDE_PX = 240
 _PANEL_PX = 96
@@ -18,11 +21,11 @@ _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Shown:
-    """What is shown of predictions.
+class PredictionView:
+    """What a drawing shows of predictions.
 
-    ``shares``, shape (n, k), are bars from 0 to 1, of which number ``right``, shape (n,), has the colour of
-    what is right; ``places_m`` and ``directions``, shape (n, 2), are where objects are thought to be.
+    ``shares``, shape (n, k), are bars from 0 to 1; bar ``right``, shape (n,), has the colour of a right
+    answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and directions of objects.
     """
 
     shares: AnyArray | None = None
@@ -43,12 +46,12 @@ class _Canvas:
         middle = (_SIDE_PX - 1) / 2
         return round(middle - y_m * self.per_m), round(middle + x_m * self.per_m)
 
-    def fill(self, top: int, left: int, bottom: int, right: int, colour: Any) -> None:
+    def fill(self, top: int, left: int, bottom: int, right: int, colour: Colour) -> None:
         """Fill the pixels of a rectangle that are in the cell."""
         rows = slice(max(top, 0), max(bottom + 1, 0))
         self.pixels[rows, max(left, 0) : max(min(right + 1, _SIDE_PX), 0)] = colour
 
-    def frame(self, x_m: float, y_m: float, width_m: float, height_m: float, colour: Any) -> None:
+    def frame(self, x_m: float, y_m: float, width_m: float, height_m: float, colour: Colour) -> None:
         """Draw a rectangle around a place, two pixels wide."""
         top, left = self.at(x_m - width_m / 2, y_m + height_m / 2)
         bottom, right = self.at(x_m + width_m / 2, y_m - height_m / 2)
@@ -57,13 +60,13 @@ class _Canvas:
         for edge in ((left, left + 1), (right - 1, right)):
             self.fill(top, edge[0], bottom, edge[1], colour)
 
-    def cross(self, x_m: float, y_m: float, colour: Any) -> None:
+    def cross(self, x_m: float, y_m: float, colour: Colour) -> None:
         """Mark a place."""
         row, column = self.at(x_m, y_m)
         self.fill(row - 5, column - 1, row + 5, column, colour)
         self.fill(row - 1, column - 5, row, column + 5, colour)
 
-    def line(self, x_m: float, y_m: float, along: AnyArray, colour: Any) -> None:
+    def line(self, x_m: float, y_m: float, along: AnyArray, colour: Colour) -> None:
         """Draw a direction from a place."""
         length = float(np.hypot(*along)) or 1.0
         for step in np.linspace(0, 0.02, 40):
@@ -71,59 +74,62 @@ class _Canvas:
             self.fill(row, column, row + 1, column + 1, colour)
 
 
-def draw(
-    pool: Any,
-    number: int,
-    placement: Float64,
-    sensor: Float64,
-    target: Float64,
-    felt: Float32,
-    cell_m: tuple[float, float],
-    window_m: tuple[float, float],
-    shown: Shown,
-    index: int,
-) -> UInt8:
-    """Draw one environment, (240, 336, 3) uint8.
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """One environment as it is drawn.
 
-    Mesh ``number`` of a pool lies at a placement (x, y, turn); ``felt`` is the picture of the sensor, and
-    ``index`` which prediction belongs to it.
+    Mesh ``number`` of a pool lies at ``placement`` (x, y, turn) in a cell of size ``cell_m``; the ``sensor``
+    with its ``window_m`` was sent to ``target``; all metres and radians. ``felt`` is the image of the sensor.
     """
-    per_m = (_SIDE_PX - 1) / max(cell_m)
+
+    pool: MeshPool
+    number: int
+    placement: Float64
+    sensor: Float64
+    target: Float64
+    felt: Float32
+    cell_m: tuple[float, float]
+    window_m: tuple[float, float]
+
+
+def draw_scene(scene: Scene, view: PredictionView, index: int) -> UInt8:
+    """Draw one environment, (240, 336, 3) uint8; ``index`` is the number of its prediction."""
+    per_m = (_SIDE_PX - 1) / max(scene.cell_m)
     heights = np.zeros((_SIDE_PX, _SIDE_PX + PADDING), np.float32)
     middle = (_SIDE_PX - 1) / 2
-    x_px, y_px = placement[:2] * per_m + middle
-    turn = float(placement[2])
+    x_px, y_px = scene.placement[:2] * per_m + middle
+    turn = float(scene.placement[2])
     placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
-    raise_object(heights, pool.arrays, number, placed)
+    raise_object(heights, scene.pool.arrays, scene.number, placed)
     surface = heights[::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; what stands higher is brighter.
     light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]
     canvas = _Canvas(np.where(surface[..., None] > 0, light, np.array(_PLATE)).astype(np.float32), per_m)
-    canvas.cross(target[0], target[1], _AIM)
-    canvas.frame(sensor[0], sensor[1], *window_m, _SENSOR)
-    if shown.places_m is not None:
-        x_m, y_m = shown.places_m[index]
+    canvas.cross(scene.target[0], scene.target[1], _AIM)
+    canvas.frame(scene.sensor[0], scene.sensor[1], *scene.window_m, _SENSOR)
+    if view.places_m is not None:
+        x_m, y_m = view.places_m[index]
         canvas.cross(x_m, y_m, _WRONG)
-        if shown.directions is not None:
-            canvas.line(x_m, y_m, shown.directions[index], _WRONG)
-    picture = np.concatenate([canvas.pixels, _panel(felt, shown, index)], axis=1)
+        if view.directions is not None:
+            canvas.line(x_m, y_m, view.directions[index], _WRONG)
+    picture = np.concatenate([canvas.pixels, _panel(scene.felt, view, index)], axis=1)
     return np.asarray(np.rint(np.clip(picture, 0, 1) * 255), np.uint8)
 
 
-def _panel(felt: Float32, shown: Shown, index: int) -> Float32:
-    """Draw what the sensor feels above the bars of a prediction."""
+def _panel(felt: Float32, view: PredictionView, index: int) -> Float32:
+    """Draw the image of the sensor above the bars of a prediction."""
     panel = np.full((_SIDE_PX, _PANEL_PX, 3), _PANEL, np.float32)
     height, width = felt.shape[:2]
     side = _PANEL_PX - 8
     rows = max(1, min(side, side * height // width))
     picked = felt[np.arange(rows) * height // rows][:, np.arange(side) * width // side]
     panel[4 : 4 + rows, 4 : 4 + side] = picked
-    if shown.shares is not None and shown.right is not None:
-        bars = np.clip(np.nan_to_num(shown.shares[index]), 0, 1)
+    if view.shares is not None and view.right is not None:
+        bars = np.clip(np.nan_to_num(view.shares[index]), 0, 1)
         room = (_SIDE_PX - side - 16) // len(bars)
         for bar, share in enumerate(bars):
             top = side + 12 + bar * room
-            colour = _RIGHT if bar == shown.right[index] else _WRONG
+            colour = (_WRONG, _RIGHT)[int(bar == view.right[index])]
             panel[top : top + max(room - 2, 1), 4 : 5 + round(float(share) * side)] = colour
     return panel

@@ -4,56 +4,61 @@ from __future__ import annotations
 
 import copy
 from collections.abc import Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
+from ap_gym.loss_fn import WeightedLossFn
 from gymnasium.vector.utils import batch_space
 
-from realtouch.poses import Poses
-from tactile_envs.config import Config, Registered
-from tactile_envs.drawing import Shown, draw
-from tactile_envs.kernels import PADDING, aim, place, touch
-from tactile_envs.meshes import MeshPool
-from tactile_envs.sensors import Camera
-from tactile_envs.tasks import EpisodeLog, Score, make_task
-from tactile_sim.pressing import center_view
+from realtouch import Poses
+from tactile_envs.camera import Camera
+from tactile_envs.config import Config
+from tactile_envs.drawing import PredictionView, Scene, draw_scene
+from tactile_envs.episode_log import EpisodeLog
+from tactile_envs.episodes import Episodes
+from tactile_envs.ids import EnvSpec
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.motion import Motion
+from tactile_envs.tasks import make_task
+from tactile_envs.toucher import Toucher
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
-_TOP_M = 0.02  # tactile-mnist 0.13.0: what heights of the sensor are observed in parts of
+Observation = dict[str, AnyArray]
+
 _NO_DRIFT = np.zeros(3)
-_PARTS_A_THREAD = 8
 _PLACE = "initial_sensor_target_pose"
 _RESET_MASK = "reset_mask"
 _OPTIONS = ("datapoint_idx", "initial_object_pose", _PLACE, _RESET_MASK)
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 _CLOSED = "the environment was closed; next: make another one"
-Observation = dict[str, AnyArray]
 
 
-class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
-    """Touch objects that lie in cells, one touch a step, and predict something of them.
+class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[misc]
+    """Touch objects that lie in cells, one touch a step, and predict something about them.
 
-    Episodes have one length and begin together. After the last touch of an episode, the next step is the
-    first touch of another, whatever its action (``AutoresetMode.NEXT_STEP``).
+    All episodes have the same length and begin together. After the last touch of an episode, the next step is
+    the first touch of another, whatever its action (``AutoresetMode.NEXT_STEP``).
 
     Parameters
     ----------
-    registered : Registered
+    spec : EnvSpec
         Task and meshes.
     config : Config
         Settings.
     records : sequence
-        Meshes with ``id``, ``label``, ``vertices_m`` and ``faces``, and ``label_names`` of the whole.
+        Meshes with ``id``, ``label``, ``vertices_m`` and ``faces``, and ``label_names`` of the data set.
     num_envs : int
-        How many environments.
+        Number of environments.
     render_mode : "rgb_array", optional
         Whether :meth:`render` gives pictures.
     threads : int
-        How many threads share a step.
+        Number of threads that share a step.
+    weights : str or path, optional
+        Weights of the generator of the sensor ``"cycle_gan"``.
 
     Attributes
     ----------
@@ -69,13 +74,14 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def __init__(
         self,
-        registered: Registered,
+        spec: EnvSpec,
         config: Config,
         records: Sequence[Any],
         num_envs: int,
         *,
         render_mode: str | None = None,
         threads: int = 1,
+        weights: str | Path | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise InputError(
@@ -87,52 +93,28 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
                 raise InputError(f"{name} is {number!r}; expected an integer from 1 on")
         self.config, self.num_envs, self.render_mode = config, num_envs, render_mode
         self.metadata = {**type(self).metadata, "render_fps": 1 / config.transfer_timedelta_s}
-        self._records = records
-        self._pool = MeshPool.of(records)
-        self._task = make_task(registered, config, self._pool, len(records.label_names))  # type: ignore[attr-defined]
-        self._sparse = registered.sparse
-        self._camera = Camera(config.sensor_type, config.sensor_output_size)
-        self._spec: Any = None
-        self._make_spaces()
-        # Touches on objects take ten times as long as others: threads take small parts in turns.
-        parts = np.array_split(range(num_envs), threads * _PARTS_A_THREAD if threads > 1 else 1)
-        self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
-        width, height = self._camera.depth_size
-        room = (height, width + PADDING)
-        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, len(self._parts)))]
-        self._start_threads()
-        self._view = view = center_view(width, height)
-        per_m = width / view.window_m[0]
-        middle = [size / 2 - 0.5 - at for size, at in zip((width, height), view.sample_px, strict=True)]
-        self._window = np.array([per_m, *middle, view.press_m])
-        reach = np.array(config.cell_size) / 2 - np.array(config.cell_padding)
-        self._low, self._high = np.array([*-reach, 0.0]), np.array([*reach, _TOP_M])
-        costs = [config.longest_way_m, config.action_regularization]
-        self._motion = np.concatenate([self._low, self._high, costs])
-        self._room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
+        self._records, self._pool = records, MeshPool.of(records)
+        self._task = make_task(spec, config, self._pool, len(records.label_names))  # type: ignore[attr-defined]
+        self._is_sparse = spec.sparse
+        self._camera = Camera(config.sensor_type, config.sensor_output_size, weights)
+        self._toucher = Toucher(self._camera.depth_size, num_envs, threads)
+        self._motion = Motion.of(config)
+        self._episodes = Episodes(num_envs)
         self._log = EpisodeLog(num_envs, config.step_limit)
-        self._step_number, self._done = 0, False
-        self._chosen, self._next = np.full(num_envs, -1, np.int64), np.full(num_envs, -1, np.int64)
-        self._objects, self._upright = np.zeros((num_envs, 3)), np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
-        self._upright.flags.writeable = False  # what poses of all steps share
-        self._sensors, self._targets = np.zeros((num_envs, 3)), np.zeros((num_envs, 3))
+        self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
+        self._upright.flags.writeable = False  # shared by the poses of all steps
         self._felt: Float32 = np.zeros(0, np.float32)
         self._predicted: tuple[AnyArray, AnyArray] | None = None
-        self._score: Score | None = None
-
-    def _start_threads(self) -> None:
-        """Start all threads but the one that steps are taken in."""
-        helpers = len(self._rooms) - 1
-        self._threads = ThreadPoolExecutor(helpers) if helpers else None
+        self._registration: Any = None
+        self._make_spaces()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave threads and mapped meshes behind; a copy continues where this one is."""
-        return {**self.__dict__, "_threads": None, "_pool": None}
+        """Leave mapped meshes behind; a copy continues where this one is."""
+        return {**self.__dict__, "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._pool = MeshPool.of(self._records)
-        self._start_threads()
 
     def _make_spaces(self) -> None:
         config, dtype = self.config, np.float32
@@ -149,9 +131,7 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         self.single_observation_space = gym.spaces.Dict(seen)
         self.single_prediction_target_space = self._task.target_space
         self.loss_fn = self._task.loss_fn
-        if self._sparse:
-            from ap_gym.loss_fn import WeightedLossFn
-
+        if self._is_sparse:
             weight = gym.spaces.Box(0, 1, shape=(), dtype=dtype)
             target = {"target": self._task.target_space, "weight": weight}
             self.single_prediction_target_space = gym.spaces.Dict(target)
@@ -167,177 +147,151 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         Parameters
         ----------
         seed : int, optional
-            Seed of all that is drawn; the published environments give the same episodes for it.
+            Seed of all random numbers; the published environments give the same episodes for it.
         options : mapping, optional
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
             ``initial_object_pose``: for each an array of its position (x, y), metres, and turn, radians, or
             None. ``initial_sensor_target_pose``: for each an array of the position (x, y) of the first touch,
-            metres, or None. ``reset_mask``: which environments begin anew, which can only be all.
+            metres, or None. ``reset_mask``: which environments begin an episode, which can only be all.
+
+        Returns
+        -------
+        tuple
+            Observations and infos of the first touch.
 
         Raises
         ------
         InputError
-            An option is unknown or cannot be fulfilled.
+            An option is unknown, has another length, or values that cannot be used.
+        gymnasium.error.ClosedEnvironmentError
+            The environment was closed.
         """
         self._require_open()
-        options = {} if options is None else options
+        options = options or {}
         _require_options(options)
         super().reset(seed=seed)
+        episodes = self._episodes
         for i, wanted in enumerate(self._given(options, "datapoint_idx")):
-            number = int(self.np_random.integers(0, len(self._pool)) if wanted is None else wanted)
-            if not 0 <= number < len(self._pool):
+            number = wanted
+            if wanted is None:
+                number = self.np_random.integers(0, len(self._pool))
+            if not 0 <= int(number) < len(self._pool):
                 raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
-            self._next[i] = number
+            episodes.upcoming[i] = number
         poses, places = self._poses(options, "initial_object_pose", 3), self._poses(options, _PLACE, 2)
         self._begin(poses)
-        starts = self._starts()
         for i, start in enumerate(places):
             if start is not None:
-                starts[i, :2] = start
-        self._targets[:] = starts
+                episodes.targets[i, :2] = start
         return self._touch()
 
+    def _begin(self, poses: Sequence[Float64 | None] | None = None) -> None:
+        self._episodes.begin(self.config, self._pool, self.np_random, poses)
+        self._episodes.aim_at_start(self.config, self._motion, self.np_random)
+        self._predicted = None
+
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
-        """Take one touch in every environment; see gymnasium for what is returned."""
+        """Take one touch in every environment.
+
+        Parameters
+        ----------
+        action : mapping
+            ``"action"`` and ``"prediction"``, as in ``action_space``.
+
+        Returns
+        -------
+        tuple
+            Observations, rewards, terminations, truncations and infos.
+
+        Raises
+        ------
+        InputError
+            Actions or predictions have another shape, or predictions have no loss.
+        ValueError
+            An action is not finite.
+        gymnasium.error.ResetNeeded, gymnasium.error.ClosedEnvironmentError
+            The environment was not reset yet, or was closed.
+        """
         self._require_open()
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
             raise InputError(
                 f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
             )
-        was_done = self._done
-        observation, cost, terminated, truncated, info, targets = self._step(action["action"], predictions)
-        score = self._score
-        assert score is not None  # of this step
-        self._predicted = None if was_done else (predictions, targets)
-        if not was_done:
-            self._log.add(self._step_number - 1, score.metrics)
-        if self._done:
-            info["stats"] = self._log.stats()
-        info["base_reward"] = cost
-        info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
-        loss = score.loss
-        if self._sparse:
-            weight = terminated.astype(np.float32)
-            info["prediction"]["target"] = {"target": targets, "weight": weight}
-            loss = loss * weight
-        return observation, cost - loss, terminated, truncated, info
-
-    def _step(
-        self, action: Mapping[str, Any], prediction: Any
-    ) -> tuple[Observation, AnyArray, AnyArray, AnyArray, dict[str, Any], AnyArray]:
-        if self._chosen[0] < 0:
-            raise gym.error.ResetNeeded(_NOT_RESET)
-        ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
-        if ways.shape != (self.num_envs, 3):
-            raise InputError(f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}")
-        if not np.isfinite(ways).all():  # infinite ways lead to NaN
-            raise ValueError("NaN values detected in sensor target position.")
-        targets = self._task.targets(self._chosen, self._objects)
-        self._score = self._task.score(prediction, targets)
-        if np.isnan(self._score.loss).any():
+        ways = self._checked_ways(action["action"])
+        episodes = self._episodes
+        targets = self._task.targets(episodes.chosen, episodes.objects)
+        score = self._task.score(predictions, targets)
+        if np.isnan(score.loss).any():
             raise InputError(
                 "predictions hold NaN, or infinite values that have no loss: nothing was done",
                 next="look at the learning rate, and at what the network is given",
             )
         costs = np.zeros(self.num_envs, np.float32)
-        if self._done:
-            self._begin([None] * self.num_envs)
-            self._targets[:] = self._starts()
+        if episodes.step >= self.config.step_limit:
+            self._begin()
         else:
-            self._step_number += 1
-            aim(ways, self._motion, self._sensors, self._targets, costs)
+            self._log.add(episodes.step, score.metrics)
+            episodes.step += 1
+            costs = self._motion.aim(ways, episodes.sensors, episodes.targets)
+            self._predicted = predictions, targets
         observation, info = self._touch()
-        self._done = self._step_number >= self.config.step_limit
-        over, never = np.full(self.num_envs, self._done), np.zeros(self.num_envs, np.bool_)
-        if self.config.timeout_behavior == "terminate":
-            return observation, costs, over, never, info, targets
-        return observation, costs, never, over, info, targets
+        is_over = episodes.step >= self.config.step_limit
+        if is_over:
+            info["stats"] = self._log.stats()
+        info["base_reward"] = costs
+        info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
+        loss = score.loss
+        over, never = np.full(self.num_envs, is_over), np.zeros(self.num_envs, np.bool_)
+        ends = (over, never)
+        if self.config.timeout_behavior == "truncate":
+            ends = (never, over)
+        if self._is_sparse:
+            weight = ends[0].astype(np.float32)
+            info["prediction"]["target"] = {"target": targets, "weight": weight}
+            loss = loss * weight
+        return observation, costs - loss, *ends, info
 
-    def _begin(self, poses: Sequence[Any]) -> None:
-        """Put the next objects into the cells; draws as the published environment does, in its order."""
-        config, count = self.config, len(self._pool)
-        drawn = np.full((self.num_envs, 3), 0.5)
-        self._chosen[:] = self._next
-        for i in range(self.num_envs):
-            self._next[i] = self.np_random.integers(0, count)
-            if poses[i] is None and config.randomize_initial_object_pose:
-                drawn[i] = self.np_random.random(3)
-        if config.randomize_initial_object_pose:
-            most_rad, pool = config.max_initial_angle_perturbation, self._pool
-            place(self._chosen, drawn, most_rad, self._room_m, pool.hulls, pool.grids, self._objects)
-        else:
-            self._objects[:] = 0.0
-        for i, pose in enumerate(poses):
-            if pose is not None:
-                self._objects[i] = pose
-        self._step_number, self._done, self._predicted = 0, False, None
+    def _checked_ways(self, action: Mapping[str, Any]) -> Float32:
+        """Return the actions of a step, shape (n, 3)."""
+        self._require_reset()
+        ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
+        if ways.shape != (self.num_envs, 3):
+            raise InputError(f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}")
+        if not np.isfinite(ways).all():  # infinite ways lead to NaN
+            raise ValueError("NaN values detected in sensor target position.")
+        return ways
 
-    def _starts(self) -> Float64:
-        """Draw where episodes begin, shape (n, 3)."""
-        starts = np.zeros((self.num_envs, 3))
-        if self.config.randomize_initial_sensor_pose:
-            drawn = self.np_random.uniform(self._low[:2], self._high[:2], (self.num_envs, 2))
-            starts[:, :2] = drawn.astype(np.float32)  # as published
-        return starts
+    def _require_open(self) -> None:
+        if self.closed:
+            raise gym.error.ClosedEnvironmentError(_CLOSED)
+
+    def _require_reset(self) -> None:
+        if self._episodes.chosen[0] < 0:
+            raise gym.error.ResetNeeded(_NOT_RESET)
 
     def _touch(self) -> tuple[Observation, dict[str, Any]]:
         """Touch at the targets, and let the objects slip."""
-        config, count = self.config, self.num_envs
-        self._sensors[:] = self._targets
-        if config.snap_touch_positions is not None:
-            self._snap(config.snap_touch_positions)
+        config, episodes = self.config, self._episodes
+        episodes.move_to_targets(config, self._motion, self.np_random)
         drift = _NO_DRIFT
         if config.perturb_object_pose:
             # One draw for all, as published.
             slip_m = self.np_random.normal(scale=config.translation_perturbation_scale, size=2)
             drift = np.array([*slip_m, self.np_random.normal(scale=config.rotation_perturbation_scale)])
-        width, height = self._camera.depth_size
-        images = np.empty((count, height, width), np.float32)
         has_depth = config.depth_in_info or self._camera.sees_depth
-        depths_m = np.empty((count, height, width) if has_depth else (0, 0, 0), np.float32)
-        positions, is_bare = np.empty((count, 3), np.float32), np.empty(count, np.bool_)
-        self._feel(drift, images, depths_m, positions, is_bare)
-        self._felt = self._camera.pictures(images, depths_m, is_bare)
-        observation = {"sensor_pos": positions, "sensor_img": self._felt}
+        touches = self._toucher.touch(self._pool, episodes, self._motion, drift, with_depth=has_depth)
+        self._felt = self._camera.pictures(touches.images, touches.depths_m, touches.is_bare)
+        observation = {"sensor_pos": touches.positions, "sensor_img": self._felt}
         if config.timeout_behavior == "terminate":
-            progress = np.float32(self._step_number / config.step_limit * 2 - 1)
-            observation["time_step"] = np.full(count, progress)
-        poses = np.tile(np.eye(4), (count, 1, 1))
-        poses[:, :3, 3] = self._sensors
+            progress = np.float32(episodes.step / config.step_limit * 2 - 1)
+            observation["time_step"] = np.full(self.num_envs, progress)
+        poses = np.tile(np.eye(4), (self.num_envs, 1, 1))
+        poses[:, :3, 3] = episodes.sensors
         info: dict[str, Any] = {"sensor_pose": poses}
         if config.depth_in_info:
-            info["depth"] = depths_m
+            info["depth"] = touches.depths_m
         return observation, info
-
-    def _snap(self, count: int) -> None:
-        """Move each sensor to the nearest of so many places."""
-        places = self.np_random.uniform(self._low[:2], self._high[:2], (self.num_envs, count, 2))
-        nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
-        snapped = places[np.arange(self.num_envs), nearest]
-        # Single precision at the start of an episode, as published.
-        self._sensors[:, :2] = snapped if self._step_number else snapped.astype(np.float32)
-
-    def _feel(self, drift: Float64, *written: AnyArray) -> None:
-        """Bring the sensors down and let the objects slip; writes as :func:`touch`."""
-        read = (self._window, self._motion, drift, self._pool.arrays, self._chosen)
-        parts = iter(self._parts)  # threads share it: taking the next is one step for all of them
-
-        def run(room: Float32) -> None:
-            for part in parts:
-                touch(part.start, part.stop, *read, self._sensors, self._objects, room, *written)
-
-        helpers = (
-            [] if self._threads is None else [self._threads.submit(run, room) for room in self._rooms[1:]]
-        )
-        run(self._rooms[0])
-        for helper in helpers:
-            if not helper.cancel():  # one that did not start has nothing left to do
-                helper.result()
-
-    def _require_open(self) -> None:
-        if self.closed:
-            raise gym.error.ClosedEnvironmentError(_CLOSED)
 
     def _given(self, options: Mapping[str, Any], name: str) -> Sequence[Any]:
         given = list(options.get(name, [None] * self.num_envs))
@@ -346,41 +300,39 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
         return given
 
     def _poses(self, options: Mapping[str, Any], name: str, count: int) -> list[Float64 | None]:
-        """Return the first so many numbers that are given for each environment, or None."""
-        found: list[Float64 | None] = []
-        for given in self._given(options, name):
-            numbers = None if given is None else np.asarray(given, np.float64).reshape(-1)[:count]
-            if numbers is not None and not (len(numbers) == count and np.isfinite(numbers).all()):
-                raise InputError(f"option {name!r} has {given!r}; expected {count} numbers")
-            found.append(numbers)
+        """Return the first ``count`` numbers that are given for each environment, or None."""
+        found: list[Float64 | None] = [None] * self.num_envs
+        for i, given in enumerate(self._given(options, name)):
+            if given is not None:
+                numbers = np.asarray(given, np.float64).reshape(-1)[:count]
+                if len(numbers) < count or not np.isfinite(numbers).all():
+                    raise InputError(f"option {name!r} has {given!r}; expected {count} numbers")
+                found[i] = numbers
         return found
 
     def render(self) -> tuple[UInt8, ...] | None:
-        """Return a picture of each environment, (240, 336, 3) uint8; None without a render mode.
+        """Draw each environment, (240, 336, 3) uint8; None without a render mode.
 
-        The cell from above with the object where the next touch finds it, a frame around what the sensor
-        felt, a cross where it was sent; next to it what it felt, and the prediction.
+        The cell from above with the object where the next touch finds it, a frame around the window of the
+        sensor, a cross at its target; next to it the image of the sensor, and the prediction.
         """
         if self.render_mode is None:
             return None
-        if self._chosen[0] < 0:
-            raise gym.error.ResetNeeded(_NOT_RESET)
-        shown = Shown() if self._predicted is None else self._task.shown(*self._predicted)
-        return tuple(
-            draw(
-                self._pool,
-                int(self._chosen[i]),
-                self._objects[i],
-                self._sensors[i],
-                self._targets[i],
-                self._felt[i],
-                self.config.cell_size,
-                self._view.window_m,
-                shown,
-                i,
-            )
-            for i in range(self.num_envs)
+        self._require_reset()
+        view = PredictionView()
+        if self._predicted is not None:
+            view = self._task.view(*self._predicted)
+        cell_m, window_m, episodes = self.config.cell_size, self._toucher.window_m, self._episodes
+        places = zip(
+            episodes.chosen.tolist(),
+            episodes.objects,
+            episodes.sensors,
+            episodes.targets,
+            self._felt,
+            strict=True,
         )
+        scenes = (Scene(self._pool, *each, cell_m, window_m) for each in places)
+        return tuple(draw_scene(scene, view, i) for i, scene in enumerate(scenes))
 
     def close(self, **options: Any) -> None:  # its own words: those of gymnasium are not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
@@ -388,47 +340,47 @@ class TactileVectorEnv(ap_gym.ActivePerceptionVectorEnv):  # type: ignore[misc]
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
-        if self._threads is not None:
-            self._threads.shutdown()
+        self._toucher.close()
 
     @property
     def sensor_pos_limits(self) -> tuple[Float64, Float64]:
-        """Lowest and highest position of the sensor, metres; its height is observed between those, too."""
-        return self._low, self._high
+        """Lowest and highest position of the sensor, metres, between which its height is observed, too."""
+        return self._motion.low_m, self._motion.high_m
 
     @property
     def current_data_points(self) -> tuple[Any, ...]:
         """Records of the objects that lie in the cells."""
-        return tuple(self._records[int(number)] for number in self._chosen)
+        return tuple(self._records[int(number)] for number in self._episodes.chosen)
 
     @property
     def current_data_point_indices(self) -> Int64:
         """Numbers of these records in their data set, shape (n,)."""
-        return self._chosen.copy()
+        return self._episodes.chosen.copy()
 
     @property
     def current_object_poses_platform_frame(self) -> Poses:
-        """Where the objects lie, metres."""
-        foot_m = self._pool.fact("foot_m")[self._chosen]
-        half = self._objects[:, 2] / 2
+        """Poses of the objects, metres."""
+        foot_m = self._pool.measure("foot_m")[self._episodes.chosen]
+        objects = self._episodes.objects
+        half = objects[:, 2] / 2
         quaternion = np.zeros((self.num_envs, 4))
         quaternion[:, 2], quaternion[:, 3] = np.sin(half), np.cos(half)
-        return Poses(np.column_stack([self._objects[:, :2], -foot_m]), quaternion)
+        return Poses(np.column_stack([objects[:, :2], -foot_m]), quaternion)
 
     @property
     def current_sensor_target_poses_platform_frame(self) -> Poses:
-        """Where the sensors were sent, metres."""
-        return Poses(self._targets.copy(), self._upright)
+        """Targets of the sensors, metres."""
+        return Poses(self._episodes.targets.copy(), self._upright)
 
     @property
     def spec(self) -> Any:
         """Registration, with the length of an episode."""
-        return self._spec
+        return self._registration
 
     @spec.setter
     def spec(self, spec: Any) -> None:
-        self._spec = copy.copy(spec)
-        self._spec.max_episode_steps = self.config.step_limit
+        self._registration = copy.copy(spec)
+        self._registration.max_episode_steps = self.config.step_limit
 
 
 def _require_options(options: Mapping[str, Any]) -> None:
@@ -458,4 +410,7 @@ class TactileEnv(ap_gym.ActivePerceptionVectorToSingleWrapper):  # type: ignore[
     def render(self) -> UInt8 | None:
         """Return a picture, (240, 336, 3) uint8; None without a render mode."""
         pictures = self.vector_env.render()
-        return None if pictures is None else pictures[0]
+        if pictures is None:
+            return None
+        picture: UInt8 = pictures[0]
+        return picture

@@ -1,15 +1,23 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .generation import GenerateSpec as GenerateSpec, generate as generate
-from .touch_table import TouchTable as TouchTable
-from .noise import SensorNoise as SensorNoise
+from .generation import TouchMaking as TouchMaking, generate as generate
 from .optics import make_optics as make_optics
-from .plan import RoundPlan as RoundPlan, plan_round as plan_round
-from .pressing import pose as pose
-from .pressing import Pressable as Pressable, Pressed as Pressed, render_touch as render_touch
-from .pressing import Sensor as Sensor, center_view as center_view, full_view as full_view
-from .spec import TouchPlan as TouchPlan
-from .generation import TouchMaking as TouchMaking, look as look
-from .pairs import PairsMaking as PairsMaking
+from .pair_generation import PairsMaking as PairsMaking, make_pairs as make_pairs
+from .learning_specs import PairsSpec as PairsSpec, TrainConfig as TrainConfig
+from .poses import pose as pose
+from .pressable import Pressable as Pressable
+from .pressing import Pressed as Pressed, render_touch as render_touch
+from .round_plan import RoundPlan as RoundPlan, plan_round as plan_round
+from .sensor import Sensor as Sensor, center_view as center_view, full_view as full_view
+from .sensor_noise import SensorNoise as SensorNoise
+from .touch_preview import TouchPreview as TouchPreview, preview_touch as preview_touch
+from .touch_rows import SyntheticRound as SyntheticRound, touch_schema as touch_schema
+from .touch_spec import (
+    SENSOR_NOISE as SENSOR_NOISE,
+    GenerateSpec as GenerateSpec,
+    TouchPlan as TouchPlan,
+    default_optics as default_optics,
+)
+from .touch_table import TouchTable as TouchTable
 
 __version__: str

@@ -256,7 +256,9 @@ class MemoryCache(Generic[K, V]):
         made = make()  # outside the lock, so that no other thread waits
         with _LOCK:
             found = self.get(key)
-            return self.put(key, made) if found is None else found
+            if found is None:
+                return self.put(key, made)
+            return found
 
     def clear(self) -> None:
         """Remove all values."""

@@ -64,10 +64,14 @@ def integer(
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    limit = _MOST_INTEGER if most is None else most
+    limit = most
+    if most is None:
+        limit = _MOST_INTEGER
 
     def fits(value: Any) -> bool:
-        return optional if value is None else is_integer(value) and least <= value <= limit
+        if value is None:
+            return optional
+        return is_integer(value) and least <= value <= limit
 
     span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
@@ -96,8 +100,10 @@ def real(
 
     ends = ((" from {:g}", least), (" above {:g}", above), (" to {:g}", most), (" and below {:g}", below))
     span = "".join(words.format(end) for words, end in ends if math.isfinite(end)) or ", finite"
-    what = f"{many} numbers" if many else "a number"
-    return _field(default, Rule(float, fits, f"{'None or ' if optional else ''}{what}{span}", option))
+    what = "a number"
+    if many:
+        what = f"{many} numbers"
+    return _field(default, Rule(float, fits, f"{_or_none(optional)}{what}{span}", option))
 
 
 def choice(
@@ -108,9 +114,11 @@ def choice(
     def fits(value: Any) -> bool:
         if isinstance(default, tuple):
             return isinstance(value, tuple) and set(value) <= set(known)
-        return value in known if isinstance(value, str) else optional and value is None
+        if isinstance(value, str):
+            return value in known
+        return optional and value is None
 
-    expected = f"{'None or ' if optional else ''}one of {', '.join(known)}"
+    expected = f"{_or_none(optional)}one of {', '.join(known)}"
     return _field(default, Rule(str, fits, expected, option, tuple(known)))
 
 
@@ -122,6 +130,10 @@ def switch(default: bool, **option: Unpack[OptionText]) -> Any:
 def text(default: Any = None, **option: Unpack[OptionText]) -> Any:
     """Declare a text, or the result of ``read``, which checks it."""
     return _field(default, Rule(str, lambda _: True, "", option))
+
+
+def _or_none(optional: bool) -> str:
+    return "None or " * optional
 
 
 def rule_of(declared: Field[Any]) -> Rule | None:

@@ -55,7 +55,7 @@ class StorageLayout:
     together: int = 1
 
 
-class Generator(ABC):
+class RowGenerator(ABC):
     """How a kind makes its rows, for :func:`generate`.
 
     A small picklable value, usually a frozen dataclass of a specification: each task carries it to the
@@ -95,7 +95,7 @@ class Generator(ABC):
         return None
 
 
-def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
+def make_shard(generator: RowGenerator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
     rows: list[Any] = []
     skipped: list[store.Skipped] = []
@@ -108,11 +108,11 @@ def make_shard(generator: Generator, shard: store.ShardName, items: Sequence[Any
     )
 
 
-def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> store.BuildPlan:
+def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> store.BuildPlan:
     """Divide items into shards; writes nothing. InputError for an unknown split, or if there are no items."""
     items, layout = generator.items(), generator.layout()
     known = tuple(items)
-    wanted = known if splits is None else splits
+    wanted = splits or known
     for split in wanted:
         if split not in known:
             raise InputError(f"unknown split {split!r}; expected one of {', '.join(known)}, or all")
@@ -137,7 +137,7 @@ def plan_build(generator: Generator, splits: Sequence[str] | None = None) -> sto
 
 
 def _tasks(
-    generator: Generator, items: Mapping[str, Any], layout: StorageLayout
+    generator: RowGenerator, items: Mapping[str, Any], layout: StorageLayout
 ) -> tuple[store.AnyTask, ...]:
     return tuple(
         store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
@@ -154,7 +154,7 @@ def _tasks(
 
 
 def generate(
-    generator: Generator,
+    generator: RowGenerator,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
@@ -168,7 +168,7 @@ def generate(
 
     Parameters
     ----------
-    generator : Generator
+    generator : RowGenerator
         What makes the rows.
     out : str or path-like
         Folder to write.
@@ -207,7 +207,7 @@ class Forecast:
 
 
 def forecast(
-    generator: Generator,
+    generator: RowGenerator,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
     *,
@@ -245,13 +245,13 @@ def forecast(
         ],
         left.total(),
         round(left.total() * item_bytes),
-        round(left.total() * item_s / processes + (_START_S if left else 0), 1),
+        round(left.total() * item_s / processes + _START_S * bool(left), 1),
         sampled,
         _existing_rows(folder) if options.overwrite else None,
     )
 
 
-def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, float]:
+def _sample(generator: RowGenerator, plan: store.BuildPlan) -> tuple[int, float, float]:
     """Make the first few items; return the number of their rows, and bytes and seconds per item."""
     first = plan.tasks[0]
     replace(first, items=first.items[:1]).make()  # imports modules and fills caches
@@ -261,7 +261,9 @@ def _sample(generator: Generator, plan: store.BuildPlan) -> tuple[int, float, fl
     table = content.table
     if few.size == sum(task.size for task in plan.tasks):
         store.require_rows([(len(table), content.skipped)])
-    size_bytes = len(store.encode_parquet(table, plan.style)) if len(table) else 0
+    size_bytes = 0
+    if len(table):
+        size_bytes = len(store.encode_parquet(table, plan.style))
     return len(table), size_bytes / few.size, (time.perf_counter() - start_s) / few.size
 
 
@@ -271,7 +273,9 @@ def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
         manifest = store.manifest_so_far(folder)
     except IntegrityError:
         return {}
-    return None if manifest is None else {name: row["rows"] for name, row in manifest.split_table().items()}
+    if manifest is None:
+        return None
+    return {name: row["rows"] for name, row in manifest.split_table().items()}
 
 
 @dataclass(frozen=True)
@@ -281,7 +285,7 @@ class Recipe:
     ``options`` are those of the equivalent command, by name; None if it takes no ``--split``.
     """
 
-    generator: Generator
+    generator: RowGenerator
     options: JsonObject | None = None
 
     @property

@@ -109,7 +109,9 @@ def tactile_mnist_set(
     name: str, repository: str, content: str, *, licence: str | None = None, aliases: tuple[str, ...] = ()
 ) -> PublishedSet:
     """Return a data set of the Tactile MNIST paper; those of digits cite the authors of HWD+, too."""
-    citation = f"{_PAPER}; {_HAND}" if "digits" in content else _PAPER
+    citation = _PAPER
+    if "digits" in content:
+        citation = f"{_PAPER}; {_HAND}"
     repo_id = f"TimSchneider42/tactile-mnist-{repository}"
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
@@ -207,15 +209,21 @@ class DatasetKind:
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
         operation = None if manifest is None else manifest.spec.get("operation")
-        return f"{self.command} {operation}" if operation else self.made_by
+        if operation:
+            return f"{self.command} {operation}"
+        return self.made_by
 
     def command_like(self, command: str) -> str:
         """Return a command of this kind by its name, or ``show`` if it has none of that name."""
-        return command if command in SHARED_COMMANDS and command not in self.missing_commands else "show"
+        if command in SHARED_COMMANDS and command not in self.missing_commands:
+            return command
+        return "show"
 
     def schema_of(self, manifest: Specified | None) -> Any:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
-        return None if self.schema is None or is_export(manifest) else self.schema()
+        if self.schema is None or is_export(manifest):
+            return None
+        return self.schema()
 
     def loading_lines(
         self, manifest: Specified | None, name: str, split: str, revision: str | None = None
@@ -224,7 +232,9 @@ class DatasetKind:
         function = f"{self.package}.load" if self.loader is None else self.loader(manifest)
         if is_export(manifest):
             function = "datasets.load_dataset"
-        further = f", revision={_quoted(revision)}" if revision else ""
+        further = ""
+        if revision:
+            further = f", revision={_quoted(revision)}"
         call = f"{function}({_quoted(name)}, split={_quoted(split)}{further})"
         return f"import {function.partition('.')[0]}", call
 

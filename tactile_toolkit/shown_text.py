@@ -28,7 +28,9 @@ def printable_json(values: object, indent: int = 2) -> str:
     text = json.dumps(values, indent=indent, ensure_ascii=False)
     # Outside of strings, JSON has only visible characters and line breaks.
     odd = {each for each in set(text) if not each.isprintable()} - {"\n"}
-    return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd}) if odd else text
+    if odd:
+        return text.translate({ord(each): json.dumps(each)[1:-1] for each in odd})
+    return text
 
 
 def markdown_text(text: str) -> str:
@@ -41,4 +43,6 @@ def markdown_code(text: str) -> str:
     """Return a text as inline code of Markdown."""
     shown = printable(text)
     fence = "`" * (1 + max(map(len, re.findall("`+", shown)), default=0))
-    return f"{fence}{shown}{fence}" if len(fence) == 1 else f"{fence} {shown} {fence}"
+    if len(fence) == 1:
+        return f"{fence}{shown}{fence}"
+    return f"{fence} {shown} {fence}"

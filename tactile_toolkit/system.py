@@ -14,7 +14,9 @@ def usable_cores() -> int:
     A scheduler, a container or `taskset` may allow fewer cores than the machine has.
     """
     count = os.cpu_count() or 1
-    return min(count, len(os.sched_getaffinity(0))) if hasattr(os, "sched_getaffinity") else count
+    if hasattr(os, "sched_getaffinity"):
+        return min(count, len(os.sched_getaffinity(0)))
+    return count
 
 
 def working_folder() -> Path:

@@ -4,9 +4,9 @@
 that takes ``tactile_mnist.MeshDataset`` or ``tactile_mnist.TouchSingleDataset`` takes ours. Both pickle, as
 the package's own do not, and may be shared between threads.
 
-The published environments look behind a data set for the rows of ``datasets`` (its ``huggingface_dataset``):
-for their statistics, for the number of touches of a round, for ids and labels. :class:`StoredRows` answers
-exactly that, row by row, and pickles as paths, so that worker processes open it again.
+The published environments also use the rows of ``datasets`` behind a data set (its ``huggingface_dataset``):
+for statistics, for the number of touches of a round, for ids and labels. :class:`StoredRows` has that part of
+their interface, and pickles as paths, so that worker processes open it again.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import Any, Literal, Self
 
 import numpy as np
 
-from env_assets.meshes import MeshView
+from env_assets.mesh_view import MeshView
 from env_assets.published.packages import published_package
 from tactile_toolkit.array_types import Float32
 from tactile_toolkit.errors import InputError
@@ -107,7 +107,7 @@ _TOUCH_POINT: Any = published_package("tactile_mnist.touch_data").TouchSingle
 
 
 class MeshPoint(_MESH_POINT):  # type: ignore[misc]
-    """One mesh, as the environments want it: ``id``, ``label`` and ``mesh``; ``record`` is ours."""
+    """One mesh as the environments use it: ``id``, ``label`` and ``mesh``; ``record`` is ours."""
 
     record: Any
 
@@ -129,7 +129,7 @@ def _as_it_is(value: Any) -> Any:
 
 
 class TouchPoint(_TOUCH_POINT):  # type: ignore[misc]
-    """One round of touches, as the environments want it: the round, with poses of the package.
+    """One round of touches as the environments use it, with poses of the package.
 
     ``info`` and ``gel_pose_cell_frame`` hold ``transformation.Transformation``; ``pos_in_cell`` are the
     intended positions, shape (T, 2), metres, in the cell frame. Images are decoded as they are asked for.
@@ -141,20 +141,20 @@ class TouchPoint(_TOUCH_POINT):  # type: ignore[misc]
 
 
 def has_equal_rows(vertices_m: Float32) -> bool:
-    """Return whether vertices may be equal; now and then two unlike ones look so, which only costs time.
+    """Return whether vertices may be equal; a rare wrong yes only costs time.
 
     The package lets ``trimesh`` merge equal vertices, without which a published mesh would not be closed.
-    That costs more than all the rest, so it is left out for meshes that have none.
+    That costs more than everything else, so it is left out for meshes without equal vertices.
     """
     grid = np.round(vertices_m.astype(np.float64) / _MERGED_M).astype(np.int64)
-    # One number a row: of 5,000 vertices this takes 0.08 ms, and `np.unique` of rows 3.3 ms.
+    # One number per row: for 5,000 vertices this takes 0.08 ms, and `np.unique` of rows 3.3 ms.
     mixed = grid @ _MIXERS
     mixed.sort()
     return bool((mixed[1:] == mixed[:-1]).any())
 
 
 def mesh_keywords(record: Any) -> dict[str, Any]:
-    """Return what ``trimesh.Trimesh`` makes the mesh of a record from, as the package would make it."""
+    """Return the arguments of ``trimesh.Trimesh`` for the mesh of a record, as the package gives them."""
     vertices_m = record.vertices_m
     return {"vertices": vertices_m, "faces": record.faces, "process": has_equal_rows(vertices_m)}
 
@@ -171,7 +171,7 @@ _OF_TOUCHES: Mapping[str, Callable[[Any], Any]] = {
 
 
 class _Stored:
-    """What the data sets of both kinds have in common: points over records that our loaders read."""
+    """The common part of both data sets: points over records that our loaders read."""
 
     point: type
     cache_size: CacheSize
@@ -217,7 +217,7 @@ class StoredRows(Sequence[dict[str, Any]]):
 
     @property
     def features(self) -> Mapping[str, Any]:
-        """What ``datasets`` would say of columns, for those that the environments ask about."""
+        """Features as of ``datasets``, for the columns that the environments ask for."""
         from datasets import ClassLabel, List, Value
 
         label = ClassLabel(names=list(self.records.label_names))
@@ -254,7 +254,7 @@ class StoredRows(Sequence[dict[str, Any]]):
             return {name: read(record) for name, read in self.readers.items()}
         if key not in self.readers:
             raise InputError(f"no column {key!r} in these rows; expected one of {', '.join(self.readers)}")
-        # No record has to be made for these, of which `filter_labels` and the like ask for all at once.
+        # No record is made for these, of which `filter_labels` and others ask for all at once.
         if key in ("id", "label"):
             return self.records.column(key).tolist()
         return [self.readers[key](record) for record in self.records]
@@ -265,5 +265,7 @@ class StoredRows(Sequence[dict[str, Any]]):
 
     def select_columns(self, column_names: str | Sequence[str]) -> Self:
         """Return a view of some columns."""
-        wanted = [column_names] if isinstance(column_names, str) else column_names
+        wanted = column_names
+        if isinstance(column_names, str):
+            wanted = [column_names]
         return type(self)(self.records, {name: self.readers[name] for name in wanted})

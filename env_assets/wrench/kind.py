@@ -1,4 +1,4 @@
-"""What the rest of the toolkit must know of data sets of a wrench."""
+"""Everything that other packages need to know about data sets of a wrench."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from tactile_toolkit.kind import DatasetKind, lazy
 KIND = DatasetKind(
     name="wrench",
     command="env-assets",
-    package="env_assets.wrenches",
+    package="env_assets.wrench.records",
     noun="wrench",
     nouns="wrenches",
     made_by="env-assets wrench",
     card_template="wrench.md",
-    write_card=lazy("env_assets.wrench.making:write_card"),
-    schema=lazy("env_assets.wrench.making:wrench_schema"),
+    write_card=lazy("env_assets.wrench.dataset:write_card"),
+    schema=lazy("env_assets.wrench.dataset:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
     missing_commands=("info", "validate", "preview", "card", "upload", "download", "gallery", "list"),
-    recipe=lazy("env_assets.wrench.making:wrench_recipe"),
+    recipe=lazy("env_assets.wrench.dataset:wrench_recipe"),
 )

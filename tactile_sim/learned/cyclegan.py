@@ -1,164 +1,39 @@
-"""CycleGAN (Zhu et al. 2017): its batches, and one step of two generators and two discriminators.
-
-Pictures and crops of a step follow from seed, step and process alone.
-"""
+"""CycleGAN (Zhu et al. 2017): one step of two generators and two discriminators."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from functools import cached_property
-from typing import Any, NamedTuple
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import torch
+from torch import Tensor, nn
 
-from tactile_sim.learned.networks import (
-    Generator,
-    depth_channels,
-    discriminator,
-    initialise,
-    noisy_channels,
-    picture_channels,
-)
-from tactile_sim.optics import make_optics
-from tactile_sim.pairs import Pairs
-from tactile_sim.plan import generator
-from tactile_sim.spec import TrainConfig
-from tactile_toolkit.array_types import Float32, UInt8
-
-# Enough for a median without noise, and 100 MB at 256 x 256 pixels.
-_LEVEL_TOUCHES = 512
-
-
-class Batch(NamedTuple):
-    """What a step is shown: ``n`` pictures of each kind, which do not belong together, from -1 to 1."""
-
-    depth: Any
-    """Row, column and depth, (n, 3, h, w)."""
-
-    touch: Any
-    """Colours of touches, (n, 3, h, w)."""
-
-    where: Any
-    """Row and column of the touches, (n, 2, h, w)."""
-
-    level: Any
-    """What the sensor shows of nothing where the depth images lie, (n, 3, h, w); None if not known."""
-
-    contact: Any
-    """Whether each touch met its object, (n, 1, 1, 1)."""
-
-    simulated: Any
-    """Touches of the depth as Taxim shows it, (n, 3, h, w); None after the first steps."""
-
-
-_Maker = Callable[[Float32], UInt8]
-
-
-def by_taxim(pairs: Pairs) -> _Maker:
-    """Return what makes Taxim's pictures of depth images of a training set; MissingExtraError without."""
-    sensor, taxim = pairs.sensor, make_optics("taxim")
-
-    def made(depth: Float32) -> UInt8:
-        depth_m = sensor.press_m + depth.astype(np.float64) * (sensor.gel_m - sensor.press_m)
-        return taxim.render(depth_m, sensor, pairs.size_px)
-
-    return made
-
-
-class Batches:
-    """Makes the batch of the next step while this one is computed."""
-
-    def __init__(self, pairs: Pairs, config: TrainConfig, rank: int) -> None:
-        self._pairs = pairs
-        self._config = config
-        self._rank = rank
-        self._crop = config.crop_px(pairs.size_px)
-        self._taxim = by_taxim(pairs) if config.pretrain_steps else None
-
-    def since(self, first: int) -> Iterator[Batch]:
-        """Yield the batches of the steps from one on."""
-        # One batch ahead is enough, as decoding is much faster than a step; a thread, as decoders and torch
-        # leave the interpreter's lock.
-        with ThreadPoolExecutor(1) as pool:
-            made = (pool.submit(self._make, step) for step in range(first, self._config.steps))
-            ahead = next(made, None)
-            while ahead is not None:
-                batch = ahead.result()
-                ahead = next(made, None)
-                yield batch
-
-    @cached_property
-    def _level(self) -> Any:
-        """The median of touches without contact, (3, H, W): a sensor's noise is not in it."""
-        real = self._pairs.real
-        numbers = np.flatnonzero(~real.contact)
-        if not len(numbers):
-            return None
-        chosen = numbers[np.unique(np.linspace(0, len(numbers) - 1, _LEVEL_TOUCHES).astype(np.int64))]
-        return picture_channels(np.median(real.images(chosen), axis=0)[None])[0]
-
-    def _make(self, step: int) -> Batch:
-        rng = generator(self._config.seed, step, self._rank, "batch")
-        depth, real = self._pairs.depth, self._pairs.real
-        images = depth.images(rng.integers(len(depth), size=self._config.batch))
-        height, width = images.shape[1:]
-        parts = [depth_channels(images)]
-        if self._level is not None:
-            parts.append(self._level.expand(len(images), -1, -1, -1))
-        taxim = self._taxim if step < self._config.pretrain_steps else None
-        if taxim is not None:
-            parts.append(self._simulated(images, taxim))
-        cropped = self._cropped(torch.cat(parts, dim=1), rng)
-        level = None if self._level is None else cropped[:, 3:6]
-        simulated = None if taxim is None else cropped[:, -3:]
-        numbers = rng.integers(len(real), size=self._config.batch)
-        pictures = picture_channels(real.images(numbers))
-        # A touch has no depth to go with its row and column: only those two are kept.
-        where = depth_channels(np.ones((1, height, width), np.float32))[:, :2]
-        touch = self._cropped(torch.cat([pictures, where.expand(len(pictures), -1, -1, -1)], dim=1), rng)
-        contact = torch.from_numpy(real.contact[numbers])[:, None, None, None]
-        return Batch(cropped[:, :3], touch[:, :3], touch[:, 3:], level, contact, simulated)
-
-    def _simulated(self, images: Float32, taxim: _Maker) -> Any:
-        """Return the relief that Taxim shows of depth, on what the sensor shows of nothing."""
-        shown = picture_channels(taxim(np.concatenate([images, np.ones_like(images[:1])])))
-        level = shown[-1] if self._level is None else self._level
-        # The colours of Taxim's own gel are taken away, and those of the real one put in their place.
-        return (level + shown[:-1] - shown[-1]).clip(-1, 1)
-
-    def _cropped(self, channels: Any, rng: np.random.Generator) -> Any:
-        width, height = self._crop
-        crops = []
-        for whole in channels:
-            top = int(rng.integers(whole.shape[1] - height + 1))
-            left = int(rng.integers(whole.shape[2] - width + 1))
-            crops.append(whole[:, top : top + height, left : left + width])
-        return torch.stack(crops)
-
+from tactile_sim.learned.batches import Batch
+from tactile_sim.learned.channels import noisy_channels
+from tactile_sim.learned.networks import GeneratorNetwork, discriminator, initialise
+from tactile_sim.learning_specs import TrainConfig
 
 LOSSES = tuple(
     f"{name}_{loss}"
     for loss in ("adversarial", "cycle", "identity", "background", "pretrain", "discriminator")
     for name in ("touch", "depth")
 )
-"""What a step reports; those that compare pictures are mean absolute errors of values from -1 to 1."""
-
+"""Losses of a step; those that compare images are mean absolute errors of values from -1 to 1."""
 
 # 0.05 of a range of 2 is 53 um of depth.
 _LEVEL = 0.95
-_SHADOW = 32  # of the picture: farther from pressed gel, 0.6 mm, a touch is as without, to 2 levels
+_SHADOW = 32  # of the image, 0.6 mm: farther from pressed gel a touch equals the background, to 2 levels
 
 
 class _Pool:
-    """Made pictures of earlier steps: each new one is shown, or takes the place of an older one that is."""
+    """Generated images of earlier steps: each new one is returned, or replaces an older one that is."""
 
     def __init__(self, size: int) -> None:
         self.size = size
-        self.held: list[Any] = []
+        self.held: list[Tensor] = []
 
-    def exchange(self, pictures: Any, rng: np.random.Generator) -> Any:
+    def exchange(self, pictures: Tensor, rng: np.random.Generator) -> Tensor:
         shown = []
         for picture in pictures.detach():
             place = len(self.held)
@@ -174,14 +49,14 @@ class _Pool:
 
 
 class CycleGan:
-    """All that training changes, and how.
+    """The networks of a training with their optimisers and image pools, and one step of them.
 
     Parameters
     ----------
     config : TrainConfig
         Settings.
     device : str
-        Where it runs.
+        Device of the networks.
     compiled : bool
         Compile the generators, which takes a minute and pays on a GPU.
     """
@@ -190,15 +65,15 @@ class CycleGan:
         self.config = config
         self.device = device
         self.networks = {
-            "touch": Generator(config.filters, config.blocks),
-            "depth": Generator(config.filters, config.blocks),
+            "touch": GeneratorNetwork(config.filters, config.blocks),
+            "depth": GeneratorNetwork(config.filters, config.blocks),
             "touch_discriminator": discriminator(config.discriminator_filters),
             "depth_discriminator": discriminator(config.discriminator_filters),
         }
         for number, network in enumerate(self.networks.values()):
-            # Four networks, four seeds, none shared by two trainings of neighbouring seeds.
+            # Four seeds, none of them shared with a training of a neighbouring seed.
             initialise(network, config.seed * 4 + number)
-            # The layout that convolutions of few filters are fastest in, on CPUs and GPUs.
+            # Convolutions of few filters are fastest in this layout, on CPUs and GPUs.
             network.to(device, memory_format=torch.channels_last).train()
         names = {
             "generators": ("touch", "depth"),
@@ -221,15 +96,14 @@ class CycleGan:
         self._weights |= {f"{name}_identity": config.identity_weight for name in of_pixels}
         self._weights |= {f"{name}_background": config.background_weight for name in of_pixels}
         self._noise = torch.Generator(device)
-        self._run = {
-            name: torch.compile(network) if compiled and not name.endswith("discriminator") else network
-            for name, network in self.networks.items()
-        }
+        self._run = dict(self.networks)
+        if compiled:
+            self._run |= {name: torch.compile(self.networks[name]) for name in ("touch", "depth")}
 
     def step(self, number: int, batch: Batch, rng: np.random.Generator) -> dict[str, float]:
         """Take one step; return its losses.
 
-        What a generator makes of row and column is not used, here as in `tactile-mnist`: they are known.
+        The generated row and column are not used, as in `tactile-mnist`: they are known.
         """
         for optimiser in self.optimisers.values():
             for group in optimiser.param_groups:
@@ -250,7 +124,7 @@ class CycleGan:
         with torch.autocast("cuda", torch.bfloat16, enabled=self.device.startswith("cuda")):
             for name in ("touch", "depth"):
                 shown = self._add_sensor_noise(name, self.pools[name].exchange(made[name], rng), rng)
-                # Each picture is normalised alone, so that both kinds can be shown at once.
+                # Each image is normalised alone, so that both kinds can be passed together.
                 both = self._add_white_noise(name, torch.cat([real[name], shown]), deviation)
                 verdicts = self._run[f"{name}_discriminator"](both)
                 # Least squares (Mao et al. 2017), here and above.
@@ -261,35 +135,40 @@ class CycleGan:
         return {name: float(losses[name].detach()) if name in losses else 0.0 for name in LOSSES}
 
     def _weight(self, name: str, number: int) -> float:
-        fading = 1 - number / self.config.pretrain_steps if name.endswith("pretrain") else 1.0
-        return fading * self._weights.get(name, 1.0)
+        weight = self._weights.get(name, 1.0)
+        if name.endswith("pretrain"):
+            return weight * (1 - number / self.config.pretrain_steps)
+        return weight
 
-    def _to_device(self, pictures: Any) -> Any:
+    def _to_device(self, pictures: Tensor) -> Tensor:
         return pictures.to(self.device, memory_format=torch.channels_last)
 
-    def _make(self, name: str, pictures: Any, where: Any) -> Any:
-        made = self._run[name](pictures)
-        return made if name == "touch" else torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
+    def _make(self, name: str, pictures: Tensor, where: Tensor) -> Tensor:
+        made: Tensor = self._run[name](pictures)
+        if name == "touch":
+            return made
+        return torch.cat([where.to(made.dtype), made[:, 2:]], dim=1)
 
-    def _add_sensor_noise(self, name: str, made: Any, rng: np.random.Generator) -> Any:
-        """Return made pictures as a sensor would have shown them: touches under its noise."""
-        noise = None if name == "depth" else self.config.sensor_noise
-        return made if noise is None else noisy_channels(made, noise, rng)
+    def _add_sensor_noise(self, name: str, made: Tensor, rng: np.random.Generator) -> Tensor:
+        """Return generated touches with the noise of the sensor; depth as it is."""
+        if name == "depth" or self.config.sensor_noise is None:
+            return made
+        return noisy_channels(made, self.config.sensor_noise, rng)
 
-    def _add_white_noise(self, name: str, pictures: Any, deviation: float) -> Any:
-        """Return touches under white noise, which hides what is faint."""
+    def _add_white_noise(self, name: str, pictures: Tensor, deviation: float) -> Tensor:
+        """Return touches with white noise, which hides faint structure; depth as it is."""
         if name == "depth" or not deviation:
             return pictures
         noise = torch.randn(pictures.shape, generator=self._noise, device=pictures.device)
         return pictures + deviation * noise.to(pictures.dtype)
 
-    def _add_cycle_noise(self, name: str, pictures: Any, rng: np.random.Generator) -> Any:
-        """Return touches as the way back is shown them; real and made alike, so that they look the same."""
+    def _add_cycle_noise(self, name: str, pictures: Tensor, rng: np.random.Generator) -> Tensor:
+        """Return touches, real or generated, with the noise that the way back sees."""
         return self._add_white_noise(name, pictures, self.config.noise * rng.random())
 
     def _generator_losses(
-        self, real: dict[str, Any], places: dict[str, Any], deviation: float, rng: np.random.Generator
-    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        self, real: dict[str, Tensor], places: dict[str, Tensor], deviation: float, rng: np.random.Generator
+    ) -> tuple[dict[str, Tensor], dict[str, Tensor]]:
         for parameter in self.parameters["discriminators"]:
             parameter.requires_grad_(False)
         # Discriminators learn from the same pictures below, in a step of their own.
@@ -309,9 +188,9 @@ class CycleGan:
         return made, losses
 
     def _pretrain_losses(
-        self, made: Any, simulated: Any, depth: Any, rng: np.random.Generator
-    ) -> dict[str, Any]:
-        """Compare what both directions make with pairs that simulation knows."""
+        self, made: Tensor, simulated: Tensor, depth: Tensor, rng: np.random.Generator
+    ) -> dict[str, Tensor]:
+        """Compare both directions with simulated pairs."""
         shown = self._to_device(simulated)
         sensed = self._add_cycle_noise("touch", self._add_sensor_noise("touch", shown, rng), rng)
         again = self._make("depth", sensed, depth[:, :2])
@@ -320,11 +199,11 @@ class CycleGan:
             "depth_pretrain": _mean_error("depth", again, depth),
         }
 
-    def background_losses(self, made: dict[str, Any], depth: Any, batch: Batch) -> dict[str, Any]:
-        """Compare what is made with what is known without pairs: how nothing looks, and how deep it is.
+    def background_losses(self, made: dict[str, Tensor], depth: Tensor, batch: Batch) -> dict[str, Tensor]:
+        """Compare generated images with what is known without pairs: the background, and its depth.
 
-        Where the gel is not pressed, a little away from where it is, it looks as it does without any touch.
-        Unlike the cycle, this ties a relief in the picture to the place of its depth.
+        Where the gel is not pressed, a little away from where it is, it looks like the background. Unlike the
+        cycle, this ties a relief in the image to the place of its depth.
         """
         reach = max(1, round(min(depth.shape[-2:]) / _SHADOW))
         pressed = torch.nn.functional.max_pool2d((depth < 1).float(), 2 * reach + 1, 1, reach)
@@ -332,29 +211,29 @@ class CycleGan:
         nothing = 1.0 - batch.contact.to(self.device, torch.float32)
         return {
             "touch_background": ((made["touch"] - level).abs() * (1 - pressed)).mean(),
-            # Not quite 1: where the last layer is saturated, nothing is learned any more.
+            # Not quite 1: a saturated last layer has no gradient.
             "depth_background": ((_LEVEL - made["depth"][:, 2:]).relu() * nothing).mean(),
         }
 
-    def _descend(self, key: str, loss: Any) -> None:
+    def _descend(self, key: str, loss: Tensor) -> None:
         self.optimisers[key].zero_grad(set_to_none=True)
         loss.backward()
         _average_gradients(self.parameters[key])
         self.optimisers[key].step()
 
     def state(self) -> dict[str, Any]:
-        """Return all that training changes, but for the pools."""
+        """Return everything that training changes, except the pools."""
         return {
             "networks": {name: network.state_dict() for name, network in self.networks.items()},
             "optimisers": {name: each.state_dict() for name, each in self.optimisers.items()},
         }
 
-    def pool_state(self) -> dict[str, list[Any]]:
-        """Return the pictures in the pools of this process."""
+    def pool_state(self) -> dict[str, list[Tensor]]:
+        """Return the images in the pools of this process."""
         return {name: [picture.float().cpu() for picture in pool.held] for name, pool in self.pools.items()}
 
-    def load_state(self, state: dict[str, Any], pools: dict[str, list[Any]]) -> None:
-        """Take what :meth:`state` and :meth:`pool_state` returned."""
+    def load_state(self, state: dict[str, Any], pools: dict[str, list[Tensor]]) -> None:
+        """Restore what :meth:`state` and :meth:`pool_state` returned."""
         for name, stored in state["networks"].items():
             self.networks[name].load_state_dict(stored)
         for name, stored in state["optimisers"].items():
@@ -363,15 +242,16 @@ class CycleGan:
             pool.held = [picture.to(self.device) for picture in pools[name]]
 
 
-def _mean_error(name: str, made: Any, real: Any) -> Any:
-    first = 2 if name == "depth" else 0  # row and column of depth are given
+def _mean_error(name: str, made: Tensor, real: Tensor) -> Tensor:
+    first = 2 * (name == "depth")  # row and column of depth are given
     return (made[:, first:] - real[:, first:]).abs().mean()
 
 
-def _average_gradients(parameters: Iterable[Any]) -> None:
+def _average_gradients(parameters: Iterable[nn.Parameter]) -> None:
     """Average over the processes of ``torchrun``."""
-    is_alone = not (torch.distributed.is_available() and torch.distributed.is_initialized())
-    for parameter in () if is_alone else parameters:
+    if not (torch.distributed.is_available() and torch.distributed.is_initialized()):
+        return
+    for parameter in parameters:
         # By hand: four networks and two optimisers in turn do not fit DistributedDataParallel's one backward
         # pass.
         torch.distributed.all_reduce(parameter.grad)

@@ -1,75 +1,69 @@
-"""Measures of a training, against real touches that it did not see; no downloaded weights take part."""
+"""Measures of a training against real touches that it did not see; uses no downloaded weights."""
 
 from __future__ import annotations
 
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
-from torch import nn
 
-from tactile_sim.card import sheet_png
-from tactile_sim.learned.cyclegan import by_taxim
-from tactile_sim.learned.networks import (
-    Generator,
-    depth_channels,
-    depth_of,
-    generated,
-    generator_of,
-    initialise,
-    picture_channels,
-    pictures_of,
-    read_weights,
+from tactile_sim.data_cards import sheet_png
+from tactile_sim.learned.batches import by_taxim
+from tactile_sim.learned.channels import depth_channels, depth_of, generated, pictures_of
+from tactile_sim.learned.classifiers import (
+    STEPS,
+    SmallCNN,
+    balanced_accuracy,
+    classifier_inputs,
+    in_second_half,
+    two_sample_test,
 )
-from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, chosen_device
-from tactile_sim.noise import SensorNoise, add_noise
+from tactile_sim.learned.networks import GeneratorNetwork, initialise
+from tactile_sim.learned.processes import chosen_device
+from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
+from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights
 from tactile_sim.pairs import Domain, Pairs
-from tactile_sim.plan import generator
+from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.sensor_noise import SensorNoise, add_noise
 from tactile_toolkit import cards, store
-from tactile_toolkit.array_types import Bool, Int64, UInt8
+from tactile_toolkit.array_types import AnyArray, Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
 BASELINES = ("taxim", "untrained")
-"""What trained weights may be compared with."""
+"""Methods that trained weights may be compared with."""
 
-# A half of these is held back: fewer say nothing.
+# Half of these are held back; fewer are not conclusive.
 _LEAST = 40
 _LABELS_FROM = 2000
 _LABEL_STEPS = 1500
 _SHOWN = 6
-_STEPS = 600  # after 120, contact was read at chance from what 400 read at 96 %
-_INPUT_PX = 64  # of classifiers: larger pictures are scaled to this size
-_BATCH = 32
-_RATE = 2e-3
 
 
 @dataclass(frozen=True)
-class Measured:
-    """One way of making touches of depth.
+class Measures:
+    """Measures of one method of generating touches from depth.
 
     Attributes
     ----------
     name : str
-        ``"real"`` (one half of the real touches against the other: the best there is), ``"trained"``, or one
-        of :data:`BASELINES`.
+        ``"real"`` (one half of the real touches against the other, the best value possible), ``"trained"``,
+        or one of :data:`BASELINES`.
     depth_um : float
-        Mean absolute error of the depth that the trained inverse recovers from its pictures, micrometres,
-        over touches with contact.
+        Mean absolute error of the depth that the trained inverse recovers from the images, micrometres, over
+        touches with contact.
     two_sample : float
-        Balanced accuracy of a classifier that separates real from made pictures of held-back objects (the
+        Balanced accuracy of a classifier that separates real from generated images of held-back objects (the
         classifier two-sample test of Lopez-Paz and Oquab, 2017); 0.5 is best.
     two_sample_error : float
         Its standard error.
     contact_accuracy : float
-        Balanced accuracy, on held-back real touches, of a classifier of contact trained on its pictures.
+        Balanced accuracy, on held-back real touches, of a classifier of contact trained on the images.
     class_accuracy : float
         The same of a classifier of labels; NaN with fewer than 2,000 touches, or without labels.
     """
@@ -84,45 +78,40 @@ class Measured:
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Measures of all ways, and a sheet of pictures as PNG; ``noise`` was added to all that was made."""
+    """Measures of all methods, and a sheet of images as PNG; ``noise`` was added to all generated images."""
 
-    measured: tuple[Measured, ...]
+    measures: tuple[Measures, ...]
     touches: int
     sheet: bytes
     noise: SensorNoise | None = None
 
     def to_dict(self) -> dict[str, Any]:
-        """Return JSON values; what could not be measured is null."""
+        """Return JSON values; a measure that does not apply is null."""
         rows = [
             {name: None if value != value else value for name, value in asdict(row).items()}
-            for row in self.measured
+            for row in self.measures
         ]
-        noise = None if self.noise is None else self.noise.to_dict()
-        return {"touches": self.touches, "noise": noise, "measured": rows}
+        return {"touches": self.touches, "noise": self.noise and self.noise.to_dict(), "measured": rows}
 
     def to_markdown(self) -> str:
         """Return the table in Markdown."""
-        header = ("pictures", "depth error", "two-sample test", "contact accuracy", "class accuracy")
+        header = ("images", "depth error", "two-sample test", "contact accuracy", "class accuracy")
         rows = [
-            (
+            [
                 each.name,
-                f"{each.depth_um:.0f} um",
+                _cell(each.depth_um, f"{each.depth_um:.0f} um"),
                 f"{100 * each.two_sample:.1f} ± {100 * each.two_sample_error:.1f} %",
                 f"{100 * each.contact_accuracy:.1f} %",
-                f"{100 * each.class_accuracy:.1f} %",
-            )
-            for each in self.measured
+                _cell(each.class_accuracy, f"{100 * each.class_accuracy:.1f} %"),
+            ]
+            for each in self.measures
         ]
-        table = cards.markdown_table(
-            header, [["-" if "nan" in cell else cell for cell in row] for row in rows]
-        )
-        made = (
-            "without noise: a sensor's noise alone separates real touches from them"
-            if self.noise is None
-            else "under a sensor's noise, as `generate --sensor-noise` adds it: "
-            + ", ".join(f"{name} {value:g}" for name, value in self.noise.to_dict().items())
-        )
-        return f"{table}\n\nOf {self.touches:,} real touches. Made pictures are {made}.\n"
+        noise = "without noise: a sensor's noise alone separates real touches from them"
+        if self.noise is not None:
+            values = ", ".join(f"{name} {value:g}" for name, value in self.noise.to_dict().items())
+            noise = f"with a sensor's noise, as `generate --sensor-noise` adds it: {values}"
+        table = cards.markdown_table(header, rows)
+        return f"{table}\n\nOf {self.touches:,} real touches. Generated images are {noise}.\n"
 
     def write(self, out: str | os.PathLike[str]) -> None:
         """Write ``evaluation.md``, ``evaluation.json`` and ``evaluation.png`` into a folder."""
@@ -131,6 +120,12 @@ class Evaluation:
         folder.write_bytes("evaluation.md", self.to_markdown().encode())
         folder.write_bytes("evaluation.json", (json.dumps(self.to_dict(), indent=1) + "\n").encode())
         folder.write_bytes("evaluation.png", self.sheet)
+
+
+def _cell(value: float, text: str) -> str:
+    if math.isnan(value):
+        return "-"
+    return text
 
 
 def evaluate(
@@ -146,7 +141,7 @@ def evaluate(
 ) -> Evaluation:
     """Measure the weights of a training on a set of pairs that it did not see.
 
-    Pictures of one half of the objects train classifiers, those of the other half are measured.
+    Images of one half of the objects train classifiers; those of the other half are measured.
 
     Parameters
     ----------
@@ -155,155 +150,148 @@ def evaluate(
     pairs : str
         Folder of ``tactile-sim pairs``, of another split than it was trained on.
     baselines : tuple of str
-        What to compare with; of :data:`BASELINES`.
+        Methods to compare with, of :data:`BASELINES`.
     count : int
-        Most pictures of each kind.
+        Greatest number of images of each kind.
     noise : SensorNoise, optional
-        What the sensor of the real touches adds to all that is made, a round for each object; not for depth.
+        Noise of the sensor of the real touches, added to all generated images, a round for each object; not
+        for depth.
     seed : int
         Seed of noise and classifiers.
     device : str
-        Where the generators are computed: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU where there is one.
-        Classifiers are small, and learn on the CPU. Figures are the same everywhere, up to rounding.
+        Device of the generators: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. Classifiers
+        are small, and learn on the CPU. Measures are the same on each device, up to rounding.
     on_progress : callable
-        Called with steps done and in all: images that a generator made, and steps of classifiers.
+        Called with the number of measured methods, the real touches included, and of all.
+
+    Returns
+    -------
+    Evaluation
+        Measures of all methods.
 
     Raises
     ------
     InputError
-        No such weights, pairs or device, pairs of another size, or too few touches.
+        Weights, pairs or device do not exist, the pairs have another size, or there are too few touches.
     MissingExtraError
         Taxim is not installed.
     """
-    place = chosen_device(device)
+    torch_device = chosen_device(device)
     if unknown := set(baselines) - set(BASELINES):
         raise InputError(f"baselines has {min(unknown)!r}; expected some of {', '.join(BASELINES)}")
     data, touch = Pairs.open(pairs), read_weights(Path(weights) / TOUCH_WEIGHTS)
     if touch.size_px != data.size_px:
         found, expected = (f"{w} x {h}" for w, h in (data.size_px, touch.size_px))
         raise InputError(
-            f"{pairs!r} holds pictures of {found} pixels; these weights were trained with {expected}",
+            f"{pairs!r} holds images of {found} pixels; these weights were trained with {expected}",
             next=f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}",
         )
-    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval().to(place)
-    real, depth = _Chosen.of(data.real, count, pairs), _Chosen.of(data.depth, count, pairs)
-    ways = ("trained", *baselines)
-    steps = _Steps(_step_count(real, depth, ways), on_progress)
+    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval().to(torch_device)
+    real, depth = _Selected.of(data.real, count, pairs), _Selected.of(data.depth, count, pairs)
+    methods = ("trained", *baselines)
     reach_um = 1e6 * (data.sensor.gel_m - data.sensor.press_m)
-    bench = _Bench(real, depth, inverse, reach_um, noise, seed, steps)
+    bench = _Bench(real, depth, inverse, reach_um, noise, seed)
+    made, measures = {}, [bench.measure_real()]
+    for done, name in enumerate(methods, 1):
+        on_progress(done, 1 + len(methods))
+        made[name] = _touches_of(name, data, touch, bench, torch_device)
+        measures.append(bench.measure(name, made[name]))
+    on_progress(1 + len(methods), 1 + len(methods))
+    return Evaluation(tuple(measures), len(real.images), bench.sheet(made), noise)
 
-    def made_by(name: str) -> UInt8:
-        if name == "taxim":
-            return by_taxim(data)(bench.depth.images)
-        network = generator_of(touch)
-        if name == "untrained":
-            initialise(network, seed)
-        made = generated(network.eval().to(place), depth_channels, bench.depth.images, steps.advance)
-        return pictures_of(made, bench.depth.images.shape[:0:-1])
 
-    made = {name: made_by(name) for name in ways}
-    measured = (bench.measure_real(), *(bench.measure(name, pictures) for name, pictures in made.items()))
-    return Evaluation(measured, len(bench.real.images), bench.sheet(made), noise)
+def _touches_of(name: str, data: Pairs, trained: GeneratorWeights, bench: _Bench, device: str) -> UInt8:
+    """Generate touches of the depth images by a method."""
+    images = bench.depth.images
+    if name == "taxim":
+        return by_taxim(data)(images)
+    network = generator_of(trained)
+    if name == "untrained":
+        initialise(network, bench.seed)
+    made = generated(network.eval().to(device), depth_channels, images)
+    return pictures_of(made, images.shape[:0:-1])
 
 
 @dataclass(frozen=True, eq=False)
-class _Chosen:
-    """Pictures of one kind, chosen evenly, and what is known of them."""
+class _Selected:
+    """Evenly spaced images of one kind, and their objects, contact and labels; ``held`` are held back."""
 
-    images: Any
+    images: AnyArray
     objects: Int64
     contact: Int64
     labels: Int64
     held: Bool
 
     @classmethod
-    def of(cls, domain: Domain, count: int, pairs: str) -> _Chosen:
-        """Choose rows; InputError where there are too few, or all are of one kind."""
+    def of(cls, domain: Domain, count: int, pairs: str) -> _Selected:
+        """Select rows; InputError if there are too few, or all are alike."""
         rows = np.unique(np.linspace(0, len(domain) - 1, min(count, len(domain))).astype(np.int64))
         contact, objects = domain.contact[rows], domain.object_ids[rows]
         kinds = len(np.unique(objects))
         if len(rows) < _LEAST or not contact.any() or contact.all() or kinds < 2:
             raise InputError(
-                f"{pairs!r} holds {len(rows)} pictures of one kind, {int(contact.sum())} with contact, of "
+                f"{pairs!r} holds {len(rows)} images of one kind, {int(contact.sum())} with contact, of "
                 f"{kinds} objects; expected at least {_LEAST}, with and without contact, of several objects",
                 next="a larger --count or another --without-contact of `tactile-sim pairs`",
             )
         return cls(
-            domain.images(rows), objects, contact.astype(np.int64), domain.labels[rows], _second_half(objects)
+            domain.images(rows),
+            objects,
+            contact.astype(np.int64),
+            domain.labels[rows],
+            in_second_half(objects),
         )
 
     def shown(self) -> Int64:
-        """Return the rows of some pictures with contact, for a sheet."""
+        """Return the rows of some images with contact, for a sheet."""
         met = np.flatnonzero(self.contact)
         return met[:: max(1, len(met) // _SHOWN)][:_SHOWN]
 
 
-class _Steps:
-    """Counts what was done of a known number of steps."""
-
-    def __init__(self, total: int, on_progress: Callable[[int, int], None]) -> None:
-        self._done, self._total, self._on_progress = 0, total, on_progress
-
-    def advance(self, count: int) -> None:
-        """Report further steps."""
-        self._done += count
-        self._on_progress(self._done, self._total)
-
-
-def _step_count(real: _Chosen, depth: _Chosen, ways: Sequence[str]) -> int:
-    """Return how many images generators make, and how many steps classifiers take, for all measures."""
-    labels = _LABEL_STEPS if len(real.images) >= _LABELS_FROM else 0
-    images = len(depth.images) * (len(ways) + sum(name != "taxim" for name in ways))
-    return images + (1 + len(ways)) * (2 * _STEPS + labels)
-
-
 @dataclass(frozen=True, eq=False)
 class _Bench:
-    """Real touches, depth images that pictures are made of, and what measures those."""
+    """Real touches and depth images, and the networks that measure touches generated from these."""
 
-    real: _Chosen
-    depth: _Chosen
-    inverse: Generator
-    reach_um: float  # what the gel can be pressed by, over which depth images run from 0 to 1
+    real: _Selected
+    depth: _Selected
+    inverse: GeneratorNetwork
+    reach_um: float  # range of depth images from 0 to 1
     noise: SensorNoise | None
     seed: int
-    steps: _Steps
 
-    def measure_real(self) -> Measured:
-        """Measure one half of the real touches against the other: nothing can be better."""
+    def measure_real(self) -> Measures:
+        """Measure one half of the real touches against the other."""
         real = self.real
-        # Halves of all touches at random, as made and real pictures are of the same objects too.
+        # Random halves of all touches, as generated and real images are of the same objects too.
         drawn = np.random.default_rng(self.seed).permutation(len(real.images))
         one, other = ((real.images[drawn[k::2]], real.objects[drawn[k::2]]) for k in (0, 1))
-        apart = two_sample_test(one, other, self.seed, self.steps.advance)
-        return Measured("real", math.nan, *apart, *self._accuracies(real.images, real))
+        apart = two_sample_test(one, other, self.seed)
+        return Measures("real", math.nan, *apart, *self._accuracies(real.images, real))
 
-    def measure(self, name: str, pictures: UInt8) -> Measured:
-        """Measure pictures that were made of the depth images."""
+    def measure(self, name: str, pictures: UInt8) -> Measures:
+        """Measure images that were generated from the depth images."""
         depth = self.depth
-        off = np.abs(depth_of(self.inverse, pictures, self.steps.advance) - depth.images)[depth.contact == 1]
+        off = np.abs(depth_of(self.inverse, pictures) - depth.images)[depth.contact == 1]
         if self.noise is not None:
             pictures = add_noise_per_object(pictures, depth.objects, self.noise, self.seed)
         real = self.real.images, self.real.objects
-        apart = two_sample_test(real, (pictures, depth.objects), self.seed, self.steps.advance)
-        return Measured(name, float(self.reach_um * off.mean()), *apart, *self._accuracies(pictures, depth))
+        apart = two_sample_test(real, (pictures, depth.objects), self.seed)
+        return Measures(name, float(self.reach_um * off.mean()), *apart, *self._accuracies(pictures, depth))
 
-    def _accuracies(self, pictures: UInt8, known: _Chosen) -> tuple[float, float]:
-        """Train classifiers of contact and label on some pictures; measure them on held-back real touches."""
+    def _accuracies(self, pictures: UInt8, known: _Selected) -> tuple[float, float]:
+        """Train classifiers of contact and label on some images; measure them on held-back real touches."""
         real, train = self.real, ~known.held
-        inputs, held = _inputs(pictures[train]), _inputs(real.images[real.held])
-        reader = SmallCNN(2, self.seed, _STEPS).learn(inputs, known.contact[train], self.steps.advance)
+        inputs, held = classifier_inputs(pictures[train]), classifier_inputs(real.images[real.held])
+        reader = SmallCNN(2, self.seed, STEPS).learn(inputs, known.contact[train])
         of_contact = balanced_accuracy(reader.predict(held), real.contact[real.held])
         if len(real.images) < _LABELS_FROM or min(real.labels.min(), known.labels.min()) < 0:
             return of_contact, math.nan
         classes = int(max(known.labels.max(), real.labels.max())) + 1
-        reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(
-            inputs, known.labels[train], self.steps.advance
-        )
+        reader = SmallCNN(classes, self.seed, _LABEL_STEPS).learn(inputs, known.labels[train])
         return of_contact, balanced_accuracy(reader.predict(held), real.labels[real.held])
 
     def sheet(self, made: dict[str, UInt8]) -> bytes:
-        """Draw some pictures of each way, and the depth that is recovered of them, as PNG."""
+        """Draw some images of each method, and the depth recovered from them, as PNG."""
         shown, real = self.depth.shown(), self.real.images[self.real.shown()]
         columns = [("real", real), ("its depth", depth_of(self.inverse, real))]
         columns.append(("depth", self.depth.images[shown]))
@@ -312,118 +300,10 @@ class _Bench:
 
 
 def add_noise_per_object(pictures: UInt8, objects: Int64, noise: SensorNoise, seed: int) -> UInt8:
-    """Return pictures under the noise of a sensor: a round for each object, as real touches have it."""
+    """Return images with the noise of a sensor, a round for each object as in real touches."""
     noisy = np.empty_like(pictures)
     for each in np.unique(objects):
         of_object = np.flatnonzero(objects == each)
-        draw = partial(generator, seed, "evaluation", int(each), 0)
+        draw = partial(keyed_rng, seed, "evaluation", int(each), 0)
         noisy[of_object] = add_noise(pictures[of_object], noise, draw(), draw)
     return noisy
-
-
-def two_sample_test(
-    real: tuple[UInt8, Int64],
-    made: tuple[UInt8, Int64],
-    seed: int,
-    advance: Callable[[int], None] = lambda _count: None,
-) -> tuple[float, float]:
-    """Train a classifier of real and made on one half of the objects, and measure it on the other half.
-
-    Each kind is pictures (n, H, W, 3), uint8, and their objects (n,): touches of a round share its noise,
-    which could be learned by heart. ``advance`` as of :meth:`SmallCNN.learn`. Returns the balanced accuracy
-    and its standard error.
-    """
-    inputs = _inputs(np.concatenate([real[0], made[0]]))
-    held = _second_half(np.concatenate([real[1], made[1]]))
-    truth = np.repeat([1, 0], [len(real[0]), len(made[0])]).astype(np.int64)
-    classifier = SmallCNN(2, seed + 1, _STEPS).learn(inputs[~held], truth[~held], advance)
-    share = balanced_accuracy(classifier.predict(inputs[held]), truth[held])
-    count = int(held.sum())
-    return share, float(np.sqrt(max(share * (1 - share), 0.25 / count) / count))
-
-
-@contextmanager
-def _one_thread() -> Iterator[None]:
-    """Compute on one thread: on a busy machine networks this small wait for others many times as long."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(threads)
-
-
-class SmallCNN:
-    """Three convolutions of 16, 32 and 64 filters, the mean over the picture, and a linear layer.
-
-    Parameters
-    ----------
-    classes : int
-        Number of classes.
-    seed : int
-        Seed of weights and order.
-    steps : int
-        Steps of Adam with 32 pictures each; the learning rate falls to 0.
-    """
-
-    def __init__(self, classes: int, seed: int, steps: int) -> None:
-        self._seed, self._steps = seed, steps
-        with torch.random.fork_rng(devices=[]):
-            torch.manual_seed(seed)
-            layers: list[Any] = []
-            for inside, outside in ((3, 16), (16, 32), (32, 64)):
-                layers += [nn.Conv2d(inside, outside, 3, stride=2, padding=1), nn.BatchNorm2d(outside)]
-                layers.append(nn.ReLU())
-            self._network = nn.Sequential(
-                *layers, nn.AdaptiveAvgPool2d(1), nn.Flatten(), nn.Linear(64, classes)
-            )
-
-    @_one_thread()
-    def learn(
-        self, pictures: Any, labels: Int64, advance: Callable[[int], None] = lambda _count: None
-    ) -> SmallCNN:
-        """Learn pictures (n, 3, H, W), -1 to 1; each class is drawn equally often.
-
-        ``advance`` gets the number of steps since it was called last.
-        """
-        rng = np.random.default_rng(self._seed)
-        groups = [np.flatnonzero(labels == label) for label in np.unique(labels)]
-        optimiser = torch.optim.Adam(self._network.parameters(), lr=_RATE)
-        self._network.train()
-        for step in range(self._steps):
-            optimiser.param_groups[0]["lr"] = _RATE * (1 - step / self._steps)
-            # A class first, then a picture of it: rare classes are learned as well.
-            chosen = np.array([rng.choice(groups[int(rng.integers(len(groups)))]) for _ in range(_BATCH)])
-            loss: Any = nn.functional.cross_entropy(
-                self._network(pictures[chosen]), torch.from_numpy(labels[chosen])
-            )
-            optimiser.zero_grad(set_to_none=True)
-            loss.backward()
-            optimiser.step()
-            advance(1)
-        self._network.eval()
-        return self
-
-    @_one_thread()
-    def predict(self, pictures: Any) -> Int64:
-        """Return the class of each picture, shape (n,)."""
-        with torch.inference_mode():
-            return np.asarray(self._network(pictures).argmax(dim=1).numpy(), np.int64)
-
-
-def balanced_accuracy(found: Int64, truth: Int64) -> float:
-    """Return the share of right answers, the mean over the classes that occur."""
-    return float(np.mean([(found[truth == each] == each).mean() for each in np.unique(truth)]))
-
-
-def _second_half(objects: Int64) -> Bool:
-    """Return whether pictures are of every other object."""
-    return np.asarray(np.searchsorted(np.unique(objects), objects) % 2 == 1)
-
-
-def _inputs(pictures: UInt8) -> Any:
-    """Return pictures as classifiers take them."""
-    channels = picture_channels(pictures)
-    if max(channels.shape[-2:]) > _INPUT_PX:
-        channels = nn.functional.interpolate(channels, size=(_INPUT_PX, _INPUT_PX), mode="area")
-    return channels

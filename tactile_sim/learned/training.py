@@ -3,12 +3,11 @@
 ::
 
     training.json              settings, and which pairs
-    checkpoint.pt              a SHA-256 digest and the state of everything; intact or absent
+    checkpoint.pt              a SHA-256 digest, and everything that training changes; intact or absent
     depth_to_touch.npz         weights of both generators, in the published format
     touch_to_depth.npz
     losses.parquet             the log
-    samples/step-0001000.png   sheets of pictures
-    tensorboard/               the log again, if asked for
+    samples/step-0001000.png   sheets of images
 """
 
 from __future__ import annotations
@@ -19,29 +18,26 @@ import json
 import math
 import os
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import closing, contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
-from importlib.util import find_spec
 from typing import Any
 
 import msgspec
 import numpy as np
 import pyarrow as pa
 import torch
+from torch import Tensor
 
-from tactile_sim.card import sheet_png
-from tactile_sim.learned.cyclegan import LOSSES, Batches, CycleGan, by_taxim
-from tactile_sim.learned.networks import (
-    depth_channels,
-    picture_channels,
-    pictures_of,
-    shades_of,
-    weights_of,
-    write_weights,
-)
+from tactile_sim.data_cards import sheet_png
+from tactile_sim.learned.batches import Batches, by_taxim
+from tactile_sim.learned.channels import depth_channels, picture_channels, pictures_of, shades_of
+from tactile_sim.learned.cyclegan import LOSSES, CycleGan
+from tactile_sim.learned.processes import Process, joined_processes
+from tactile_sim.learned.weights import weights_of, write_weights
+from tactile_sim.learning_specs import TrainConfig
 from tactile_sim.pairs import SPLITS, Pairs
-from tactile_sim.plan import generator
-from tactile_sim.spec import TrainConfig
+from tactile_sim.random_numbers import keyed_rng
+from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.errors import (
     InputError,
     IntegrityError,
@@ -50,7 +46,7 @@ from tactile_toolkit.errors import (
     ToolkitError,
 )
 from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden, open_folder
-from tactile_toolkit.touch import decode_image
+from tactile_toolkit.wording import with_count
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"
@@ -62,26 +58,12 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class Trained:
-    """A training that came to its end: the folder, steps in all and in this run, and the last losses."""
+    """A finished training: its folder, all steps, the steps of this run, and the last losses."""
 
     folder: str
     steps: int
     taken: int
     losses: dict[str, float]
-
-
-@dataclass(frozen=True)
-class _Place:
-    """Which of the processes of ``torchrun`` this is, and where it computes."""
-
-    rank: int
-    count: int
-    device: str
-
-    def wait(self) -> None:
-        """Wait for the other processes."""
-        if self.count > 1:
-            torch.distributed.barrier()
 
 
 def train(
@@ -93,7 +75,6 @@ def train(
     deterministic: bool = False,
     resume: bool = False,
     compiled: bool = False,
-    tensorboard: bool = False,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> Trained:
     """Train both generators of a CycleGAN; the same call continues where a run was stopped.
@@ -103,47 +84,46 @@ def train(
     pairs : str
         Folder of ``tactile-sim pairs``.
     out : str or path-like
-        Folder for checkpoint, weights, log and sheets.
+        Folder for checkpoint, weights, log and sheets of images.
     config : TrainConfig, optional
         Settings; the defaults are for 256 x 256 pixels and a GPU.
     device : str
-        ``"cpu"``, ``"cuda"``, or ``"auto"``: a GPU where there is one. Under ``torchrun`` each process takes
+        ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. Under ``torchrun`` each process takes
         a GPU of its own.
     deterministic : bool
-        On one thread of the CPU: the same weights from every run on one machine, stopped or not. Refused on
-        a GPU.
+        Train on one thread of the CPU: every run on one machine gives the same weights, interrupted or not.
+        Refused on a GPU.
     resume : bool
-        Refuse to begin: there must be a training to continue with.
+        Refuse to begin a training: there must be one to continue.
     compiled : bool
         Compile the generators first, for GPUs.
-    tensorboard : bool
-        Write losses and sheets for TensorBoard too, into ``tensorboard/``.
     on_progress : callable
         Called with steps done and in all.
+
+    Returns
+    -------
+    Trained
+        The folder, and the last losses.
 
     Raises
     ------
     InputError
-        What was given cannot be used, or a package is missing that it needs.
+        An argument cannot be used, or a package is not installed.
     SpecMismatchError, IntegrityError, StorageError, ToolkitError
         The folder holds a training with other settings; checkpoint or training set are damaged; the folder
-        cannot be written; the losses are not finite any more. The last checkpoint stays.
+        cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
-    config, data, folder = config or TrainConfig(), Pairs.open(pairs), open_folder(os.fspath(out))
+    config = config or TrainConfig()
+    data, folder = Pairs.open(pairs), open_folder(os.fspath(out))
     _require_trainable(pairs, data, config)
-    if tensorboard:
-        _require_tensorboard(folder)
-    with _processes(device, deterministic=deterministic) as place, _locked(folder, place):
-        if place.rank == 0:
-            _claim(folder, {"config": config.to_dict(), "pairs": data.identity}, resume=resume)
-        place.wait()
+    with joined_processes(device, deterministic=deterministic) as process, _locked(folder, process):
+        if process.rank == 0:
+            _claim(folder, {"config": config.to_dict(), "pairs": data.fingerprint}, resume=resume)
+        process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
-        model = CycleGan(config, place.device, compiled=compiled)
-        run = _Run(config, data, folder, place, model, on_progress)
-        first, log = run.restored()
-        is_logged = tensorboard and place.rank == 0
-        with closing(_Events(folder, first)) if is_logged else nullcontext() as run.events:
-            return run.to_the_end(first, log)
+        model = CycleGan(config, process.device, compiled=compiled)
+        run = _Run(config, data, folder, process, model, on_progress)
+        return run.to_the_end(*run.restored())
 
 
 def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
@@ -151,8 +131,8 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
     for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
         if not domain.contact.any():
             raise InputError(
-                f"split {split!r} of {pairs!r} holds no picture with contact, so that nothing can be learned "
-                "of it",
+                f"split {split!r} of {pairs!r} holds no image with contact, so that nothing can be learned "
+                "from it",
                 next="a larger --count or a smaller --without-contact of `tactile-sim pairs`",
             )
     if config.pretrain_steps:
@@ -164,46 +144,13 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
             ) from error
 
 
-def _require_tensorboard(folder: DataFolder) -> None:
-    if find_spec("tensorboard") is None:
-        raise InputError(
-            "--tensorboard needs the package 'tensorboard', which is not installed",
-            next="pip install tensorboard, or leave it away: losses.parquet and samples/ hold the same",
-        )
-    if not folder.is_local:
-        raise InputError(f"--tensorboard writes to local folders only, not to {folder.address()!r}")
-
-
-class _Events:
-    """Writes for TensorBoard what checkpoints hold; what a stopped run wrote after its own is taken back."""
-
-    def __init__(self, folder: DataFolder, first: int) -> None:
-        from torch.utils.tensorboard import SummaryWriter
-
-        self._written = first
-        self._writer: Any = SummaryWriter(folder.address("tensorboard"), purge_step=first + 1)
-
-    def add(self, log: Any, sheet: bytes) -> None:
-        """Write the lines of the log that are new, and the sheet of its last step."""
-        for step, *losses in log.tolist():
-            for name, loss in zip(LOSSES, losses, strict=True) if step > self._written else ():
-                self._writer.add_scalar(f"losses/{name}", loss, int(step))
-        self._written = int(log[-1, 0])
-        self._writer.add_image("samples", decode_image(sheet), self._written, dataformats="HWC")
-        self._writer.flush()
-
-    def close(self) -> None:
-        """End the file."""
-        self._writer.close()
-
-
 class _Settings(msgspec.Struct):
     config: dict[str, Any]
     pairs: str
 
 
 def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> None:
-    """Make a folder that of a training, or take up the one that is there, of the same settings."""
+    """Begin a training in a folder, or continue the one that is there, if it has the same settings."""
     folder.require_folder()
     if folder.exists(_SETTINGS):
         there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
@@ -221,35 +168,34 @@ def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> 
         return
     others = [name for name in folder.names() if not is_hidden(name)]
     if resume or others:
-        held = f" (found {others[0]!r})" if others else ""
+        held = "".join(f" (found {name!r})" for name in others[:1])
         raise InputError(
-            f"{folder.address()!r} holds no training to continue with{held}; nothing was changed",
-            next="leave --resume away, and choose an empty or new folder (--out)",
+            f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
+            next="leave out --resume, and choose an empty or new folder (--out)",
         )
     folder.write_bytes(_SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
 
 
 @dataclass(eq=False)
 class _Run:
-    """One process of a training from where it stands to its end."""
+    """One process of a training, from its last checkpoint to its end."""
 
     config: TrainConfig
     data: Pairs
     folder: DataFolder
-    place: _Place
+    process: Process
     model: CycleGan
     on_progress: Callable[[int, int], None]
-    events: _Events | None = None
 
     def to_the_end(self, first: int, log: list[list[float]]) -> Trained:
-        """Take the steps from the first that is left."""
+        """Take the steps that are left, from ``first`` on."""
         config = self.config
         self.on_progress(first, config.steps)
         sums, losses = np.zeros(len(LOSSES)), dict.fromkeys(LOSSES, math.nan)
         since = first
-        batches = Batches(self.data, config, self.place.rank)
+        batches = Batches(self.data, config, self.process.rank)
         for step, batch in enumerate(batches.since(first), first):
-            rng = generator(config.seed, step, self.place.rank, "pool")
+            rng = keyed_rng(config.seed, step, self.process.rank, "pool")
             losses = self.model.step(step, batch, rng)
             sums += list(losses.values())
             done = step + 1
@@ -264,7 +210,7 @@ class _Run:
         return Trained(self.folder.address(), config.steps, config.steps - first, losses)
 
     def restored(self) -> tuple[int, list[list[float]]]:
-        """Take up the checkpoint, if there is one; return how many steps were taken, and their log."""
+        """Restore the checkpoint, if there is one; return the number of steps taken, and their log."""
         if not self.folder.exists(_CHECKPOINT):
             return 0, []
         stored, where = self.folder.read_bytes(_CHECKPOINT), self.folder.address(_CHECKPOINT)
@@ -276,62 +222,59 @@ class _Run:
             # weights_only: a checkpoint is data, and unpickling it must run no code.
             state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
             pools, step, log = state["pools"], int(state["step"]), state["log"].tolist()
-            if len(pools) == self.place.count:
-                self.model.load_state(state, pools[self.place.rank])
+            if len(pools) == self.process.count:
+                self.model.load_state(state, pools[self.process.rank])
         except torch.OutOfMemoryError:
             raise
-        except Exception as error:  # whatever the file of another program runs into
-            # The first sentence: torch continues with advice to run the code of the file.
+        except Exception as error:  # torch raises many kinds on files of other programs
+            # Only the first sentence: torch goes on to recommend running the code of the file.
             problem = str(error).partition(".")[0] or type(error).__name__
             raise IntegrityError(
                 f"{where!r} is not a checkpoint of this training ({problem}); expected one that "
                 "`tactile-sim train` wrote with these settings",
                 next=again,
             ) from error
-        if len(pools) != self.place.count:
+        if len(pools) != self.process.count:
             raise SpecMismatchError(
-                f"{self.folder.address()!r} was trained by {len(pools)} processes, and now there "
-                f"are {self.place.count}; nothing was changed",
+                f"{self.folder.address()!r} was trained by {with_count(len(pools), 'processes')}, and now "
+                f"there are {self.process.count}; nothing was changed",
                 next="as many processes as before",
             )
-        if self.place.rank == 0:
-            # A kill may have come between the checkpoint and what follows from it.
+        if self.process.rank == 0:
+            # A kill may have come between the checkpoint and the files that follow from it.
             self._publish(step, state["log"])
         return step, log
 
     def _save(self, done: int, log: list[list[float]]) -> None:
         pools: list[Any] = [self.model.pool_state()]
-        if self.place.count > 1:
-            own, pools = pools[0], [None] * self.place.count
+        if self.process.count > 1:
+            own, pools = pools[0], [None] * self.process.count
             torch.distributed.all_gather_object(pools, own)
-        if self.place.rank == 0:
+        if self.process.rank == 0:
             lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()
             torch.save({**self.model.state(), "pools": pools, "step": done, "log": lines}, stream)
             content = stream.getvalue()
             self.folder.write_bytes(_CHECKPOINT, hashlib.sha256(content).digest() + content)
             self._publish(done, lines)
-        self.place.wait()
+        self.process.wait()
 
-    def _publish(self, done: int, log: Any) -> None:
-        """Write what follows from a checkpoint: weights, log and a sheet."""
+    def _publish(self, done: int, log: Tensor) -> None:
+        """Write the files that follow from a checkpoint: weights, log and a sheet of images."""
         for name, direction in ((TOUCH_WEIGHTS, "touch"), (DEPTH_WEIGHTS, "depth")):
-            network: Any = self.model.networks[direction]
-            write_weights(self.folder, name, weights_of(network, self.data.size_px))
+            weights = weights_of(self.model.networks[direction], self.data.size_px)
+            write_weights(self.folder, name, weights)
         steps, *losses = log.numpy().T
         table = pa.table([pa.array(steps.astype(np.int64)), *map(pa.array, losses)], names=["step", *LOSSES])
         self.folder.write_bytes("losses.parquet", encode_parquet(table, ParquetStyle(65_536)))
-        sheet = self._sheet()
-        self.folder.write_bytes(f"samples/step-{done:07d}.png", sheet)
-        if self.events is not None:
-            self.events.add(log, sheet)
+        self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
 
     def _sheet(self) -> bytes:
-        """Draw the first pictures with contact of both kinds, what becomes of them, and what comes back."""
+        """Draw the first images with contact of both kinds, generated from each other and back."""
         depth, touch = (
             domain.images(np.flatnonzero(domain.contact)[: 8 * _SAMPLES : 8][:_SAMPLES])
             for domain in (self.data.depth, self.data.real)
         )
-        networks, device = self.model.networks, self.place.device
+        networks, device = self.model.networks, self.process.device
         where = depth_channels(np.ones(touch.shape[:3], np.float32))[:, :2].to(device)
         with torch.inference_mode():
             made_touch = networks["touch"](depth_channels(depth).to(device))
@@ -344,11 +287,11 @@ class _Run:
         columns += [("made depth", self._depths(made_depth)), ("touch again", self._touches(touch_again))]
         return sheet_png(columns)
 
-    def _touches(self, channels: Any) -> Any:
+    def _touches(self, channels: Tensor) -> UInt8:
         return pictures_of(channels.float().cpu(), self.data.size_px)
 
-    def _depths(self, channels: Any) -> Any:
-        return shades_of(channels.float().cpu(), self.data.size_px)[:, 2].numpy()
+    def _depths(self, channels: Tensor) -> Float32:
+        return np.asarray(shades_of(channels.float().cpu(), self.data.size_px)[:, 2].numpy())
 
     def _require_finite(self, losses: dict[str, float], done: int) -> None:
         wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
@@ -361,55 +304,12 @@ class _Run:
 
 
 @contextmanager
-def _locked(folder: DataFolder, place: _Place) -> Iterator[None]:
-    """Hold the folder, so that no other training writes there; BusyError where one is at work."""
-    # Object stores know no locks; the other processes of torchrun belong to the first.
-    if place.rank or not folder.is_local:
+def _locked(folder: DataFolder, process: Process) -> Iterator[None]:
+    """Lock the folder, so that no other training writes there; BusyError if one does."""
+    # Object stores have no locks; the other processes of torchrun belong to the first.
+    if process.rank or not folder.is_local:
         yield
         return
     folder.require_folder()
     with folder.locked(patience_s=0):
         yield
-
-
-@contextmanager
-def _processes(device: str, *, deterministic: bool) -> Iterator[_Place]:
-    """Find out where to compute, and join the other processes of ``torchrun`` where there are any."""
-    # torchrun names each process by these variables.
-    rank, count = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-    chosen = chosen_device(device)
-    if deterministic and chosen != "cpu":
-        raise InputError(
-            "deterministic training runs on the CPU", next="--device cpu, or leave --deterministic away"
-        )
-    if chosen == "cuda":
-        chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"
-        torch.cuda.set_device(chosen)
-    before, threads = torch.are_deterministic_algorithms_enabled(), torch.get_num_threads()
-    fills = torch.utils.deterministic.fill_uninitialized_memory
-    torch.use_deterministic_algorithms(deterministic)
-    if deterministic:
-        torch.utils.deterministic.fill_uninitialized_memory = False  # nothing reads it; an eighth of the time
-        torch.set_num_threads(1)  # sums are divided among threads, and a run may continue on another machine
-    if count > 1:
-        torch.distributed.init_process_group("nccl" if chosen != "cpu" else "gloo")
-    try:
-        yield _Place(rank, count, chosen)
-    finally:
-        torch.use_deterministic_algorithms(before)
-        torch.utils.deterministic.fill_uninitialized_memory = fills
-        torch.set_num_threads(threads)
-        if count > 1:
-            torch.distributed.destroy_process_group()
-
-
-def chosen_device(name: str) -> str:
-    """Return ``"cpu"`` or ``"cuda"``; InputError for other words, and where there is no GPU."""
-    available = torch.cuda.is_available()
-    if name == "auto":
-        return "cuda" if available else "cpu"
-    if name not in ("cpu", "cuda"):
-        raise InputError(f"device is {name!r}; expected auto, cpu or cuda")
-    if name == "cuda" and not available:
-        raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="--device cpu")
-    return name

@@ -32,15 +32,21 @@ def _as_id(word: str) -> GivenId:
         low, high = id_range(word)
     except InputError:
         return word
-    given = (low, high) if "-" in word[1:] else low
+    given: GivenId = low
+    if "-" in word[1:]:
+        given = (low, high)
     # 007 is the number 7, but a different text.
-    return given if id_text(given) == word else word
+    if id_text(given) == word:
+        return given
+    return word
 
 
 def id_range(given: GivenId) -> tuple[int, int]:
     """Return the first and the last number of a given id; InputError for other text."""
     if not isinstance(given, str):
-        return given if isinstance(given, tuple) else (given, given)
+        if isinstance(given, tuple):
+            return given
+        return (given, given)
     match = _IDS.fullmatch(given)
     low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
     if high < low:
@@ -52,4 +58,6 @@ def id_range(given: GivenId) -> tuple[int, int]:
 
 def id_text(given: GivenId) -> str:
     """Return a given id as text: where ids are texts, ``2024-01`` is not a range."""
-    return "-".join(map(str, given)) if isinstance(given, tuple) else str(given)
+    if isinstance(given, tuple):
+        return "-".join(map(str, given))
+    return str(given)

@@ -40,8 +40,7 @@ def shards_to_check(
     unfinished: a check of the rest must not look like one of all.
     """
     place = places.open_place(name).require(kind, "validate").require_complete(split)
-    splits = place.splits if split is None else (split,)
-    shards = [(each, shard) for each in splits for shard in place.shards(each)]
+    shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each)]
     for _, shard in shards:
         mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)
     return shards
@@ -72,7 +71,7 @@ def check_rows(
     and the total.
     """
     parts: list[_Part] = []
-    left = dict.fromkeys((split for split, _ in shards), math.inf if limit is None else limit)
+    left = dict.fromkeys((split for split, _ in shards), limit or math.inf)
     for split, shard in shards:
         for group, (start, stop) in enumerate(pairwise(shard.group_starts)):
             rows = int(min(stop - start, left[split]))

@@ -24,7 +24,7 @@ def open_splits(
     InputError where the split does not exist or is empty, IntegrityError where it is not finished.
     """
     place.require_complete(split)
-    chosen = place.splits if split is None else (split,)
+    chosen = place.chosen_splits(split)
     opened = {each: load(place, each) for each in chosen}
     filled = {each: rows for each, rows in opened.items() if len(rows)}
     if not filled:

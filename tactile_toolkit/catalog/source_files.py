@@ -24,7 +24,9 @@ def manifest_beside(shard: read.Shard) -> store.Manifest | None:
     """Return the manifest of the data set folder of a shard; None if there is none."""
     data, _ = store.split_uri(shard.path)
     folder, name = store.split_uri(data.address())
-    return store.read_manifest(folder) if name == store.DATA_FOLDER else None
+    if name == store.DATA_FOLDER:
+        return store.read_manifest(folder)
+    return None
 
 
 def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Shard]) -> None:
@@ -58,4 +60,6 @@ def short_name(name: str) -> str:
     if store.is_remote(name):
         return name.rstrip("/").rpartition("/")[2]
     place = store.expanded(store.normalize_uri(name))
-    return place.resolve().name if place.exists() else name
+    if place.exists():
+        return place.resolve().name
+    return name

@@ -199,7 +199,9 @@ def _build(
 def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
     """Return for the specification of a copy how much of unfinished sources there was."""
     counts = [each.unfinished for each in sources if each.unfinished]
-    return {"unfinished": ", ".join(counts)} if counts else {}
+    if counts:
+        return {"unfinished": ", ".join(counts)}
+    return {}
 
 
 def _copy_plan(
@@ -253,7 +255,7 @@ def plan_tables(
     """
     tasks, shards = [], {}
     for split, rows, places in choices:
-        shards[split] = rows._table.files
+        shards[split] = rows.files
         starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]

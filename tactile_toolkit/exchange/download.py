@@ -174,13 +174,15 @@ def _is_intact(folder: store.DataFolder, earlier: store.DownloadRecord | None, f
 def _earlier_record(folder: store.DataFolder, repository: hub.HubRepository) -> store.DownloadRecord | None:
     """Return the record of an earlier download of the same repository; refuse a folder of anything else."""
     names = folder.names()  # before the record, which another download writes first
-    record = store.read_record(folder)
+    record = store.read_download_record(folder)
     if record is None and store.MANIFEST_FILE not in names:
         if names:
             store.refuse_unknown_files(folder)
         return None
     if record is None or record.repo_id != repository.repo_id:
-        found = f"a download of {record.repo_id!r}" if record is not None else "a data set of another origin"
+        found = "a data set of another origin"
+        if record is not None:
+            found = f"a download of {record.repo_id!r}"
         raise SpecMismatchError(
             f"{folder.address()!r} holds {found}, not one of {repository.repo_id!r}; nothing in it was "
             "changed",
@@ -239,7 +241,7 @@ def run_download(
             except BusyError as error:
                 repository.on_wait(f"{error.what}; this download begins when it has ended")
                 stack.enter_context(folder.locked(is_patient=True))
-            if store.read_record(folder) != plan.earlier:  # another download has changed the folder
+            if store.read_download_record(folder) != plan.earlier:  # another download has changed the folder
                 plan = _plan(repository, plan.held, plan.splits, folder)
             if not plan.is_done:
                 _execute(plan, folder, on_progress)
@@ -257,7 +259,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     # The record is written first, so that an interrupted download is recognised.
     earlier = plan.earlier.files if plan.earlier else {}
     begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
-    store.write_record(folder, begun)
+    store.write_download_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
         store.write_manifest(folder, replace(manifest, shards=(), complete=False))
     # Before the first new file arrives: old and new files together would look like one data set.
@@ -265,7 +267,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
         folder.remove(path)
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
-    store.write_record(folder, record)
+    store.write_download_record(folder, record)
     if isinstance(folder, store.LocalFolder):
         folder.remove_tree(_STAGE_FOLDER, _STAGED.fullmatch)
         folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))

@@ -200,7 +200,9 @@ def prepare_upload(
                 next="choose another --tag, or delete that one on the Hub",
             )
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
-        options = replace(chosen, tag=None) if named else chosen
+        options = chosen
+        if named:
+            options = replace(chosen, tag=None)
         prepared = PreparedUpload(
             repo_id, options, held, has_branch, manifest, files, plan, left_out, scratch, ask
         )
@@ -253,7 +255,9 @@ def local_copy(folder: store.DataFolder, root: Path) -> store.DataFolder:
 def _require_sound(findings: Iterable[store.Finding]) -> None:
     found = [f"{each.file} {each.problem.partition('; next: ')[0]}" for each in findings]
     if found:
-        more = f" and {len(found) - 3} more" if len(found) > 3 else ""
+        more = ""
+        if len(found) > 3:
+            more = f" and {len(found) - 3} more"
         raise IntegrityError(
             f"nothing was uploaded, because the folder has problems: {'; '.join(found[:3])}{more}",
             next="run the command that made it again, or the command `card` if only the card is wrong",

@@ -112,9 +112,13 @@ def _traits(error: BaseException) -> str:
     if _GIVEN_UP in names:
         return _GIVEN_UP
     status = getattr(getattr(error, "response", None), "status_code", "")
-    no_room = "NoRoom" if getattr(error, "errno", None) in _NO_ROOM else ""
+    no_room = ""
+    if getattr(error, "errno", None) in _NO_ROOM:
+        no_room = "NoRoom"
     # The client has no type of its own for a file that is shorter than announced.
-    cut_short = "CutShort" if "Consistency check" in str(error) else ""
+    cut_short = ""
+    if "Consistency check" in str(error):
+        cut_short = "CutShort"
     return " ".join([str(status), no_room, cut_short, *names])
 
 
@@ -123,7 +127,9 @@ def _requested_wait_s(headers: Any) -> float:
     # Such as "api";r=0;t=55: no requests are left for 55 seconds.
     spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
     text = spent[1] if spent else str(headers.get("Retry-After", "")).strip()
-    return min(float(text), _MOST_S) if re.fullmatch("[0-9]+", text) else 0.0
+    if re.fullmatch("[0-9]+", text):
+        return min(float(text), _MOST_S)
+    return 0.0
 
 
 @contextlib.contextmanager
@@ -217,7 +223,10 @@ def _limit_session() -> None:
     """Let the session of the client limit the size and the time of all answers."""
     # Before 1.0 it is a session of requests, one for each thread.
     session = import_module("huggingface_hub").get_session()
-    hooks = session.event_hooks if hasattr(session, "event_hooks") else session.hooks
+    if hasattr(session, "event_hooks"):
+        hooks = session.event_hooks
+    else:
+        hooks = session.hooks
     if _check_answer not in hooks["response"]:
         hooks["response"].append(_check_answer)
         session.send = partial(_send, session.send)
@@ -266,7 +275,9 @@ def _check_answer(response: Any, **_: Any) -> None:
     path = urlsplit(str(request.url)).path
     if response.status_code // 100 == 2 and "/api/" not in path.partition("/resolve/")[0]:
         return  # a file of any size
-    name = "iter_bytes" if hasattr(response, "iter_bytes") else "iter_content"  # in requests
+    name = "iter_content"  # in requests
+    if hasattr(response, "iter_bytes"):
+        name = "iter_bytes"
     pieces = getattr(response, name)
 
     def limited(*args: Any, **options: Any) -> Iterator[bytes]:
@@ -303,4 +314,6 @@ def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
 
         set_transfer_postfix_str = tqdm.set_postfix_str
 
-    return {"tqdm_class": Bar} if "tqdm_class" in inspect.signature(hf_hub_download).parameters else {}
+    if "tqdm_class" in inspect.signature(hf_hub_download).parameters:
+        return {"tqdm_class": Bar}
+    return {}

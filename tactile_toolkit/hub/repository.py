@@ -75,7 +75,9 @@ def commit_of(repo_id: str, revision: str) -> str | None:
     if not _COMMIT.fullmatch(revision) and not store.problem_of_name(revision):
         with contextlib.suppress(OSError, UnicodeDecodeError):
             found = (_cache_of(repo_id) / "refs" / revision).read_text().strip()
-    return found if _COMMIT.fullmatch(found) else None
+    if _COMMIT.fullmatch(found):
+        return found
+    return None
 
 
 def remember_commit(repo_id: str, revision: str, commit: str) -> None:
@@ -150,7 +152,9 @@ class HubRepository:
             return None
         # Other tools write files of that name too.
         is_ours = isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
-        return store.Manifest.from_json(text, f"{self.repo_id}/{store.MANIFEST_FILE}") if is_ours else None
+        if is_ours:
+            return store.Manifest.from_json(text, f"{self.repo_id}/{store.MANIFEST_FILE}")
+        return None
 
     @cached_property
     def _listed(self) -> dict[str, store.HubFile]:
@@ -342,4 +346,6 @@ def find_cached(repo_id: str, revision: str | None = None) -> HubRepository | No
         path, blob = file.relative_to(root).as_posix(), Path(os.path.realpath(file)).name
         is_named = file.is_symlink() and store.DIGEST.fullmatch(blob)
         files[path] = store.HubFile(path, file.stat().st_size, blob if is_named else None)
-    return replace(found, remote=files) if files else None
+    if files:
+        return replace(found, remote=files)
+    return None

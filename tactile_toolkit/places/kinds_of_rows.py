@@ -42,4 +42,6 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str 
 
 def command_or_load(kind: DatasetKind, command: str) -> str:
     """Return a command of a kind as it was given, or without one ``load`` of its package."""
-    return f"{kind.command} {command}" if command else f"{kind.package}.load"
+    if command:
+        return f"{kind.command} {command}"
+    return f"{kind.package}.load"

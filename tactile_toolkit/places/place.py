@@ -73,17 +73,23 @@ class Place:
     @property
     def repository(self) -> hub.HubRepository | None:
         """The repository of the Hub; None for folders and files."""
-        return self.source if isinstance(self.source, hub.HubRepository) else None
+        if isinstance(self.source, hub.HubRepository):
+            return self.source
+        return None
 
     @property
     def revision(self) -> str | None:
         """Commit of a repository of the Hub."""
-        return None if self.repository is None else self.repository.commit
+        if self.repository is None:
+            return None
+        return self.repository.commit
 
     @property
     def spec(self) -> JsonObject:
         """Specification that the manifest states; empty without one."""
-        return {} if self.manifest is None else self.manifest.spec
+        if self.manifest is None:
+            return {}
+        return self.manifest.spec
 
     @property
     def made_by(self) -> JsonObject:
@@ -93,7 +99,9 @@ class Place:
     @property
     def unfinished(self) -> str:
         """Finished shards of an unfinished data set, such as ``"3 of 8 shards"``; otherwise empty."""
-        return "" if self.complete or self.manifest is None else self.manifest.progress
+        if self.complete or self.manifest is None:
+            return ""
+        return self.manifest.progress
 
     @cached_property
     def kind(self) -> DatasetKind | None:
@@ -117,7 +125,9 @@ class Place:
     def _stated_kind(self) -> DatasetKind | None:
         if self.manifest is not None:
             return next((each for each in kinds() if each.name == self.manifest.kind), None)
-        return kind_of_published(self.repository.repo_id) if self.repository is not None else None
+        if self.repository is not None:
+            return kind_of_published(self.repository.repo_id)
+        return None
 
     def _first_shard(self) -> read.Shard:
         found = next(iter(self._found.values()), None)
@@ -209,7 +219,7 @@ class Place:
         return bool(records) and len(records) == records[0].shard.count
 
     def _not_finished(self) -> IntegrityError:
-        again, record = "run the same command again", self.folder and store.read_record(self.folder)
+        again, record = "run the same command again", self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
         return IntegrityError(
@@ -230,6 +240,12 @@ class Place:
                 next=f"name it, split={self.splits[0]!r} (in a shell --split {self.splits[0]})",
             )
         return self.splits[0]
+
+    def chosen_splits(self, split: str | None) -> tuple[str, ...]:
+        """Return one split, or all if none is named."""
+        if split is None:
+            return self.splits
+        return (split,)
 
     def shards(
         self, split: str | None = None, *, kind: DatasetKind | None = None, streaming: bool = False

@@ -8,7 +8,7 @@ from contextlib import suppress
 from tactile_toolkit import hub, run
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, PublishedSet, kinds
-from tactile_toolkit.wording import did_you_mean
+from tactile_toolkit.wording import did_you_mean, shortened
 
 _LONGEST_SHOWN = 200
 _THREADS = 8
@@ -46,10 +46,9 @@ def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))
-        shown = name if len(name) <= _LONGEST_SHOWN else f"{name[:_LONGEST_SHOWN]}..."
         raise InputError(
-            f"{shown!r} does not exist; expected a folder, a Parquet file, a repository of the Hub "
-            f"(USER/NAME) or a published set{did_you_mean(name, published)}",
+            f"{shortened(name, _LONGEST_SHOWN)!r} does not exist; expected a folder, a Parquet file, a "
+            f"repository of the Hub (USER/NAME) or a published set{did_you_mean(name, published)}",
             next=f"check the name (the published sets: {lists}), or make a data set",
         )
     return named

@@ -111,10 +111,9 @@ def _split_of(path: str) -> tuple[str, str]:
     is_numbered = stem.isdigit()
     if is_numbered and parent not in ("", store.DATA_FOLDER):
         return folders[-1], parent  # as in the branch refs/convert/parquet of the Hub
-    shard = _SHARD.fullmatch(name)
-    stated = shard[1] if shard is not None else _split_in(stem)
-    if stated:
-        return stated, parent
+    split = split_of_file(name)
+    if split is not None:
+        return split, parent
     if is_numbered or parent not in ("", store.DATA_FOLDER):
         return USUAL_SPLIT, parent
     return re.split("[-.]", stem)[0], parent
@@ -136,7 +135,9 @@ def _known_splits() -> frozenset[str]:
 def split_of_file(name: str) -> str | None:
     """Return the split that the name of a file states; None if it states none."""
     shard = _SHARD.fullmatch(name)
-    return (shard[1] if shard is not None else _split_in(name.removesuffix(PARQUET))) or None
+    if shard is not None:
+        return shard[1]
+    return _split_in(name.removesuffix(PARQUET)) or None
 
 
 def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where: str) -> Splits | None:

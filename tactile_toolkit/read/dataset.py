@@ -22,6 +22,7 @@ from tactile_toolkit.read.order import StoredParts
 from tactile_toolkit.read.random_parts import random_order, random_parts
 from tactile_toolkit.read.record import Record, Row
 from tactile_toolkit.read.schemas import column_types
+from tactile_toolkit.read.shard import Shard
 from tactile_toolkit.read.sharded_table import ShardedTable
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.read.whole_numbers import whole_numbers
@@ -194,6 +195,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self._table.identity
 
     @property
+    def files(self) -> tuple[Shard, ...]:
+        """The Parquet files that the data set was opened from, whichever rows of them it holds."""
+        return self._table.files
+
+    @property
     def labels(self) -> Int64:
         """Label of each item, shape (len,), int64; reads the label column only.
 
@@ -230,8 +236,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         return view
 
     @property
-    def _row_numbers(self) -> Int64:
+    def row_numbers(self) -> Int64:
+        """Number of each item among all rows of the files, shape (len,)."""
         return np.asarray(self._rows, np.int64)
+
+    _row_numbers = row_numbers
 
     @overload
     def __getitem__(self, index: int) -> T: ...

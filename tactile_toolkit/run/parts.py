@@ -41,7 +41,9 @@ class Part:
     def __post_init__(self) -> None:
         if self.count and 0 <= self.index <= self.count:
             return
-        expected = f"0 to {self.count - 1} (or 1 to {self.count})" if self.count else "at least 1 part"
+        expected = "at least 1 part"
+        if self.count:
+            expected = f"0 to {self.count - 1} (or 1 to {self.count})"
         raise InputError(
             f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
             f"{expected}; nothing was made",
@@ -67,7 +69,8 @@ def parse_part(text: str, environment: Mapping[str, str] = os.environ) -> Part:
     index, count = (None if match[name] is None else int(match[name]) for name in ("index", "count"))
     if index is None:
         index, length = _place_in_array(environment)
-        count = length if count is None else count
+        if count is None:
+            count = length
     if count is None:
         found = "neither a whole Slurm array from 0 or 1 on nor JOB_COMPLETION_COUNT"
         raise InputError(f"--part auto: the number of parts is unknown, {found}", next="give --part auto/N")
@@ -93,4 +96,6 @@ def _place_in_array(environment: Mapping[str, str]) -> tuple[int, int | None]:
 
 def _number(environment: Mapping[str, str], name: str) -> int | None:
     text = environment.get(name, "")
-    return int(text) if re.fullmatch("[0-9]{1,9}", text) else None
+    if re.fullmatch("[0-9]{1,9}", text):
+        return int(text)
+    return None

@@ -134,7 +134,9 @@ def runner_for(workers: int | Runner) -> Runner:
     """Return a runner as it is, or a runner for a number of workers; 1 means the calling process."""
     if not isinstance(workers, int):
         return workers
-    return InlineRunner() if workers == 1 else ProcessRunner(workers)
+    if workers == 1:
+        return InlineRunner()
+    return ProcessRunner(workers)
 
 
 def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:

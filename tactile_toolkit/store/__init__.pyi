@@ -21,8 +21,8 @@ from .download_record import (
     HubFile as HubFile,
     digest_like as digest_like,
     has_digest as has_digest,
-    read_record as read_record,
-    write_record as write_record,
+    read_download_record as read_download_record,
+    write_download_record as write_download_record,
 )
 from .files import (
     DRAFT as DRAFT,

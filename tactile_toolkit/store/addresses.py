@@ -16,8 +16,10 @@ _OTHER_NAMES = {"s3a": "s3", "gcs": "gs"}
 def scheme_of(place: str) -> str:
     """Return the scheme of an address, such as ``s3``; empty for a local path or a ``file://`` address."""
     match = _SCHEME.fullmatch(place)
-    scheme = match["scheme"].lower() if match else ""
-    return "" if scheme in _LOCAL_SCHEMES else _OTHER_NAMES.get(scheme, scheme)
+    if match is None or match["scheme"].lower() in _LOCAL_SCHEMES:
+        return ""
+    scheme = match["scheme"].lower()
+    return _OTHER_NAMES.get(scheme, scheme)
 
 
 def is_remote(place: str) -> bool:
@@ -34,7 +36,9 @@ def normalize_uri(place: str) -> str:
     match, scheme = _SCHEME.fullmatch(place), scheme_of(place)
     if match is None and not _LOST_SLASH.match(place):
         return place
-    rest = match["rest"].rstrip("/") if match else ""
+    rest = ""
+    if match:
+        rest = match["rest"].rstrip("/")
     if match and not scheme and match["rest"].startswith("/"):
         return rest or "/"
     bucket, *parts = rest.split("/")

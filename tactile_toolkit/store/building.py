@@ -23,7 +23,12 @@ from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.parquet import REPORT_STYLE, ParquetStyle, encode_parquet, sha256_hex
-from tactile_toolkit.store.pending import pending_records, remove_leftovers, remove_pending, write_record
+from tactile_toolkit.store.pending import (
+    pending_records,
+    remove_leftovers,
+    remove_pending,
+    write_shard_record,
+)
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.replacing import prepare_next, promote, require_replaceable, resume_promotion
 from tactile_toolkit.store.reports import merge_reports
@@ -50,14 +55,17 @@ class _WriteShard:
         """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()
-        data = encode_parquet(content.table, self.style) if content.encoded is None else content.encoded
-        report = None if content.report is None else encode_parquet(content.report, REPORT_STYLE)
+        data = content.encoded or encode_parquet(content.table, self.style)
+        report = report_sha256 = report_bytes = None
+        if content.report is not None:
+            report = encode_parquet(content.report, REPORT_STYLE)
+            report_sha256, report_bytes = sha256_hex(report), len(report)
         record = ShardRecord.of(
             shard,
             len(content.table),
             len(data),
             sha256_hex(data),
-            report_sha256=None if report is None else sha256_hex(report),
+            report_sha256=report_sha256,
             skipped=content.skipped,
             statistics=content.statistics,
             unpacked_bytes=content.table.nbytes,
@@ -71,7 +79,7 @@ class _WriteShard:
                 folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
-            write_record(folder, record, self.identity, None if report is None else len(report))
+            write_shard_record(folder, record, self.identity, report_bytes)
         return record
 
 
@@ -195,7 +203,8 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
         write_manifest(folder, replace(current, complete=False, files=others))
     if plan.report_file is not None:
         checksum = merge_reports(folder, plan.report_file, manifest)
-        files |= {plan.report_file: checksum} if checksum is not None else {}
+        if checksum is not None:
+            files[plan.report_file] = checksum
     files |= plan.write_files(folder, manifest)
     finished = replace(manifest, files=files, complete=True, planned={})
     if write_card is not None:

@@ -81,7 +81,9 @@ class DataFolder(Protocol):
     def version(self, path: str) -> tuple[object, ...] | None:
         """Return what changes whenever a file is replaced; None where there is none."""
         found = self.info(path)
-        return None if found is None else tuple(str(found.get(key)) for key in VERSION_KEYS)
+        if found is None:
+            return None
+        return tuple(str(found.get(key)) for key in VERSION_KEYS)
 
     def size_bytes(self, path: str) -> int:
         """Return the size of a file; raises FileNotFoundError."""

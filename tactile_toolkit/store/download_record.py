@@ -28,7 +28,9 @@ _STORED_NAMES = {"repo_id": "repository", "metadata_files": "labels"}
 
 def digest_algorithm(digest: str) -> str:
     """Return the algorithm of a digest, for messages."""
-    return "sha256" if len(digest) == _SHA256_DIGITS else "git-sha1"
+    if len(digest) == _SHA256_DIGITS:
+        return "sha256"
+    return "git-sha1"
 
 
 def digest_like(stream: IO[bytes], digest: str) -> str:
@@ -77,7 +79,7 @@ class DownloadRecord(msgspec.Struct, frozen=True, rename=_STORED_NAMES):
     finished: bool = True
 
 
-def read_record(folder: DataFolder) -> DownloadRecord | None:
+def read_download_record(folder: DataFolder) -> DownloadRecord | None:
     """Read the record of a folder; None when it was not downloaded, IntegrityError when it is damaged."""
     if not folder.exists(RECORD_FILE):
         return None
@@ -90,7 +92,7 @@ def read_record(folder: DataFolder) -> DownloadRecord | None:
     return msgspec.structs.replace(record, files=files)
 
 
-def write_record(folder: DataFolder, record: DownloadRecord) -> None:
+def write_download_record(folder: DataFolder, record: DownloadRecord) -> None:
     """Write the record of a folder in one step."""
     files = {path: msgspec.structs.replace(file, path="") for path, file in sorted(record.files.items())}
     content = msgspec.json.encode(msgspec.structs.replace(record, files=files))

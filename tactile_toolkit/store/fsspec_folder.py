@@ -75,7 +75,7 @@ class FsspecFolder(DataFolder):
     def walk(self, folder: str = "") -> Iterator[str]:
         """Yield the paths of all files in a sub-folder and below it, in order of their names."""
         for name, size in self.entries(folder).items():
-            path = f"{folder}/{name}" if folder else name
+            path = f"{folder}/{name}".lstrip("/")
             if size is None:
                 yield from self.walk(path)
             else:
@@ -107,7 +107,9 @@ class FsspecFolder(DataFolder):
 
     def _in_one_request(self, content: bytes) -> dict[str, Any]:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
-        return {"chunksize": len(content) + 1} if scheme_of(self.root) == "s3" else {}
+        if scheme_of(self.root) == "s3":
+            return {"chunksize": len(content) + 1}
+        return {}
 
     def upload(self, path: str, source: Path) -> None:
         """Write a copy of a file of this machine in pieces."""

@@ -23,6 +23,7 @@ from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.run_options import RunOptions
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import AnyTask
+from tactile_toolkit.wording import shortened
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
@@ -36,7 +37,9 @@ class MissingPartsError(IntegrityError):
     """
 
     def __init__(self, where: str, shards: int, parts: int, array: str) -> None:
-        which = "part" if array.isdigit() else "parts"
+        which = "parts"
+        if array.isdigit():
+            which = "part"
         super().__init__(
             f"{shards:,} of {parts:,} shards of {where!r} are not finished, or a node writes to a folder "
             f"that this machine does not see; they are those of {which} {array} of {parts:,}",
@@ -263,9 +266,11 @@ def _differences(found: object, wanted: object, path: str = "") -> list[str]:
 def _short(value: object) -> str:
     """Return a value as text; a long one, such as the files of a source, is cut and gets a digest."""
     text = repr(value)
-    if len(text) <= _LONGEST_SHOWN:
+    short = shortened(text, _LONGEST_SHOWN)
+    if short == text:
         return text
-    short = f"{len(value):,} entries" if isinstance(value, list) else f"{text[:_LONGEST_SHOWN]}..."
+    if isinstance(value, list):
+        short = f"{len(value):,} entries"
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 

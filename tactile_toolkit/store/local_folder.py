@@ -67,7 +67,9 @@ class LocalFolder(DataFolder):
         found = self.info("")
         if found is None:
             return f"{self.root!r} does not exist"
-        return "" if found["type"] == "directory" else f"{self.root!r} is a file, a folder was expected"
+        if found["type"] == "directory":
+            return ""
+        return f"{self.root!r} is a file, a folder was expected"
 
     def info(self, path: str) -> Mapping[str, Any] | None:
         """Return type and size of a file or folder, and what changes with it; None where there is none."""
@@ -78,7 +80,9 @@ class LocalFolder(DataFolder):
                 if getattr(error, "errno", None) in _REFUSALS:
                     raise
                 return None
-        kind = "directory" if stat.S_ISDIR(found.st_mode) else "file"
+        kind = "file"
+        if stat.S_ISDIR(found.st_mode):
+            kind = "directory"
         return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
@@ -101,7 +105,7 @@ class LocalFolder(DataFolder):
     def walk(self, folder: str = "") -> Iterator[str]:
         """Yield the paths of all files and links in a sub-folder and below it, in order of their names."""
         for name, size in self.entries(folder).items():
-            path = f"{folder}/{name}" if folder else name
+            path = f"{folder}/{name}".lstrip("/")
             if size is None and not Path(self.address(path)).is_symlink():
                 yield from self.walk(path)
             else:
@@ -225,7 +229,8 @@ class LocalFolder(DataFolder):
     ) -> Iterator[None]:
         """Hold the folder, and the data set that is to take its place, against other runs."""
         home = Path(self.root)
-        home = home.parent if home.name == NEXT_FOLDER else home
+        if home.name == NEXT_FOLDER:
+            home = home.parent
         with contextlib.ExitStack() as stack:
             while True:
                 try:

@@ -47,7 +47,8 @@ def locked(
     ``is_patient`` it waits on while the holder is known to be at work. Raises OSError if the file cannot be
     opened, and FileNotFoundError for a folder that was removed meanwhile.
     """
-    patience_s = PATIENCE_S if patience_s is None else patience_s
+    if patience_s is None:
+        patience_s = PATIENCE_S
     deadline_s = time.monotonic() + patience_s
     with contextlib.ExitStack() as stack:
         while True:
@@ -107,11 +108,17 @@ def _holders_of(path: Path) -> list[_Holder]:
 def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
     stopped = [each for each in holders if each.state in _STOPPED]
     who = ", ".join(map(str, stopped or holders)) or "another process"
-    state = ", which was stopped," if stopped else ""
-    first = f"continue it (kill -CONT {stopped[0].pid})" if stopped else "wait until it has ended"
+    state, first = "", "wait until it has ended"
+    if stopped:
+        state = ", which was stopped,"
+        first = f"continue it (kill -CONT {stopped[0].pid})"
     left = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
-    then = left if (path / LOCK_FILE).exists() else ""
-    waited = f", and has done so for {patience_s:.0f} s" if patience_s else ""
+    then = ""
+    if (path / LOCK_FILE).exists():
+        then = left
+    waited = ""
+    if patience_s:
+        waited = f", and has done so for {patience_s:.0f} s"
     return BusyError(
         f"{who}{state} holds {str(path)!r}{waited}",
         next=f"{first}, or end it{then}, and run the same command again; what is finished stays",

@@ -7,6 +7,7 @@ import unicodedata
 from collections.abc import Iterable
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.wording import shortened
 
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, its name has a prefix.
@@ -50,7 +51,9 @@ def problem_of_name(name: object) -> str:
         and len(name.encode(errors="replace")) <= _LONGEST_BYTES
         and all(map(_is_plain_part, name.split("/")))
     )
-    return "" if is_plain else "is not the plain relative path of a visible file on every system"
+    if is_plain:
+        return ""
+    return "is not the plain relative path of a visible file on every system"
 
 
 def _is_plain_part(part: str) -> bool:
@@ -79,10 +82,9 @@ def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:
             first = seen.setdefault(unicodedata.normalize("NFC", text).casefold(), text)
             problem = "" if first == text else f"is the same file as {first!r} where case does not count"
         if problem:
-            shown = ascii(name)
-            shown = shown if len(shown) <= _SHOWN else f"{shown[:_SHOWN]}..."
             raise IntegrityError(
-                f"{where} names the file {shown}, which {problem}; nothing was done with it",
+                f"{where} names the file {shortened(ascii(name), _SHOWN)}, which {problem}; "
+                "nothing was done with it",
                 next="do not use this data set, or ask who made it",
             )
     return tuple(seen.values())

@@ -42,5 +42,7 @@ def local_folder_path(address: str) -> Path:
     path = Path(folder.root)
     if folder.is_local and not path.is_file():
         return path
-    found = "is a file, a folder was expected" if folder.is_local else "is not a local folder"
+    found = "is not a local folder"
+    if folder.is_local:
+        found = "is a file, a folder was expected"
     raise InputError(f"{address!r} {found}; nothing was changed", next="a local folder as --out")

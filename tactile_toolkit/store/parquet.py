@@ -99,7 +99,9 @@ def _write(
 ) -> None:
     """Write tables of complete row groups as one file, forward only."""
     encodings = dict(style.encodings)
-    others = [path for path in _paths(schema) if path not in encodings] if encodings else True
+    others: list[str] | bool = True
+    if encodings:
+        others = [path for path in _paths(schema) if path not in encodings]
     sink = _Sink(write)
     with pq.ParquetWriter(
         sink,
@@ -200,7 +202,9 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
         # One read: remote streams fetch at least this much.
         stream.seek(max(0, size - _TAIL_BYTES))
         tail = stream.read()
-        length = _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0] if len(tail) > _TAIL.size else 0
+        length = 0
+        if len(tail) > _TAIL.size:
+            length = _TAIL.unpack_from(tail, len(tail) - _TAIL.size)[0]
         wanted = _FOOTER_CHECKSUM.size + length + _TAIL.size
         if len(tail) < wanted <= size:
             stream.seek(size - wanted)

@@ -31,7 +31,9 @@ class _Pending(msgspec.Struct):
     report_bytes: Count | None = None
 
 
-def write_record(folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None) -> None:
+def write_shard_record(
+    folder: DataFolder, record: ShardRecord, of: str, report_bytes: int | None = None
+) -> None:
     """Write the record of a finished shard."""
     values = {**record.to_dict(), "of": of, "report_bytes": report_bytes}
     folder.write_bytes(record.shard.record_path, seal(json.dumps(values, indent=1)).encode())
@@ -75,7 +77,9 @@ def manifest_so_far(folder: DataFolder) -> Manifest | None:
     if manifest is None:
         return None
     begun = _begun_records(folder, manifest)
-    return replace(manifest.with_shards(begun), complete=False) if begun else manifest
+    if begun:
+        return replace(manifest.with_shards(begun), complete=False)
+    return manifest
 
 
 def _begun_records(folder: DataFolder, manifest: Manifest) -> list[ShardRecord]:

@@ -288,7 +288,9 @@ def _code_of(link: BaseException) -> str | None:
     status = getattr(response, "status_code", None)
     if status is None and _is_of_client(link):
         status = getattr(link, "code", None) or getattr(link, "status", None)
-    return str(status) if isinstance(status, int) else None
+    if isinstance(status, int):
+        return str(status)
+    return None
 
 
 def _is_connection_error(link: BaseException) -> bool:

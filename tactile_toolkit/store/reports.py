@@ -88,7 +88,7 @@ def _tables(
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)
         if table is None and record.rows:
             table = next((rows for name, rows in stored if name == str(record.shard)), None)
-            found = 0 if table is None else len(table)
+            found = len(table or ())
             if found != record.rows:
                 raise IntegrityError(
                     f"the report holds {found:,} rows of shard {record.shard}, expected {record.rows:,}"

@@ -46,9 +46,10 @@ def _head(fields: bytes) -> str:
 
 def require_seal(content: str | bytes, where: str) -> None:
     """Raise IntegrityError, which names ``where``, unless a document is as :func:`seal` returned it."""
-    found = content.encode(errors="surrogatepass") if isinstance(content, str) else content
+    if isinstance(content, str):
+        content = content.encode(errors="surrogatepass")
     # Git may have changed line ends on Windows; JSON has no such character within a line.
-    found = found.replace(b"\r\n", b"\n")
+    found = content.replace(b"\r\n", b"\n")
     length = len(_head(b""))
     if found[:length] != _head(found[length:]).encode():
         raise damaged_error(where, "it was changed since it was written")

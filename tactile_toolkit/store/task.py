@@ -68,7 +68,9 @@ class ShardTask(Generic[T]):
 
     def source_digest(self) -> str | None:
         """Return the digest of the present source; None if the specification identifies all of it."""
-        return None if self.digest is None else self.digest(self.items)
+        if self.digest is None:
+            return None
+        return self.digest(self.items)
 
 
 AnyTask: TypeAlias = ShardTask[Any]

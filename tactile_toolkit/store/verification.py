@@ -23,7 +23,7 @@ from tactile_toolkit.store.download_record import (
     HubFile,
     digest_algorithm,
     digest_like,
-    read_record,
+    read_download_record,
 )
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import is_hidden
@@ -122,7 +122,7 @@ def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile
 
 def _downloaded_files(folder: DataFolder) -> tuple[dict[str, HubFile], list[Finding], str]:
     """Return the files that a download recorded, further files among the shards, and the commit."""
-    record = read_record(folder)
+    record = read_download_record(folder)
     if record is None:
         raise InputError(
             folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
@@ -169,7 +169,9 @@ def _check_file(
             [f"{each.name}: {each.type}" for each in one if not any(map(each.equals, other))]
             for one, other in ((stored, schema), (schema, stored))
         )
-        differences = f"{found} there, {expected} expected" if found or expected else "the order of columns"
+        differences = "the order of columns"
+        if found or expected:
+            differences = f"{found} there, {expected} expected"
         findings.append(Finding(path, f"schema differs: {differences}"))
     return _Checked(findings, record.rows, ids)
 
@@ -188,7 +190,9 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
     blobs = root.parent.parent / "blobs"
     if not place.is_relative_to(root) and not (root.parent.name == "snapshots" and place.parent == blobs):
         return f"is a link that leads out of the folder, to {str(place)!r}; next: put the file there itself"
-    return "" if place.is_file() else "is not a file (it is a folder, a pipe or a device)"
+    if place.is_file():
+        return ""
+    return "is not a file (it is a folder, a pipe or a device)"
 
 
 def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
@@ -214,7 +218,7 @@ def require_finished(folder: DataFolder) -> None:
 
 
 def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
-    record = read_record(folder)
+    record = read_download_record(folder)
     if record is not None:
         return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
     return f"not finished: {manifest.progress}; the same command continues"

@@ -9,8 +9,7 @@ import pytest
 from cli.options import _runner_name, local_place, parse_address
 from starstruck_gen.scene_options import SceneOptions
 from starstruck_gen.scene_spec import SceneSpec
-from tactile_sim import GenerateSpec
-from tactile_sim.spec import PictureOptions, TrainConfig
+from tactile_sim.learning_specs import TrainConfig
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.store import open_folder
 from tests.command_line import call
@@ -66,7 +65,6 @@ def test_the_home_of_nobody_is_refused():
 
 def test_options_that_are_not_given_mean_the_defaults_of_the_library():
     assert SceneOptions().spec() == SceneSpec()
-    assert GenerateSpec.of(PictureOptions(optics="taxim")) == GenerateSpec()
     assert TrainConfig.read(None, {}) == TrainConfig()
 
 

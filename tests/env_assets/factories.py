@@ -47,7 +47,7 @@ def write_wrench(folder: Path) -> None:
     """One wrench."""
     import env_assets
 
-    env_assets.write_wrench(env_assets.WrenchSpec.for_size(), str(folder))
+    env_assets.write_wrench(env_assets.WrenchSpec(), str(folder))
 
 
 def write_touches(folder: Path, digits: Sequence[Any]) -> None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from env_assets import top_surface
 from tests.processes import PATIENCE_S
 
 __all__ = ["fingerprint", "seen_by_a_child"]
@@ -19,7 +20,7 @@ def fingerprint(provider: Any) -> list[Any]:
         len(digits),
         digits.ids.tolist(),
         [float(record.mesh.volume) for record in digits],
-        float(np.nansum(provider.height_map(digits[0], 0.001).heights_m)),
+        float(np.nansum(top_surface(digits[0], 0.001).heights_m)),
         provider.touches("real-single").ids.tolist(),
         provider.volumes_m3("starstruck").tolist(),
     ]

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 import env_assets
-from env_assets.meshes import MeshView, require_fitting_meshes
-from env_assets.provider import KINDS, inventory
+from env_assets.asset_kinds import KINDS
+from env_assets.fitting import require_fitting_meshes
+from env_assets.mesh_view import MeshView
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
@@ -91,10 +92,6 @@ def test_unsound_meshes_are_named(tmp_path, wrong, words):
     meshes = env_assets.AssetProvider(tmp_path).meshes("solids")
     with pytest.raises(InputError, match=f"mesh 1 .*{words}"):
         require_fitting_meshes(MeshView.of(meshes), None, "solids", (1.0, 1.0))
-    (summary,) = inventory(tmp_path)
-    assert "mesh 1 " in summary["problem"]
-    with pytest.raises(InputError, match=r"nowhere' does not exist; next: give the folder of an AssetProv"):
-        inventory(tmp_path / "nowhere")
 
 
 def test_labels_are_classes(tmp_path):

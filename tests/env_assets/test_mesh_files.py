@@ -11,7 +11,8 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from env_assets.meshes import MeshView, flat_turn, require_fitting_meshes
+from env_assets.fitting import require_fitting_meshes
+from env_assets.mesh_view import MeshView, flat_turn
 from env_assets.provider import meshes_at
 from tactile_toolkit.errors import InputError
 from tests.env_assets.shapes import box
@@ -108,6 +109,20 @@ def test_meshes_in_metres_need_their_unit(tmp_path: Path) -> None:
     (tmp_path / "set").mkdir()
     with pytest.raises(InputError, match="--unit is for mesh files"):
         meshes_at(tmp_path / "set", "train", unit="m")
+
+
+def test_meshes_of_formats_that_are_not_read_are_named(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    write(tmp_path, "a.STL")
+    for name in ("a.step", "b.STEP", "c.dae", "a.mtl", "._d.dae"):
+        (tmp_path / name).write_text("x")
+    view = meshes_at(tmp_path, "train", unit="m")
+    assert [each.id for each in view] == [0]
+    named = [
+        record.getMessage().partition(": left out; expected one of .stl")[0] for record in caplog.records
+    ]
+    assert named == [str(tmp_path / "b.STEP"), str(tmp_path / "c.dae")]
 
 
 def test_a_link_out_of_a_folder_of_meshes_is_not_followed(tmp_path: Path) -> None:

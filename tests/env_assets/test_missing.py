@@ -32,7 +32,9 @@ def test_the_command_that_is_named_makes_what_is_missing(tmp_path, kind, split, 
     """And generate=True makes the very same, byte for byte."""
     root = tmp_path / "some assets"
     options = {"per_class": 1, "seed": 3}
-    with pytest.raises(InputError, match=f"no split '{split}' of '{kind}' in .*: it is not there") as caught:
+    with pytest.raises(
+        InputError, match=f"no split '{split}' of '{kind}' in .*: it does not exist"
+    ) as caught:
         env_assets.AssetProvider(root, **options).meshes(kind, split)
     assert not root.exists()
     run_named_command(str(caught.value))

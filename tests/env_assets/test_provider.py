@@ -11,7 +11,6 @@ import mnist3d
 import realtouch
 import starstruck_gen
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh import Mesh
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
 from tests.forked import run_forked
@@ -100,13 +99,12 @@ def test_stored_volumes_are_read_without_the_meshes(assets, tmp_path):
         _ = spoiled.meshes("mnist3d", "test")[0].vertices_m
 
 
-def test_bounds_and_height_map_are_in_the_frame_of_the_mesh(provider):
+def test_a_height_map_is_in_the_frame_of_the_mesh(provider):
     record = provider.meshes("starstruck")[0]
-    bounds, heights = provider.bounds(record), provider.height_map(record, 0.001)
-    np.testing.assert_array_equal(bounds, record.mesh.bounds)
+    bounds, heights = record.mesh.bounds, env_assets.top_surface(record, 0.001)
     assert (np.abs(heights.x_m[[0, -1]] - bounds[:, 0]) <= 0.001).all()
     assert (np.abs(heights.y_m[[0, -1]] - bounds[:, 1]) <= 0.001).all()
-    for placement in provider.placements(record):
+    for placement in record.placements:
         row = np.abs(heights.y_m - placement.y_m).argmin()
         column = np.abs(heights.x_m - placement.x_m).argmin()
         assert heights.heights_m[row, column] == pytest.approx(placement.height_m)
@@ -114,22 +112,15 @@ def test_bounds_and_height_map_are_in_the_frame_of_the_mesh(provider):
 
 def test_a_mesh_of_trimesh_is_one_too(provider):
     digit = provider.meshes("mnist3d")[0]
-    np.testing.assert_array_equal(provider.bounds(digit.mesh), provider.bounds(digit))
-    by_trimesh, own = (provider.height_map(mesh, 0.001) for mesh in (digit.mesh, digit))
+    by_trimesh, own = (env_assets.top_surface(mesh, 0.001) for mesh in (digit.mesh, digit))
     np.testing.assert_array_equal(by_trimesh.heights_m, own.heights_m)
-    for ask in (provider.bounds, provider.height_map):
-        with pytest.raises(InputError, match="holds no triangles"):
-            ask(3)
+    with pytest.raises(InputError, match="holds no triangles"):
+        env_assets.top_surface(3, 0.001)
     with pytest.raises(InputError, match="the pitch of a height map is None m"):
-        provider.height_map(digit, None)
+        env_assets.top_surface(digit, None)
     with pytest.raises(InputError, match=r"at most .* are made") as caught:
-        provider.height_map(digit, 1e-300)
+        env_assets.top_surface(digit, 1e-300)
     assert len(str(caught.value)) < 200
-
-
-def test_placements_of_what_is_no_scene_are_refused(provider):
-    with pytest.raises(InputError, match="only scenes have placements, found a DigitRecord"):
-        provider.placements(provider.meshes("mnist3d", "test")[0])
 
 
 FORKS = """
@@ -196,5 +187,3 @@ def test_names_and_folders_that_cannot_be_are_refused(provider):
         provider.meshes("a" * 300)
     with pytest.raises(InputError, match="no home folder is known"):
         env_assets.AssetProvider("~nobody-of-that-name/assets")
-    with pytest.raises(InputError, match="the mesh has no vertices"):
-        provider.bounds(Mesh(np.zeros((0, 3), np.float32), np.zeros((0, 3), np.int32)))

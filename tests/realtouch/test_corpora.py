@@ -297,7 +297,7 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
         (source / name).mkdir(parents=True)
     refused(InputError, "should hold one Zarr group; found a.zarr, b.zarr.zip$")
     (source / "a.zarr").rmdir()
-    refused(InputError, "has no arrays in its group 'data'")
+    refused(InputError, "has no arrays in its group 'data'; expected a replay buffer")
     (source / "b.zarr.zip").rmdir()
     pixels = np.zeros((2, 4, 4, 3), np.uint8)
     with (

@@ -21,8 +21,9 @@ from hypothesis import (  # noqa: E402
 )
 
 import tactile_envs  # noqa: E402
+import tactile_sim  # noqa: E402
 from tactile_envs.config import Config  # noqa: E402
-from tactile_envs.making import make_vector  # noqa: E402
+from tactile_envs.entry_points import make_vector  # noqa: E402
 from tactile_toolkit.errors import InputError  # noqa: E402
 
 pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
@@ -216,7 +217,7 @@ def test_predictions_without_a_loss_are_refused(assets, task):
 def test_observations_are_kept_by_whoever_has_them(assets):
     """A step writes no array that an earlier one gave; depth is what the picture shows, from the camera."""
     env = make_vector(DEPTH, num_envs=2, assets=assets, config={"depth_in_info": True})
-    press_m = env._view.press_m
+    press_m = tactile_sim.center_view().press_m
     env.action_space.seed(0)
     observation, info = env.reset(seed=0)
     kept = {**observation, "depth": info["depth"], "place": info["sensor_pose"][:, :3, 3]}
@@ -372,7 +373,7 @@ def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
 def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
     env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets), render_mode="rgb_array")
     env.reset(seed=0)
-    cell_m, (width_m, height_m) = 0.12, env.unwrapped._view.window_m
+    cell_m, (width_m, height_m) = 0.12, env.unwrapped._toucher.window_m
     for picture in env.render():
         cell = picture[:, :240].astype(int)
         grey = (cell.max(axis=2) == cell.min(axis=2)) & (cell[..., 0] < 250)

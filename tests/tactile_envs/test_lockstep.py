@@ -12,9 +12,10 @@ import trimesh
 pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
 
 import env_assets
-from env_assets.published.packages import published_environments
-from tactile_envs.config import IDS, Config
-from tactile_envs.making import make_vector
+from env_assets.published.ids import published_environments
+from tactile_envs.config import Config
+from tactile_envs.entry_points import make_vector
+from tactile_envs.ids import IDS
 
 pytestmark = [pytest.mark.env, pytest.mark.sim, pytest.mark.filterwarnings("ignore")]
 

@@ -10,9 +10,12 @@ import pytest
 
 import env_assets
 import mnist3d
-from tactile_envs.kernels import LANES, PADDING, raise_object, raise_pixels
-from tactile_envs.meshes import MeshPool
-from tactile_sim.pressing import Pressable, center_view, pose, render_touch
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.touch_kernels import LANES, PADDING, raise_object, raise_pixels
+from tactile_sim.poses import pose
+from tactile_sim.pressable import Pressable
+from tactile_sim.pressing import render_touch
+from tactile_sim.sensor import center_view
 from tests.env_assets.shapes import box
 
 
@@ -72,7 +75,7 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
         number = trial % len(meshes)
         turn = random.uniform(-4, 4)
         lies = pose(0.003, 0.002, turn_rad=turn)
-        lies[2, 3] = -pool.fact("foot_m")[number]
+        lies[2, 3] = -pool.measure("foot_m")[number]
         vertices_m = np.asarray(meshes[number].vertices_m, np.float64)
         aimed = (lies[:3, :3] @ vertices_m[random.integers(len(vertices_m))] + lies[:3, 3])[:2]
         gel = np.eye(4)
@@ -93,7 +96,7 @@ def test_what_is_drawn_is_what_pressing_gives(name, assets):
 def test_a_pool_on_disk_is_that_in_memory(assets):
     meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
     made, again, packed = MeshPool.of(meshes), MeshPool.of(meshes), MeshPool.packed(meshes)
-    for name in ("vertices", "faces", "starts", "hulls", "grids", "facts"):
+    for name in ("vertices", "faces", "starts", "hulls", "grids", "measures"):
         for pool in (again, packed):
             assert (getattr(made, name) == getattr(pool, name)).all()
             assert getattr(made, name).dtype == getattr(pool, name).dtype
@@ -105,7 +108,7 @@ def test_a_pool_on_disk_is_that_in_memory(assets):
 def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
     meshes = env_assets.AssetProvider(assets).meshes("mnist3d")
     some = MeshPool.of(meshes[[4, 2]])
-    assert some.fact("id").tolist() == meshes.ids[[4, 2]].tolist()
+    assert some.measure("id").tolist() == meshes.ids[[4, 2]].tolist()
     assert len(MeshPool.of(meshes)) == len(meshes)
 
 
@@ -137,5 +140,5 @@ def test_a_pool_is_of_the_meshes_that_were_loaded(assets, tmp_path, monkeypatch)
     for kept in ("train", "printed_train"):
         source = next((assets / "mnist3d" / "data").glob(f"{kept}-*.parquet"))
         store.pipe_file("/pools/data/train-00000-of-00001.parquet", source.read_bytes())
-        found.append(MeshPool.of(mnist3d.load("memory://pools", "train")).fact("id").tolist())
+        found.append(MeshPool.of(mnist3d.load("memory://pools", "train")).measure("id").tolist())
     assert found[0] != found[1]

@@ -15,8 +15,8 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from tactile_sim import optics
-from tactile_sim.pressing import center_view
+from tactile_sim import optics, taxim
+from tactile_sim.sensor import center_view
 
 _WIDTH, _HEIGHT, _PIXEL_MM = 24, 18, 0.4
 _SIMULATOR = {
@@ -61,8 +61,8 @@ def pictures(package: Path) -> NDArray[np.float32]:
     edge_mm = np.where(column < 12, 0.1 * row - 1.9 + 0.03 * column, 1.2)
     heights_mm = np.stack([ball_mm, edge_mm, np.full((16, 20), 2.0)])
     found = ModuleSpec("taxim", None, origin=str(package / "__init__.py"))
-    caches = (optics._taxim, optics._picture_tables)
-    with patch.object(optics, "find_spec", lambda _: found):
+    caches = (taxim.taxim_package, taxim._picture_tables)
+    with patch.object(taxim, "find_spec", lambda _: found):
         try:
             for cached in caches:
                 cached.cache_clear()

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from env_assets.published.packages import published_package
-from tactile_sim.pressing import Sensor, center_view
+from tactile_sim.sensor import Sensor, center_view
 from tactile_toolkit.errors import MissingExtraError
 
 PRESS_M, GEL_M = 0.002125, 0.00425

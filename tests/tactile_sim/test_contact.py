@@ -15,7 +15,9 @@ import starstruck_gen
 import tactile_sim
 from realtouch.touch_gallery import plan_gallery
 from realtouch.touch_previews import CONTACT, draw_grid
-from tactile_sim.pairs import Domain, Pairs, PairsSpec, decode_depth, encode_depth, make_pairs
+from tactile_sim.learning_specs import PairsSpec
+from tactile_sim.pair_generation import make_pairs
+from tactile_sim.pairs import Domain, Pairs, decode_depth, encode_depth
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.places import open_place
@@ -146,7 +148,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     pq.write_table(table.set_column(place, table.schema.field(place), column), data / file.name)
     depth = Domain(ShardedTable(open_place(str(tmp_path)).shards("depth")), True, (32, 24))
     for row, text in (
-        (0, f"{file.name}', row 0: a picture of 24 x 32 pixels; expected .32, 24. as in the manifest"),
+        (0, f"{file.name}', row 0: an image of 24 x 32 pixels; expected .32, 24. as in the manifest"),
         (1, f"{file.name}', row 1: expected a grey PNG .*next: run `tactile-sim verify`"),
     ):
         with pytest.raises(IntegrityError, match=text):
@@ -154,7 +156,7 @@ def test_damaged_pairs_are_named(pairs, tmp_path):
     assert (depth.image(2) == Pairs.open(pairs).depth.image(2)).all()
     shutil.copy(Path(pairs, "manifest.json"), tmp_path / "manifest.json")
     edit(tmp_path / "manifest.json", lambda values: values["spec"]["options"].pop("size_px"))
-    with pytest.raises(IntegrityError, match="does not state size and window of the pictures"):
+    with pytest.raises(IntegrityError, match="does not state size and window of the images"):
         Pairs.open(str(tmp_path))
 
 

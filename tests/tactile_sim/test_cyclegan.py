@@ -16,17 +16,11 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
 
 from tactile_sim.generation import optics_of  # noqa: E402
-from tactile_sim.learned import networks as files  # noqa: E402
-from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
-    CycleganOptics,
-    Generator,
-    depth_of,
-    generator_of,
-    initialise,
-    published_weights,
-    read_weights,
-    weights_of,
-)
+from tactile_sim.learned import weights as files  # noqa: E402
+from tactile_sim.learned.channels import depth_of  # noqa: E402
+from tactile_sim.learned.cyclegan_optics import CycleganOptics  # noqa: E402
+from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
+from tactile_sim.learned.weights import generator_of, published_weights, read_weights, weights_of  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
@@ -57,7 +51,7 @@ def small(tmp_path):
     """A file of small weights, drawn at random, for 32 x 24 pixels."""
 
     def made(name="small.npz", size_px=(32, 24), filters=4, blocks=2, seed=5):
-        network = Generator(filters, blocks)
+        network = GeneratorNetwork(filters, blocks)
         initialise(network, seed)
         files.write_weights(open_folder(str(tmp_path)), name, weights_of(network, size_px))
         return tmp_path / name
@@ -115,7 +109,7 @@ def test_weights_survive_the_file_and_are_the_same_bytes(small):
     assert (read.size_px, read.filters, read.blocks) == ((32, 24), 4, 2)
     assert files.weights_bytes(read) == first.read_bytes()
     with np.load(first) as stored:  # what others read it with
-        assert set(stored.files) == set(Generator(4, 2).state_dict())
+        assert set(stored.files) == set(GeneratorNetwork(4, 2).state_dict())
     network = generator_of(read)
     assert weights_of(network, (32, 24)).arrays.keys() == read.arrays.keys()
     published = files.read_weights(files.published_weights("touch"))

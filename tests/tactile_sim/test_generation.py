@@ -15,8 +15,7 @@ import starstruck_gen
 import tactile_sim
 from tactile_sim.generation import TouchMaking
 from tactile_sim.optics import make_optics
-from tactile_sim.plan import REACH_M
-from tactile_sim.spec import PictureOptions
+from tactile_sim.round_plan import REACH_M
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.generation import plan_build
 from tests.command_line import call
@@ -331,8 +330,12 @@ def test_one_look_at_a_mesh_file(tmp_path):
     assert decode_image(out.read_bytes()).shape == (60, 80, 3)
     for wrong in ("80", "axb", "0x10", f"9x{'9' * 5_000}"):
         assert CliRunner().invoke(app, [*command, wrong, "--out", str(out)]).exit_code == 2
-    refused = CliRunner().invoke(app, [*command, "80x60", "--out", str(out), "--layer-mm", "0.3"])
-    assert (refused.exit_code, "next: add --surface printed" in refused.stderr) == (2, True)
+    for wrong in ("5", "thin"):
+        refused = CliRunner().invoke(app, [*command, "80x60", "--out", str(out), "--layer-mm", wrong])
+        assert (refused.exit_code, "expected" in refused.stderr) == (2, True)
+    printed = CliRunner().invoke(app, [*command, "80x60", "--out", str(out), "--layer-mm", "0.3"])
+    assert printed.exit_code == 0, printed.output
+    assert "stops 6.125 mm above the plate" not in printed.output  # tops are whole layers
 
 
 def _rendered(capsys, *arguments) -> tuple[dict, str]:
@@ -400,12 +403,11 @@ def test_some_objects_are_touched_as_among_all(scenes, touches, tmp_path):
 
 
 def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys):
-    options = PictureOptions()
-    monkeypatch.setattr("tactile_sim.generation.find_spec", lambda name: name)
-    assert tactile_sim.GenerateSpec.of(options).optics == "taxim"
-    monkeypatch.setattr("tactile_sim.generation.find_spec", lambda _: None)
-    assert tactile_sim.GenerateSpec.of(options).optics == "depth"
+    monkeypatch.setattr("tactile_sim.touch_spec.find_spec", lambda name: name)
+    assert tactile_sim.default_optics() == "taxim"
+    monkeypatch.setattr("tactile_sim.touch_spec.find_spec", lambda _: None)
+    assert tactile_sim.default_optics() == "depth"
     block().apply_scale(1000).export(tmp_path / "part.stl")
     words = (tmp_path / "part.stl", "--size", "32x24", "--out", tmp_path / "touch.png")
     assert call("tactile-sim", "render", *words) == 0
-    assert "note: pictures are depth images, as Taxim needs the extra `sim`" in capsys.readouterr().err
+    assert "note: images are depth images, as Taxim needs the extra `sim`" in capsys.readouterr().err

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import correlate1d
 
-from tactile_sim import kernels
+from tactile_sim import taxim_kernels
 from tests.tactile_sim import made_up_sensor
 from tests.unchanged.record import numbers_of, recorded
 
@@ -46,20 +46,20 @@ def test_blur_is_that_of_scipy_with_the_edge_mirrored(across, down):
     for axis, half in enumerate((down, across)):
         expected = correlate1d(expected, [*half[:0:-1], *half], axis, mode="mirror")
     out = np.empty_like(image)
-    kernels.blur.py_func(image, out, np.empty_like(image), np.array(across), np.array(down))
+    taxim_kernels.blur.py_func(image, out, np.empty_like(image), np.array(across), np.array(down))
     np.testing.assert_allclose(out, expected, rtol=1e-12)
 
 
 def test_slopes_of_a_plane_and_of_what_is_level():
     row, column = np.mgrid[:6.0, :9.0]
-    slope, direction = kernels._slopes.py_func(0.3 * column - 0.2 * row, 0.5, 0.5, 1e-6)
+    slope, direction = taxim_kernels._slopes.py_func(0.3 * column - 0.2 * row, 0.5, 0.5, 1e-6)
     # Two pixels apart, and halved: the slope of the plane, up to where it rises.
     assert slope == pytest.approx(np.full((6, 9), np.arctan(np.hypot(0.3, 0.2))))
     assert direction == pytest.approx(np.full((6, 9), np.arctan2(0.2, -0.3) + np.pi))
-    slope, direction = kernels._slopes.py_func(np.full((4, 5), 0.7), 0.5, 0.5, 1e-6)
+    slope, direction = taxim_kernels._slopes.py_func(np.full((4, 5), 0.7), 0.5, 0.5, 1e-6)
     assert (slope == 0).all()
     assert (direction == np.pi).all()
     # At the edge stands what is next to it, here and of any other surface.
     bumps = np.random.default_rng(0).random((5, 6))
-    for table in kernels._slopes.py_func(bumps, 0.5, 0.5, 1e-6):
+    for table in taxim_kernels._slopes.py_func(bumps, 0.5, 0.5, 1e-6):
         assert (table == np.pad(table[1:-1, 1:-1], 1, mode="edge")).all()

@@ -20,9 +20,11 @@ from typer.testing import CliRunner
 
 import realtouch
 import tactile_sim
-import tactile_sim.optics
-from tactile_sim.noise import add_noise
-from tactile_sim.pairs import Pairs, PairsSpec, make_pairs
+import tactile_sim.taxim
+from tactile_sim.learning_specs import PairsSpec
+from tactile_sim.pair_generation import make_pairs
+from tactile_sim.pairs import Pairs
+from tactile_sim.sensor_noise import add_noise
 from tactile_toolkit.errors import (
     BusyError,
     InputError,
@@ -39,29 +41,17 @@ from tests.unchanged.record import numbers_of, recorded
 pytestmark = [pytest.mark.torch, pytest.mark.sim]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
-from tactile_sim.learned import evaluation, networks  # noqa: E402
-from tactile_sim.learned.cyclegan import (  # noqa: E402
-    Batch,
-    CycleGan,
-    _mean_error,
-)
+from tactile_sim.learned import channels  # noqa: E402
+from tactile_sim.learned.batches import Batch  # noqa: E402
+from tactile_sim.learned.channels import depth_of, noisy_channels, picture_channels, shades_of  # noqa: E402
+from tactile_sim.learned.cyclegan import CycleGan, _mean_error  # noqa: E402
 from tactile_sim.learned.evaluation import (  # noqa: E402
     evaluate,
 )
-from tactile_sim.learned.networks import (  # noqa: E402  # noqa: E402
-    Generator,
-    GeneratorWeights,
-    depth_of,
-    generator_of,
-    initialise,
-    noisy_channels,
-    picture_channels,
-    read_weights,
-    shades_of,
-    write_weights,
-)
+from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.spec import TrainConfig  # noqa: E402
+from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights, write_weights  # noqa: E402
+from tactile_sim.learning_specs import TrainConfig  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
 
@@ -117,7 +107,7 @@ def test_pairs_hold_what_was_asked_for_with_any_number_of_workers(sources, pairs
     assert (empty == 1).all()
     met = data.depth.images(np.flatnonzero(data.depth.contact))
     assert (met.min(axis=(1, 2)) == 0).all()
-    monkeypatch.setattr("tactile_sim.pairs._ROWS_PER_SHARD", 25)
+    monkeypatch.setattr("tactile_sim.pair_generation._ROWS_PER_SHARD", 25)
     make_pairs(*sources, "train", SPEC, tmp_path / "again", workers=2)
     sheets = {
         path.read_bytes() for folder in (pairs, tmp_path / "again") for path in Path(folder).rglob("*.png")
@@ -149,9 +139,7 @@ def test_pairs_that_cannot_be_made_are_named(sources, tmp_path):
 def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pairs, trained, tmp_path):
     few = PairsSpec((32, 32), 12, without_contact=0.2, window="center")
     make_pairs(*sources, "train", few, tmp_path / "few")
-    with pytest.raises(
-        InputError, match=r"few' holds 12 pictures .*, 10 with contact, .*at least 40.*--count"
-    ):
+    with pytest.raises(InputError, match=r"few' holds 12 images .*, 10 with contact, .*at least 40.*--count"):
         evaluate(trained, str(tmp_path / "few"), baselines=())
     make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
     with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
@@ -165,7 +153,7 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
 def test_killed_at_any_moment_it_ends_in_the_same_weights(pairs, trained, tmp_path):
     out = tmp_path / "killed"
     program = (
-        "from tactile_sim.learned.training import train; from tactile_sim.spec import TrainConfig;"
+        "from tactile_sim.learned.training import train; from tactile_sim import TrainConfig;"
         f"train({pairs!r}, {str(out)!r}, TrainConfig(**{CONFIG.to_dict()!r}), device='cpu',"
         "deterministic=True, on_progress=lambda done, total: print(done, flush=True))"
     )
@@ -198,7 +186,7 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     assert before == {file: file.stat().st_mtime_ns for file in before}
     with pytest.raises(SpecMismatchError, match="seed is 0 there"):
         train(pairs, trained, TrainConfig(**{**CONFIG.to_dict(), "seed": 9}), device="cpu")
-    with pytest.raises(InputError, match="no training to continue with"):
+    with pytest.raises(InputError, match="no training to continue"):
         train(pairs, tmp_path / "new", CONFIG, resume=True)
     with pytest.raises(InputError, match="holds no training"):
         train(pairs, sources[0], CONFIG)
@@ -211,8 +199,8 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with pytest.raises(InputError, match="expected a SensorNoise"):
         TrainConfig(sensor_noise="calibrated")
     with monkeypatch.context() as without:
-        without.setattr("tactile_sim.optics.find_spec", lambda _: None)
-        tactile_sim.optics._taxim.cache_clear()
+        without.setattr("tactile_sim.taxim.find_spec", lambda _: None)
+        tactile_sim.taxim.taxim_package.cache_clear()
         with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*pretrain_steps = 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
@@ -282,9 +270,10 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     made = run.invoke(app, [*words, pairs])
     assert made.exit_code == 0, made.output
     part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
-    assert "pictures in" in part.output
+    assert "images in" in part.output
     assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
-    monkeypatch.setattr("tactile_sim.learned.evaluation._STEPS", 60)
+    for module in ("classifiers", "evaluation"):
+        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
     noise = tmp_path / "noise.json"
@@ -294,7 +283,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     assert found.exit_code == 0, found.output
     told = json.loads(found.stdout)
     assert told["noise"] == NOISE.to_dict()
-    assert "under a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
+    assert "with a sensor's noise" in (tmp_path / "found" / "evaluation.md").read_text()
     rows = {row["name"]: row for row in told["measured"]}
     assert list(rows) == ["real", "trained", "taxim", "untrained"]
     assert [rows[name]["depth_um"] for name in ("trained", "taxim", "untrained")] == pytest.approx(
@@ -330,24 +319,25 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
 
 
 def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monkeypatch):
-    monkeypatch.setattr(evaluation, "_STEPS", 20)
+    for module in ("classifiers", "evaluation"):
+        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 20)
     steps: list[tuple[int, int]] = []
     found = []
     for pixels in (1, 1 << 19):
-        monkeypatch.setattr(networks, "_PIXELS_TOGETHER", pixels)
+        monkeypatch.setattr(channels, "_PIXELS_TOGETHER", pixels)
         steps.clear()
         found.append(
             evaluate(trained, pairs, baselines=("untrained",), on_progress=lambda *at: steps.append(at))
         )
         assert [done for done, _ in steps] == sorted({done for done, _ in steps})
         assert {total for _, total in steps} == {steps[-1][0]}
-    for one, together in zip(found[0].measured, found[1].measured, strict=True):
+    for one, together in zip(found[0].measures, found[1].measures, strict=True):
         assert one.depth_um == pytest.approx(together.depth_um, rel=1e-5, nan_ok=True)
         assert one.contact_accuracy == pytest.approx(together.contact_accuracy, abs=0.02)
         assert one.two_sample == pytest.approx(together.two_sample, abs=0.02)
     network = generator_of(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
-    monkeypatch.setattr(networks, "_PIXELS_TOGETHER", 3 * pictures[0, :, :, 0].size)
+    monkeypatch.setattr(channels, "_PIXELS_TOGETHER", 3 * pictures[0, :, :, 0].size)
     alone = np.concatenate([depth_of(network, each[None]) for each in pictures])
     np.testing.assert_allclose(depth_of(network, pictures), alone, atol=1e-5)
     with pytest.raises(InputError, match="device is 'tpu'"):
@@ -399,7 +389,7 @@ def test_generators_are_compiled_where_that_is_asked_for(pairs, tmp_path, monkey
     for option, count in ([], 0), (["--compile"], 2):
         done = CliRunner().invoke(app, [*words, str(tmp_path / str(count)), *option])
         assert done.exit_code == 0, done.output
-        assert compiled == [Generator] * count
+        assert compiled == [GeneratorNetwork] * count
 
 
 def test_relief_is_free_only_near_the_contact():
@@ -460,7 +450,7 @@ def test_noise_for_discriminators_ends_where_the_rate_begins_to_fall():
 
 def test_what_doubles_the_size_begins_as_linear_interpolation():
     """One drawn number for each pair of channels, halved beside its pixel, and once more at the corners."""
-    network = Generator(2, 1)
+    network = GeneratorNetwork(2, 1)
     initialise(network, 3)
     doubling = [each for each in network.modules() if isinstance(each, torch.nn.ConvTranspose2d)]
     assert len(doubling) == 2

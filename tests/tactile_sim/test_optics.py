@@ -75,9 +75,9 @@ def test_optics_that_cannot_be_are_refused(monkeypatch):
         make_optics("depth", "weights.npz")
     with pytest.raises(InputError, match="too small; expected at least 16 x 16"):
         make_optics("taxim").depth_size(8, 64)
-    monkeypatch.setattr("tactile_sim.optics.find_spec", lambda _: None)
-    import tactile_sim.optics
+    monkeypatch.setattr("tactile_sim.taxim.find_spec", lambda _: None)
+    import tactile_sim.taxim
 
-    tactile_sim.optics._taxim.cache_clear()
+    tactile_sim.taxim.taxim_package.cache_clear()
     with pytest.raises(MissingExtraError, match=r"the extra `sim`"):
         make_optics("taxim")

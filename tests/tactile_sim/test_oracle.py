@@ -28,12 +28,12 @@ SIZES = [(64, 64), (256, 256), (320, 240)]
 def _solids(kind):
     import mnist3d
     import starstruck_gen
-    from env_assets.wrench.solid import wrench_mesh
-    from env_assets.wrench.spec import WrenchSpec
+    from env_assets.wrench.shape import wrench_mesh
+    from env_assets.wrench.wrench_spec import WrenchSpec
     from mnist3d.sources.synthetic import SyntheticSource
 
     if kind == "wrench":
-        return [wrench_mesh(WrenchSpec.for_size()).to_trimesh()] * max(OBJECTS // 10, 2)
+        return [wrench_mesh(WrenchSpec()).to_trimesh()] * max(OBJECTS // 10, 2)
     if kind == "scenes":
         meshes = starstruck_gen.build_meshes(
             [

@@ -11,7 +11,7 @@ import trimesh
 from hypothesis import given, strategies as st
 
 import tactile_sim
-from tactile_sim import pressing
+from tactile_sim import pressable
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import reference
@@ -178,9 +178,9 @@ def test_sensors_that_cannot_be_are_refused(values):
 
 def test_a_solid_is_checked_once_and_again_when_it_was_changed(monkeypatch):
     checked = []
-    monkeypatch.setattr(pressing, "_SOLIDS", MemoryCache(1 << 20, lambda solid: solid.vertices_m.nbytes))
-    check = pressing._require_closed
-    monkeypatch.setattr(pressing, "_require_closed", lambda mesh: (checked.append(mesh), check(mesh)))
+    monkeypatch.setattr(pressable, "_SOLIDS", MemoryCache(1 << 20, lambda solid: solid.vertices_m.nbytes))
+    check = pressable._require_closed
+    monkeypatch.setattr(pressable, "_require_closed", lambda mesh: (checked.append(mesh), check(mesh)))
     sensor, place = tactile_sim.full_view(32, 24), tactile_sim.pose()
     solid = trimesh.creation.box((0.02, 0.02, 0.01))
     solid.apply_translation((0, 0, 0.005))

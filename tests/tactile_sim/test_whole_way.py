@@ -75,7 +75,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--turn-deg", "inf"), "--turn-deg is inf"),
         ("block", ("--size", "wide"), "expected WIDTHxHEIGHT in pixels"),
         ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
-        ("block", ("--surface", "printed", "--layer-mm", "5"), "--layer-mm"),
+        ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
         ("block", ("--sensor-noise", "calibrated"), "'depth' have no noise"),
         ("block", ("--weights", "none.npz"), "weights were given"),
         ("block", ("--out", "touch.tif"), "expected a picture that ends with .png, .jpg, .jpeg"),
@@ -108,15 +108,15 @@ def test_poses_that_cannot_be_are_refused():
 
 
 def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
-    import tactile_sim.optics
+    import tactile_sim.taxim
 
-    monkeypatch.setattr("tactile_sim.optics.find_spec", lambda _: None)
-    tactile_sim.optics._taxim.cache_clear()
+    monkeypatch.setattr("tactile_sim.taxim.find_spec", lambda _: None)
+    tactile_sim.taxim.taxim_package.cache_clear()
     result = CliRunner().invoke(
         app,
         ["generate", str(made.parent / "scenes"), "--optics", "taxim", "--out", str(tmp_path / "out")],
     )
-    tactile_sim.optics._taxim.cache_clear()
+    tactile_sim.taxim.taxim_package.cache_clear()
     assert result.exit_code == 2
     assert "the extra `sim`" in result.output + str(result.exception)
     assert not (tmp_path / "out").exists()

@@ -9,7 +9,7 @@ import pyarrow as pa
 
 from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
-from tactile_toolkit.generation import Generator, Recipe, StorageLayout
+from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.mesh import MeshRow, SolidDataset, mesh_schema, open_solids
 from tactile_toolkit.places import open_place
@@ -55,7 +55,7 @@ class BoxSpec:
 
 
 @dataclass(frozen=True)
-class BoxMaking(Generator):
+class BoxMaking(RowGenerator):
     spec: BoxSpec
     kind = KIND
 

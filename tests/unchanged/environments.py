@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_envs.config import IDS, Config
+from tactile_envs.config import Config
+from tactile_envs.ids import IDS
 
 COURSES = {
     "TactileMNIST-Depth-train-v0": {},
@@ -51,7 +52,7 @@ def course(name: str, assets: Path) -> dict[str, list[float]]:
     Returns sums over observations, rewards and infos of each step, and how bright the pictures of two steps
     are in blocks of 16 pixels.
     """
-    from tactile_envs.making import make_vector
+    from tactile_envs.entry_points import make_vector
 
     env = make_vector(name, num_envs=3, assets=assets, render_mode="rgb_array", config=COURSES[name])
     rng = np.random.default_rng(3)

@@ -31,7 +31,7 @@ import starstruck_gen.scene_previews
 from mnist3d.digit_options import DigitPreviewSpec
 from mnist3d.sources.synthetic import SyntheticSource
 from realtouch.touch_options import TouchPreviewSpec
-from tactile_sim.pairs import make_pairs
+from tactile_sim import make_pairs
 from tactile_toolkit.catalog import PreviewSpec
 from tactile_toolkit.errors import MissingExtraError
 from tactile_toolkit.printing import PlateSpec, arrange

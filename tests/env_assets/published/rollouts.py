@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from env_assets import top_surface
+
 SENSOR_HEIGHT_M = 0.01416
 """Height of what the gel senses (constants of tactile-mnist 0.13.0).
 
@@ -74,7 +76,7 @@ def _copied(observation: dict[str, Any]) -> dict[str, NDArray[Any]]:
 
 
 def expected_depth_m(
-    record: Any, object_pose: Any, sensor_position_m: NDArray[Any], shape: tuple[int, int], provider: Any
+    record: Any, object_pose: Any, sensor_position_m: NDArray[Any], shape: tuple[int, int]
 ) -> NDArray[np.float64]:
     """Compute what the sensor measures from the height map of a record.
 
@@ -88,8 +90,6 @@ def expected_depth_m(
         Where the sensor is; it looks straight down.
     shape : (int, int)
         Rows and columns of the image. Rows grow along -y, columns along x.
-    provider : AssetSource
-        Gives the height map.
 
     Returns
     -------
@@ -101,7 +101,7 @@ def expected_depth_m(
     x = sensor_position_m[0] + (np.arange(columns) + 0.5 - columns / 2) * pixel_m
     y = sensor_position_m[1] - (np.arange(rows) + 0.5 - rows / 2) * pixel_m
     grid = np.stack(np.meshgrid(x, y), axis=-1)
-    return sensor_position_m[2] - _heights_m(provider.height_map(record, 0.0001), object_pose, grid)
+    return sensor_position_m[2] - _heights_m(top_surface(record, 0.0001), object_pose, grid)
 
 
 def _heights_m(surface: Any, object_pose: Any, points_m: NDArray[Any]) -> NDArray[np.float64]:

@@ -93,7 +93,7 @@ def test_touches_feel_the_records(case, rollout, provider):
             sensor_m = step.info["sensor_pose"][env].translation
             depth_m = step.info["depth"][env]
             expected_m = expected_depth_m(
-                step.points[env].record, step.object_poses[env], sensor_m, depth_m.shape, provider
+                step.points[env].record, step.object_poses[env], sensor_m, depth_m.shape
             )
             hit.append(sensor_m[2] - PRESS_DEPTH_M > CONTACT_HEIGHT_M)
             expected_hit.append((sensor_m[2] - expected_m).max() > CONTACT_HEIGHT_M)

@@ -13,7 +13,8 @@ import trimesh
 import env_assets
 import realtouch
 from env_assets.published.environments import noise_folder
-from env_assets.published.packages import overview, require_sensor
+from env_assets.published.ids import overview
+from env_assets.published.packages import require_sensor
 from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import write_meshes
 

@@ -103,7 +103,7 @@ def test_objects_are_laid_flat_as_the_package_does(packages):
 
     from tactile_mnist.tactile_perception_vector_env import TactilePerceptionVectorEnv
 
-    from env_assets.meshes import flat_turn
+    from env_assets.mesh_view import flat_turn
 
     for seed in range(5):
         mesh = trimesh.creation.box(np.array([3, 7, 1 + seed]) * 5e-3)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tactile_toolkit.store import open_folder, read_record
+from tactile_toolkit.store import open_folder, read_download_record
 from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub.sets import NAME, big_parquet, fetch, script, two_sets
 from tests.tactile_toolkit.toy import folder_bytes
@@ -71,7 +71,7 @@ def test_a_download_whose_card_did_not_arrive_is_not_done(server, tmp_path):
     server.faults.fail("*/README.md", 503, times=99)
     assert fetch(server, tmp_path, script(NAME, out=out))[0] == 4
     server.faults.clear()
-    record = read_record(open_folder(str(out)))
+    record = read_download_record(open_folder(str(out)))
     assert record is not None
     assert not record.finished
     assert fetch(server, tmp_path, script(NAME, out=out))[3] is False

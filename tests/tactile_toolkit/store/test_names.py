@@ -14,7 +14,7 @@ from tactile_toolkit.cards import check_card
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import build, is_hidden, names_inside, open_folder, problem_of_name, verify
-from tactile_toolkit.store.download_record import RECORD_FILE, read_record
+from tactile_toolkit.store.download_record import RECORD_FILE, read_download_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import SCHEMA, folder_bytes, toy_plan
 
@@ -194,10 +194,10 @@ def test_a_wild_record_of_a_download_is_refused(tmp_path, name):
     for wild in ({"files": {name: file}}, {"files": {}, "labels": [name]}):
         (tmp_path / RECORD_FILE).write_text(sealed({**values, **wild}))
         with pytest.raises(IntegrityError, match="names the file"):
-            read_record(open_folder(str(tmp_path)))
+            read_download_record(open_folder(str(tmp_path)))
     (tmp_path / RECORD_FILE).write_text(sealed({**values, "files": {"x": {**file, "digest": "../../x"}}}))
     with pytest.raises(IntegrityError, match="is not a digest"):
-        read_record(open_folder(str(tmp_path)))
+        read_download_record(open_folder(str(tmp_path)))
 
 
 ACTIONS = {

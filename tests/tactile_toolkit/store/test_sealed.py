@@ -15,8 +15,8 @@ from tactile_toolkit.store.download_record import (
     RECORD_FILE,
     DownloadRecord,
     HubFile,
-    read_record,
-    write_record,
+    read_download_record,
+    write_download_record,
 )
 from tactile_toolkit.store.pending import pending_records
 from tactile_toolkit.store.sealed_json import require_seal, seal
@@ -43,13 +43,13 @@ def test_any_byte_of_a_manifest(tmp_path: Path) -> None:
 def test_any_byte_of_a_record_of_a_download(tmp_path: Path) -> None:
     folder = open_folder(str(tmp_path))
     file = HubFile("data/train.parquet", 3, "0" * 40)
-    write_record(folder, DownloadRecord("a/b", "0" * 40, None, {file.path: file}, ("train",), ()))
+    write_download_record(folder, DownloadRecord("a/b", "0" * 40, None, {file.path: file}, ("train",), ()))
     content = (tmp_path / RECORD_FILE).read_bytes()
-    assert read_record(folder) is not None
+    assert read_download_record(folder) is not None
     for damaged in changed(content):
         (tmp_path / RECORD_FILE).write_bytes(damaged)
         with pytest.raises(IntegrityError):
-            read_record(folder)
+            read_download_record(folder)
 
 
 @pytest.fixture

@@ -15,7 +15,7 @@ import pytest
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import MANIFEST_FILE, Manifest, build, open_folder, read_manifest, verify
-from tactile_toolkit.store.download_record import RECORD_FILE, read_record
+from tactile_toolkit.store.download_record import RECORD_FILE, read_download_record
 from tests.sealed import sealed
 from tests.tactile_toolkit.toy import toy_plan
 
@@ -122,12 +122,12 @@ def test_every_value_of_a_record_of_a_download(tmp_path: Path) -> None:
     }  # fmt: skip
     folder = open_folder(str(tmp_path))
     (tmp_path / RECORD_FILE).write_text(sealed(values))
-    assert read_record(folder) is not None
+    assert read_download_record(folder) is not None
     for place in places(values):
         for other in STRANGE:
             (tmp_path / RECORD_FILE).write_text(changed(values, place, other))
             with contextlib.suppress(IntegrityError):
-                read_record(folder)
+                read_download_record(folder)
 
 
 def test_what_this_user_may_not_read_is_not_called_damaged(

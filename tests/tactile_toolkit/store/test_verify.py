@@ -10,7 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.store import DownloadRecord, HubFile, build, open_folder, verify, write_record
+from tactile_toolkit.store import DownloadRecord, HubFile, build, open_folder, verify, write_download_record
 from tactile_toolkit.store.parquet import encode_parquet, file_sha256
 from tests.sealed import edit
 from tests.tactile_toolkit.toy import SCHEMA, STYLE, toy_plan
@@ -119,7 +119,7 @@ def copy_of(tmp_path, **files):
         if content is not None:
             folder.write_bytes(f"images/{name}", content)
     listed = {f"images/{name}": HubFile(f"images/{name}", *said) for name, (_, *said) in files.items()}
-    write_record(folder, DownloadRecord("a/b", "0" * 40, None, listed, (), ()))
+    write_download_record(folder, DownloadRecord("a/b", "0" * 40, None, listed, (), ()))
     return folder
 
 

@@ -1,4 +1,4 @@
-"""Wrenches as records, and opening data sets of them, as the packages of other kinds do."""
+"""Wrenches as records, and opening data sets of them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class WrenchRecord(mesh.SolidRecord):
 
     @property
     def second_opening_mm(self) -> float:
-        """Width across flats of the second jaw, millimetres; 0 where the handle ends plainly."""
+        """Width across flats of the second jaw, millimetres."""
         return float(self._row.required("second_opening_mm"))
 
     def __repr__(self) -> str:
@@ -33,7 +33,6 @@ class WrenchRecord(mesh.SolidRecord):
         return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
 
     def _tile_html(self) -> str:
-
         return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
 
 

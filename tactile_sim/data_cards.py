@@ -1,43 +1,24 @@
-"""The data cards of synthetic touches and of training sets, and sheets of pictures, also of trainings."""
+"""Data cards of synthetic touches and of training sets, and sheets of images, also for trainings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from itertools import islice
 from typing import Any
 
 import numpy as np
 
-from tactile_sim.columns import TouchRow
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
+from tactile_sim.touch_rows import SyntheticRound
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.touch import decode_image, height_text, missed_text
 
-# Width of pictures in sheets, about.
+# Width of images in sheets, about.
 _TILE_PX = 96
-
-
-def sheet_png(rows: Sequence[tuple[str, Any]]) -> bytes:
-    """Draw rows of pictures with a word for each: uint8 colours (H, W, 3), or depth (H, W).
-
-    Every n-th pixel, or each n times: as a data set holds it, nothing is smoothed.
-    """
-    groups = [(word, [Tile(_shown(picture)) for picture in pictures]) for word, pictures in rows]
-    columns, tiles, words = in_rows(groups, max(len(tiles) for _, tiles in groups))
-    return png_bytes(sheet(tiles, columns, row_labels=words, gap_px=2, margin_px=2))
-
-
-def _shown(picture: AnyArray) -> UInt8:
-    if picture.ndim == 2:
-        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
-    times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)
-    return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)
-
-
 _COLUMNS_SHOWN = 8
 _ROUNDS_SHOWN = 4
 
@@ -47,12 +28,13 @@ _OPTICS = {
     "cyclegan": "a generator that was trained on real touches, from the depth image",
 }
 _LIKE = {"published": "published data sets", "environment": "published environments at this size"}
+_DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": decode_image}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
-    """Write ``README.md`` of a data set folder and the picture that it shows.
+    """Write ``README.md`` of a data set folder and its picture.
 
-    Raises IntegrityError when a shard is missing or damaged.
+    Raises IntegrityError if a shard is missing or damaged.
     """
     if manifest.spec.get("operation") == "pairs":
         _write_pairs_card(folder, manifest)
@@ -61,16 +43,16 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     width, height = spec["size_px"]
     plan = spec["plan"]
     layer_m = spec.get("layer_m", 0.0)
-    # A network shows the window of the size that it was trained in, whatever the pictures are scaled to.
+    # A network shows the window of the size that it was trained in, whatever the images are scaled to.
     across, down = spec.get("weights_size_px", (width, height))
     window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
-    statistics = manifest.statistics()  # counted by the shards: nothing that was written is read back
+    statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
-    touches, met = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
+    touches, on_object = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
-        columns=meanings(TouchRow),
+        columns=meanings(SyntheticRound),
         picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
         licence="mit",
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
@@ -89,13 +71,13 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
             ("window", f"{window} mm of gel, as in the {_LIKE[spec['like']]}"),
             ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),
-            ("noise", "of a real sensor, added to the finished picture" if spec.get("noise") else "none"),
+            ("noise", "of a real sensor, added to the finished image" if spec.get("noise") else "none"),
             (
                 "rounds of an object, touches of a round",
                 f"{plan['rounds']}, {'at most ' if plan.get('given') else ''}{plan['touches']}",
             ),
         ],
-        limits=_limits(spec, touches, met),
+        limits=_limits(spec, touches, on_object),
         values={
             "size_text": f"{width} x {height} pixels",
             "window_mm": window,
@@ -106,7 +88,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     ).write(folder, manifest, KIND)
 
 
-def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
+def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:
     lacking = [
         "the wear of gels",
         *([] if spec.get("layer_m") else ["the texture of prints"]),
@@ -114,35 +96,26 @@ def _limits(spec: Mapping[str, Any], touches: int, met: int) -> list[str]:
     ]
     shown = f"Rendered images lack {' and '.join(lacking)}."
     if spec["optics"] == "cyclegan":
-        shown = "What images show of prints, gels and noise is what the generator learned."
+        shown = "Images show of prints, gels and noise what the generator learned."
     return [
         "No force, dynamics or tilt: the gel stops by geometry alone, and nothing moves while it is touched.",
         shown,
-        *missed_text(touches - met, touches),
+        *missed_text(touches - on_object, touches),
     ]
 
 
 def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first touches of the first rounds, a round a row, as PNG."""
+    """Draw the first touches of the first rounds as PNG, a row for each round."""
     rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
     rows = [("", [decode_image(each["bytes"]) for each in images]) for images in shown]
-    return sheet_png(rows) if rows else None
-
-
-def _pairs_sheet(facts: cards.FolderSummary) -> bytes | None:
-    """Draw the first rows of both splits, one above the other, as PNG."""
-    rows = []
-    for split in facts.splits:
-        block = next(split.shards[0].blocks(0, ["sensor_image"]))
-        decode: Any = decode_depth if split.split == "depth" else decode_image
-        images = block.table.column(0)[:_COLUMNS_SHOWN].to_pylist()
-        rows.append((split.split, [decode(each["bytes"]) for each in images]))
+    if not rows:
+        return None
     return sheet_png(rows)
 
 
 def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
-    """Write ``README.md`` of a training set and the picture that it shows."""
+    """Write ``README.md`` of a training set and its picture."""
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
     counts = manifest.statistics()
@@ -165,3 +138,30 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
         ],
         values={"size_text": f"{width} x {height} pixels"},
     ).write(folder, manifest, KIND)
+
+
+def _pairs_sheet(facts: cards.FolderSummary) -> bytes:
+    """Draw the first rows of both splits, one above the other, as PNG."""
+    rows = []
+    for split in facts.splits:
+        block = next(split.shards[0].blocks(0, ["sensor_image"]))
+        images = block.table.column(0)[:_COLUMNS_SHOWN].to_pylist()
+        rows.append((split.split, [_DECODERS[split.split](each["bytes"]) for each in images]))
+    return sheet_png(rows)
+
+
+def sheet_png(rows: Sequence[tuple[str, Sequence[AnyArray] | AnyArray]]) -> bytes:
+    """Draw rows of images, each with a word: uint8 colours (H, W, 3), or depth from 0 to 1 (H, W).
+
+    Shows every n-th pixel, or each pixel n times; nothing is smoothed.
+    """
+    groups = [(word, [Tile(_shown(picture)) for picture in pictures]) for word, pictures in rows]
+    columns, tiles, words = in_rows(groups, max(len(tiles) for _, tiles in groups))
+    return png_bytes(sheet(tiles, columns, row_labels=words, gap_px=2, margin_px=2))
+
+
+def _shown(picture: AnyArray) -> UInt8:
+    if picture.ndim == 2:
+        picture = np.rint(np.clip(picture, 0, 1) * 255).astype(np.uint8)
+    times, step = -(-_TILE_PX // picture.shape[1]), max(1, picture.shape[1] // _TILE_PX)
+    return picture[::step, ::step].repeat(times, axis=0).repeat(times, axis=1)

@@ -1,4 +1,4 @@
-"""A wrench as a data set of one row: its columns, how it is made, and its card."""
+"""A wrench as a data set of one row: its columns, its generator, and its card."""
 
 from __future__ import annotations
 
@@ -6,35 +6,31 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pyarrow as pa
 
 from env_assets.wrench.kind import KIND
-from env_assets.wrench.solid import wrench_mesh
-from env_assets.wrench.spec import WrenchSpec
+from env_assets.wrench.shape import wrench_mesh
+from env_assets.wrench.wrench_spec import WrenchSpec
 from tactile_toolkit import cards, generation, pictures, store
-from tactile_toolkit.mesh import MeshRow, mesh_schema, write_mesh
+from tactile_toolkit.kind import is_copy
+from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
 from tactile_toolkit.rows import column, meanings, row
 
-if TYPE_CHECKING:
-    from tactile_toolkit.mesh import PrintReport
-
-# Side of a pixel of the picture: the usual wrench of 157.5 mm is 790 pixels long.
+# Side of a pixel of the picture: the default wrench of 157.5 mm is 790 pixels long.
 _PITCH_M = 0.0002
 
 
 @row
 class WrenchRow(MeshRow):
-    """One wrench; columns in mm and degrees are fields of its specification."""
+    """One wrench; columns in mm and degrees are lengths of its specification."""
 
     id: int = column(pa.int64(), "", "0")
     label: int = column(pa.int64(), "", "the one class")
     volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
     opening_mm: float = column(pa.float64(), "mm", "width across flats of the nut that the first jaw takes")
-    second_opening_mm: float = column(
-        pa.float64(), "mm", "the same of the second jaw; 0 where that end is plain"
-    )
+    second_opening_mm: float = column(pa.float64(), "mm", "the same of the second jaw")
     length_mm: float = column(pa.float64(), "mm", "between the outermost points of the circles of both ends")
     thickness_mm: float = column(pa.float64(), "mm", "height")
     jaw_angle_deg: float = column(pa.float64(), "degrees", "between handle and jaws")
@@ -47,14 +43,14 @@ def wrench_schema() -> pa.Schema:
 
 
 @dataclass(frozen=True)
-class WrenchMaking(generation.Generator):
-    """How a wrench is made."""
+class WrenchGenerator(generation.RowGenerator):
+    """Makes the row of a wrench."""
 
     spec: WrenchSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
-        """Return one item, in a split that is called as that of the published wrench."""
+        """Return one item, in the split of the published wrench."""
         return {"train": range(1)}
 
     def layout(self) -> generation.StorageLayout:
@@ -68,7 +64,7 @@ class WrenchMaking(generation.Generator):
 
     def make(self, split: str, items: Sequence[int]) -> list[WrenchRow]:
         """Make the row."""
-        mesh, lengths = wrench_mesh(self.spec), self.spec.to_dict()
+        mesh, lengths = wrench_mesh(self.spec), self.spec.lengths()
         return [
             WrenchRow(
                 id=0,
@@ -89,9 +85,9 @@ def write_wrench(
     Parameters
     ----------
     spec : WrenchSpec
-        Its lengths.
+        Its nuts.
     out : str
-        Folder to write; a folder that holds the same wrench is left as it is.
+        Folder to write; a folder that holds the same wrench stays as it is.
     mesh_file : path, optional
         Write the mesh alone too, for a printer: a file with one of the endings of
         :data:`tactile_toolkit.mesh.FORMATS`.
@@ -106,7 +102,7 @@ def write_wrench(
     Raises
     ------
     InputError
-        The chamfer does not fit, the folder holds something else, or the ending of the file is unknown.
+        The folder holds something else, or the ending of the file is unknown.
     SpecMismatchError
         The folder holds another wrench.
     StorageError
@@ -114,24 +110,22 @@ def write_wrench(
 
     Notes
     -----
-    Equal lengths give byte-identical Parquet.
+    Equal specifications give byte-identical Parquet.
     """
-    # What cannot be made or written is refused before the folder is touched.
-    mesh = wrench_mesh(spec)
-    if mesh_file is not None:
-        write_mesh(store.expanded(mesh_file), mesh)
-    return generation.generate(WrenchMaking(spec), out, overwrite=overwrite)
+    if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
+        write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
+    return generation.generate(WrenchGenerator(spec), out, overwrite=overwrite)
 
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
-    """Return how the usual wrench is made, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchMaking(WrenchSpec.for_size()))
+    """Return how the default wrench is made, which has neither a seed nor classes."""
+    return generation.Recipe(WrenchGenerator(WrenchSpec()))
 
 
 def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
-        "spec": spec.to_dict(),
+        "spec": spec.lengths(),
         "size_mm": [round(side, 3) for side in report.size_mm],
         **{name: round(getattr(report, name), 3) for name in ("volume_mm3", "mass_g", "thinnest_wall_mm")},
         "vertices": report.vertices,
@@ -141,10 +135,7 @@ def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
-    """Write ``README.md`` of the folder of a wrench and the picture that it shows."""
-    from tactile_toolkit.kind import is_copy
-    from tactile_toolkit.mesh import inspect
-
+    """Write ``README.md`` of the folder of a wrench and its picture."""
     columns, title = meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):
         terms = {
@@ -156,7 +147,6 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     spec = WrenchSpec(**manifest.spec)
     mesh = wrench_mesh(spec)
     report = inspect(mesh)
-    second = f" and {spec.second_opening_mm:g} mm" if spec.second_opening_mm else ", one end plain"
     drawn = pictures.png_bytes(pictures.relief(mesh.vertices_m, mesh.faces, _PITCH_M))
     cards.Card(
         template=KIND.card_template,
@@ -166,8 +156,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         licence="mit",
         tags=["tactile", "active-perception", "3d", "mesh", "pose-estimation", "3d-printing"],
         values={
-            **{name: f"{value:g}" for name, value in spec.to_dict().items()},
-            "openings": f"{spec.opening_mm:g} mm{second}",
+            **{name: f"{value:g}" for name, value in spec.lengths().items()},
+            "openings": f"{spec.opening_mm:g} mm and {spec.second_opening_mm:g} mm",
             # Of the solid: jaws cut away the outermost points between which the specified length is measured.
             "length_mm": f"{report.size_mm[0]:.1f}",
             "size_mm": " x ".join(f"{side:.1f}" for side in report.size_mm),

@@ -1,9 +1,8 @@
-"""Inner loops in numba, and eight pixels at a time.
+"""Kernels of touches, in numba: triangles become heights, eight pixels at a time.
 
-numba does not make instructions for several numbers of the loop that draws triangles by itself, so these are
-given to LLVM as such, which brings them to what the processor has, be it lanes of four or of sixteen: a touch
-takes half as long. All kernels lie in this one file, because numba's cache on disk looks at the file of a
-kernel only.
+numba does not vectorise the loop that draws triangles. Its vector instructions are therefore given to LLVM,
+which fits them to the lanes of the processor: a touch takes half as long. All kernels of touches lie in this
+one file, because numba's cache on disk looks at the file of a kernel only.
 """
 
 from __future__ import annotations
@@ -20,7 +19,21 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32,
 from tactile_toolkit.compiled import compiled
 
 LANES = 8
+"""Pixels that are drawn at once."""
 
+PADDING = LANES
+"""Spare pixels of a row of heights, so that eight at once can begin at its last."""
+
+Pool = tuple[Float32, AnyArray, Int32, Float64]
+"""Vertices, faces, starts and grids of a :class:`tactile_envs.mesh_pool.MeshPool`."""
+
+ObjectPlace = tuple[float, float, float, float, float]
+"""Place of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
+
+_EDGE_PX = 1e-6
+# Distance outside of an edge at which a pixel still counts as on it, as a share of the change of its weight
+# from one pixel to the next: single precision must leave no hole between neighbours.
+_SLACK = 2e-6
 _VECTOR = ir.VectorType(ir.FloatType(), LANES)
 _INDEX = ir.IntType(32)
 
@@ -91,24 +104,8 @@ def _spread(builder: Any, value: Any) -> Any:
     return builder.shuffle_vector(single, empty, ir.Constant(ir.VectorType(_INDEX, LANES), [0] * LANES))
 
 
-PADDING = LANES
-"""Pixels that a row of heights has to spare, so that eight at once can begin at its last."""
-
-_EDGE_PX = 1e-6
-# How far outside of an edge a pixel still counts as on it, as a share of what its weight changes by from one
-# pixel to the next: single precision must leave no hole between neighbours.
-_SLACK = 2e-6
-
-
-Pool = tuple[Float32, AnyArray, Int32, Float64]
-"""Vertices, faces, starts and grids of a :class:`tactile_envs.meshes.MeshPool`."""
-
-Placed = tuple[float, float, float, float, float]
-"""How an object lies in a window: cosine and sine of its turn, column, row of its origin, pixels a metre."""
-
-
 @compiled
-def raise_object(heights: Float32, pool: Pool, number: int, placed: Placed) -> None:
+def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace) -> None:
     """Raise pixels to the highest triangle of mesh ``number`` over each of them.
 
     ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
@@ -135,7 +132,7 @@ def raise_object(heights: Float32, pool: Pool, number: int, placed: Placed) -> N
 
 
 @compiled
-def _corners_in_grid(heights: Float32, grid: Float64, placed: Placed) -> tuple[Float64, Float64]:
+def _corners_in_grid(heights: Float32, grid: Float64, placed: ObjectPlace) -> tuple[Float64, Float64]:
     """Return x and y of the corners of the window in the object's frame, from the corner of its grid on."""
     cosine, sine, x_px, y_px, px_per_m = placed
     rows, columns = heights.shape[0], heights.shape[1] - PADDING
@@ -169,7 +166,7 @@ def _extent_between(corner_x: Float64, corner_y: Float64, from_y: float, to_y: f
 
 
 @compiled
-def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int, placed: Placed) -> None:
+def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int, placed: ObjectPlace) -> None:
     """Raise pixels to some triangles, all of which face upwards."""
     vertices, faces, _, grids = pool
     first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
@@ -221,37 +218,12 @@ def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int,
 
 
 @compiled
-def _in_window(vertices: Float32, vertex: np.int64, placed: Placed) -> tuple[float, float]:
+def _in_window(vertices: Float32, vertex: np.int64, placed: ObjectPlace) -> tuple[float, float]:
     """Return column and row of a vertex."""
     cosine, sine, x_px, y_px, px_per_m = placed
     turn_x, turn_y = cosine * px_per_m, sine * px_per_m
     x, y = np.float64(vertices[vertex, 0]), np.float64(vertices[vertex, 1])
     return turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-
-
-@compiled
-def aim(
-    actions: Float32,
-    motion: Float64,
-    sensors: Float64,
-    targets: Float64,
-    costs: Float32,
-) -> None:
-    """Turn actions (n, 3) into targets (n, 3), metres, and what they cost, (n,).
-
-    Actions are parts of the longest way, in a ball of radius 1; ``motion``, shape (8,), the lowest and the
-    highest position, metres (6), the longest way, metres, and the price of an action. In the precisions of
-    the published environment.
-    """
-    one, price = np.float32(1.0), np.float32(motion[7])
-    for i in range(len(actions)):
-        x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
-        length = np.float32(math.sqrt((x * x + y * y) + z * z))
-        for axis in range(3):
-            way = actions[i, axis] / length if length > one else actions[i, axis]
-            aimed = sensors[i, axis] + np.float64(way) * motion[6]
-            targets[i, axis] = min(max(aimed, motion[axis]), motion[axis + 3])
-        costs[i] = ((-(x * x) * price + -(y * y) * price) + -(z * z) * price) / np.float32(3.0)
 
 
 @compiled
@@ -340,61 +312,3 @@ def _measure(far: Float32, heights: Float32, highest: np.float32, press_m: float
         line, measured = heights[rows - 1 - row], far[row]
         for column in range(columns):
             measured[column] = press + (highest - line[column])
-
-
-@compiled
-def place(
-    numbers: Int64,
-    drawn: Float64,
-    most_turn_rad: float,
-    room: Float64,
-    hulls: Float32,
-    grids: Float64,
-    objects: Float64,
-) -> None:
-    """Lay objects into their cells, inside of ``room`` (half of width and depth), as numbers (n, 3) say.
-
-    Numbers from 0 to 1 for the turn and both places; ``objects``, shape (n, 3), is written: metres, radians.
-    """
-    for i in range(len(numbers)):
-        first, last = int(grids[numbers[i], 10]), int(grids[numbers[i], 11])
-        turn_rad = (drawn[i, 0] * 2 - 1) * most_turn_rad
-        least_x, least_y, most_x, most_y = spread_of_turned(
-            hulls[first:last], math.cos(turn_rad), math.sin(turn_rad)
-        )
-        for axis in range(2):
-            low = -room[axis] - (least_x if axis == 0 else least_y)
-            high = room[axis] - (most_x if axis == 0 else most_y)
-            if low > high:
-                low = high = (low + high) / 2
-            objects[i, axis] = drawn[i, axis + 1] * (high - low) + low
-        objects[i, 2] = turn_rad
-
-
-@compiled
-def classify(logits: Float32, labels: Int64) -> tuple[Float64, Bool]:
-    """Return cross entropies of logits (n, classes), and whether the label has the first of the greatest."""
-    entropies, is_right = np.empty(len(logits)), np.empty(len(logits), np.bool_)
-    for i in range(len(logits)):
-        best, most = 0, logits[i, 0]
-        for k in range(1, logits.shape[1]):
-            if logits[i, k] > most:
-                best, most = k, logits[i, k]
-        total = 0.0
-        for k in range(logits.shape[1]):
-            total += math.exp(np.float64(logits[i, k]) - most)
-        entropies[i] = math.log(total) - (np.float64(logits[i, labels[i]]) - most)
-        is_right[i] = best == labels[i]
-    return entropies, is_right
-
-
-@compiled
-def spread_of_turned(hull: Float32, cosine: float, sine: float) -> tuple[float, float, float, float]:
-    """Return least and greatest x and y of turned points (n, 2)."""
-    least_x, least_y, most_x, most_y = np.inf, np.inf, -np.inf, -np.inf
-    for point in range(len(hull)):
-        x, y = np.float64(hull[point, 0]), np.float64(hull[point, 1])
-        over, up = cosine * x - sine * y, sine * x + cosine * y
-        least_x, most_x = min(least_x, over), max(most_x, over)
-        least_y, most_y = min(least_y, up), max(most_y, up)
-    return least_x, least_y, most_x, most_y

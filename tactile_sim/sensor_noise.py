@@ -1,10 +1,9 @@
-"""The noise of a real sensor on top of clean pictures: the model of `tactile_mnist.sensor_noise`.
+"""The noise of a real sensor on top of clean images: the model of `tactile_mnist.sensor_noise`.
 
-It is the last step before a picture is encoded, on the picture in its final size:
-``mean + (picture - mean) * gain + offset + pattern + noise``, where gain, offset and pattern are drawn once
-for a round and noise for each touch. Pattern and noise are Gaussian fields with a spectrum of
-``1 / f^exponent``.
-What the package does to depth maps before they are rendered (``real_base_depth_dataset``) is not made here.
+It is added last, to the image in its final size: ``mean + (image - mean) * gain + offset + pattern + noise``,
+where gain, offset and pattern are drawn once for a round and noise for each touch. Pattern and noise are
+Gaussian fields with a spectrum of ``1 / f^exponent``. Changes of the depth maps before they are rendered
+(``real_base_depth_dataset`` of the package) are not modelled here.
 """
 
 from __future__ import annotations
@@ -39,7 +38,7 @@ class SensorNoise:
     Raises
     ------
     InputError
-        A value that is not a number, or out of range: 0 to 10, exponents 0 to 20, correlations 0 to 1.
+        A value is not a number or out of range: 0 to 10, exponents 0 to 20, correlations 0 to 1.
     """
 
     frame_noise_std: float = real(least=0, most=10)
@@ -82,14 +81,25 @@ class SensorNoise:
 
     @classmethod
     def named(cls, text: str) -> SensorNoise | None:
-        """Return what the command line calls ``none``, ``calibrated``, or by the name of a JSON file."""
+        """Return the noise that an option names: ``none``, ``calibrated``, or a JSON file."""
         if text == "none":
             return None
-        return cls.calibrated() if text == "calibrated" else cls.read(text)
+        if text == "calibrated":
+            return cls.calibrated()
+        return cls.read(text)
 
     def to_dict(self) -> dict[str, float]:
         """Return JSON values."""
         return asdict(self)
+
+
+def checked_noise(noise: object, name: str) -> SensorNoise | None:
+    """Return the noise of a specification, also from JSON values; InputError for anything else."""
+    if isinstance(noise, dict):
+        return SensorNoise(**noise)
+    if noise is None or isinstance(noise, SensorNoise):
+        return noise
+    raise InputError(f"{name} is {noise!r}; expected a SensorNoise, or None")
 
 
 def add_noise(
@@ -98,17 +108,17 @@ def add_noise(
     round_rng: np.random.Generator,
     touch_rng: Callable[[int], np.random.Generator],
 ) -> UInt8:
-    """Return the pictures of a round, (T, H, W, 3), uint8, with noise; draws as the package draws.
+    """Return the images of a round, (T, H, W, 3), uint8, with noise, drawn in the order of the package.
 
-    ``round_rng`` gives gain, offset and pattern, in this order; ``touch_rng(i)`` the noise of picture i.
-    Fields are right to the last bits, which depend on the machine and vanish in 256 levels.
+    ``round_rng`` draws gain, offset and pattern; ``touch_rng(i)`` the noise of image i. Only the last bits of
+    the fields depend on the machine; they vanish in 256 levels.
     """
     gain, offset, pattern = _of_round(noise, round_rng, pictures.shape[1:])
     noisy = np.empty_like(pictures)
     for touch, picture in enumerate(pictures):
         field = _of_touch(noise, touch_rng(touch), picture.shape)
         shown = picture / 255
-        # Contrast is about the mean of the picture, as in the package: brightness stays.
+        # Contrast changes about the mean of the image, as in the package; the brightness stays.
         mean = shown.mean()
         shown = (shown - mean) * gain + mean + (pattern + field + offset)
         noisy[touch] = np.rint(255 * shown.clip(0, 1))
@@ -118,7 +128,7 @@ def add_noise(
 def draw_noise(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
 ) -> tuple[Float32, Float32]:
-    """Draw the noise of pictures (n, H, W, C), each of a round of its own: gain (n,), and what is added."""
+    """Draw the noise of images (n, H, W, C), each of a round of its own: gains (n,), and fields to add."""
     gains, added = [], []
     for _ in range(shape[0]):
         gain, offset, pattern = _of_round(noise, rng, shape[1:])
@@ -144,13 +154,13 @@ def _of_touch(noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ..
 
 
 def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Float64:
-    """Draw a field (H, W, C) of deviation 1: a share that is common to all colours, and one of each."""
-    from scipy.fft import irfft2, rfft2
+    """Draw a field (H, W, C) of standard deviation 1, partly common to all colours."""
+    from scipy.fft import irfft2, rfft2  # importing scipy takes a fifth of a second
 
     height, width = shape[:2]
-    # The common field first: the package draws in this order.
+    # The common field first, as in the package.
     white = np.concatenate([rng.normal(size=(height, width, 1)), rng.normal(size=shape)], axis=2)
-    # Transforms of real numbers, several at once: a sixth of the time of numpy's complex ones.
+    # Transforms of real numbers, several at once, take a sixth of the time of numpy's complex ones.
     spectrum = rfft2(white, axes=(0, 1)) * _amplitudes(height, width, exponent)[..., None]
     filtered = irfft2(spectrum, s=(height, width), axes=(0, 1))
     return math.sqrt(correlation) * filtered[..., :1] + math.sqrt(1 - correlation) * filtered[..., 1:]
@@ -158,11 +168,11 @@ def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, co
 
 @cache
 def _amplitudes(height: int, width: int, exponent: float) -> Float64:
-    """Return factors (H, W // 2 + 1) of the spectrum of white noise, whose mean stays 0 and deviation 1."""
+    """Return factors (H, W // 2 + 1) of the spectrum of white noise, which keep mean 0 and deviation 1."""
     across, down = np.fft.fftfreq(width) * width, np.fft.fftfreq(height) * height
     frequency = np.hypot(down[:, None], across[None])
     factors = np.zeros_like(frequency)
     factors[frequency > 0] = frequency[frequency > 0] ** (-exponent / 2)
-    # Scaled by what the exponent leaves of white noise, so that a deviation means the same at each.
-    power = np.mean(factors**2)
-    return np.asarray((factors / np.sqrt(power) if power else factors)[:, : width // 2 + 1])
+    # Scaled by the power that the exponent leaves, so that a deviation means the same for each exponent.
+    power = np.mean(factors**2) or 1.0
+    return np.asarray((factors / np.sqrt(power))[:, : width // 2 + 1])

@@ -1,35 +1,27 @@
-"""What is touched, where the gel goes, and how the object lies: drawn for each object and round alone."""
+"""One round: where the gel goes and how the object lies, drawn for each object and round alone."""
 
 from __future__ import annotations
 
-import hashlib
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
-from tactile_sim.pressing import CELL_M, Pressable, pose, product, turn_quaternion
-from tactile_sim.spec import TouchPlan
-from tactile_toolkit import mesh, places, read
+from tactile_sim.poses import pose, product, turn_quaternion
+from tactile_sim.pressable import Pressable
+from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.touch_spec import TouchPlan
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.touch import CLASS_NAMES
+from tactile_toolkit.touch import CELL_M
 
 REACH_M = (0.0385, 0.0405)
-"""How far from the middle of the cell the gel is sent, x and y, metres: half the cell less ``CELL_PADDING``
-of `tactile-mnist` 0.13.0."""
+"""Greatest distance of the gel from the middle of the cell along x and y, metres: half the cell less
+``CELL_PADDING`` of `tactile-mnist` 0.13.0."""
 
 _MARGIN_M = 0.01  # tactile-mnist 0.13.0, object_placement_margin
 _SHIFT_M = 1e-3  # tactile-mnist 0.13.0, translation_perturbation_scale
 _SHIFT_RAD = 5e-2  # tactile-mnist 0.13.0, rotation_perturbation_scale
-
-
-def open_split(place: places.Place, split: str) -> mesh.SolidDataset[Any]:
-    """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = read.ShardedTable(place.shards(split))
-    mesh.require_mesh_columns(table.schema, place.name, "mnist3d generate")
-    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, CLASS_NAMES, place.name))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,10 +47,29 @@ class RoundPlan:
 
 
 def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, number: int) -> RoundPlan:
-    """Draw one round of at least a touch; it depends on plan, split, object and number of the round alone."""
-    rng = generator(plan.seed, split, object_id, number)
+    """Draw one round of at least one touch; it depends on plan, split, object and round number alone.
+
+    Parameters
+    ----------
+    plan : TouchPlan
+        How often and where objects are touched.
+    solid : Pressable
+        The object.
+    split : str
+        Split of the object.
+    object_id : int
+        Its id.
+    number : int
+        Number of the round, from 0.
+
+    Returns
+    -------
+    RoundPlan
+        Places of the gel and poses of the object.
+    """
+    rng = keyed_rng(plan.seed, split, object_id, number)
     angle_rad = plan.turn_rad * (2.0 * rng.random() - 1.0)
-    # Drawn in any case, so that touches of a round do not change with how the object lies.
+    # Drawn in any case, so that the touches of a round do not depend on how the object lies.
     x_m, y_m = _lying_place(plan, solid, angle_rad, rng.random(2))
     positions = lies = None
     if plan.given is not None:
@@ -67,8 +78,8 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
         drawn = rng.normal(size=(plan.touches_of(object_id, number), 3))
         lies = _shifted(drawn, x_m, y_m, angle_rad, perturb=plan.perturb)
     else:
-        lies = np.concatenate([lies, lies[-1:]])  # where the object is after the last touch is not known
-    z_m = 0.0 - solid.foot_m  # not -foot_m, which of a foot of 0 would be -0.0: other bytes
+        lies = np.concatenate([lies, lies[-1:]])  # its place after the last touch is not known
+    z_m = 0.0 - solid.foot_m  # not -foot_m, which is -0.0 for a foot of 0: other bytes
     matrices = np.array([pose(x_m, y_m, z_m, turn_rad=turned_rad) for x_m, y_m, turned_rad in lies.tolist()])
     quaternions = [turn_quaternion(turned_rad) for turned_rad in lies[:, 2].tolist()]
     if positions is None:
@@ -76,23 +87,11 @@ def plan_round(plan: TouchPlan, solid: Pressable, split: str, object_id: int, nu
     return RoundPlan(positions, matrices[:, :3, 3].copy(), np.array(quaternions), matrices)
 
 
-def key_of(*words: str | int) -> int:
-    """Return 128 bits that are those of these words alone."""
-    return int.from_bytes(hashlib.sha256("/".join(map(str, words)).encode()).digest()[:16], "little")
-
-
-def generator(*words: str | int) -> np.random.Generator:
-    """Return random numbers of their own for whatever the words name, such as seed, split, object and round.
-
-    A counter-based generator has no state to hand on: any worker finds the numbers of its round by name.
-    """
-    return np.random.Generator(np.random.Philox(key=key_of(*words)))
-
-
 def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, perturb: bool) -> Float64:
     """Return x, y and turn of the object at each touch and after the last, shape (T + 1, 3)."""
     lies = [(x_m, y_m, angle_rad)]
-    for dx_m, dy_m, turned_rad in (drawn * ([_SHIFT_M, _SHIFT_M, _SHIFT_RAD] if perturb else 0.0)).tolist():
+    scale = np.array([_SHIFT_M, _SHIFT_M, _SHIFT_RAD]) * perturb
+    for dx_m, dy_m, turned_rad in (drawn * scale).tolist():
         cosine, sine = cosine_sine(angle_rad)
         x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
         angle_rad += turned_rad
@@ -109,8 +108,10 @@ def _lying_place(plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: Flo
     for axis, turned in enumerate((cosine * x - sine * y, sine * x + cosine * y)):
         low = -CELL_M[axis] / 2 + _MARGIN_M - float(turned.min())
         high = CELL_M[axis] / 2 - _MARGIN_M - float(turned.max())
-        # What is larger than the cell lies in its middle.
-        place.append(low + (high - low) * float(drawn[axis]) if low <= high else (low + high) / 2)
+        share = float(drawn[axis])
+        if low > high:  # larger than the cell: in its middle
+            low = high = (low + high) / 2
+        place.append(low + (high - low) * share)
     return place[0], place[1]
 
 
@@ -146,10 +147,3 @@ def on_object(touches: int, solid: Pressable, poses: Float64, rng: np.random.Gen
     local = np.tile(np.eye(4), (touches, 1, 1))
     local[:, :2, 3] = point
     return product(poses[:touches], local)[:, :2, 3]
-
-
-def content_fingerprint(shard: read.Shard) -> dict[str, Any]:
-    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
-    with shard.stored() as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
-    return {"file": shard.path.rpartition("/")[2], "rows": len(shard), "sha256": digest}

@@ -1,6 +1,6 @@
-"""Meshes as a few arrays for all: what drawing and tasks need of them, mapped from one file.
+"""Meshes packed into a few arrays, as kernels and tasks need them, and mapped from one file.
 
-Of each mesh only the triangles that face upwards are kept, as numbers of corners, sorted into a grid of
+Only the triangles of a mesh that face upwards are kept, as numbers of corners, sorted into a grid of
 :data:`CELL_M`: those under a window that is turned in any way are a few contiguous runs. The training split
 of the digits takes 0.8 GB, which the processes of a machine share.
 """
@@ -14,21 +14,23 @@ import logging
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import IO, Any, cast
+from typing import IO, Any
 
 import numpy as np
+import xxhash
 
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError
 from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.store import locked, resource_shortage
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
 
-FACTS = ("label", "id", "foot_m", "volume_m3", "x_m", "y_m", "z_m")
-"""Columns of :attr:`MeshPool.facts`: foot is the lowest height, x, y and z the centre of mass."""
+MEASURES = ("label", "id", "foot_m", "volume_m3", "x_m", "y_m", "z_m")
+"""Columns of :attr:`MeshPool.measures`: foot is the lowest height, x, y and z the centre of mass."""
 
 _POOLS = DiskCache(
     "environments",
@@ -60,8 +62,8 @@ class MeshPool:
         For each mesh: first vertex, first face, number of large faces, first of its starts; cells across and
         up; left and lower edge of the grid, side of a cell, and how far a small triangle reaches from the
         middle that is in a cell, metres; first corner of the hull and the one after its last.
-    facts : ndarray of float64, shape (n, 7)
-        For each mesh what :data:`FACTS` names.
+    measures : ndarray of float64, shape (n, 7)
+        For each mesh what :data:`MEASURES` names.
     """
 
     vertices: Float32
@@ -69,11 +71,11 @@ class MeshPool:
     starts: Int32
     hulls: Float32
     grids: Float64
-    facts: Float64
+    measures: Float64
 
     @classmethod
     def of(cls, records: Sequence[Any]) -> MeshPool:
-        """Take the meshes of records; those of a data set are kept on disk for the next time."""
+        """Pack the meshes of records; those of a data set are kept on disk for the next time."""
         name = _name_of(records)
         if name is None:
             return cls.packed(records)
@@ -81,9 +83,9 @@ class MeshPool:
         with contextlib.ExitStack() as stack:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
-                # Whoever comes later finds it made.
+                # Processes that wait find it made.
                 stack.enter_context(locked(path.with_suffix(".lock"), is_patient=True))
-            except (OSError, BusyError) as error:  # nothing can be kept there, or is not released
+            except (OSError, BusyError) as error:  # not writable, or locked for too long
                 _LOG.warning("meshes are sorted again each time: %s", error)
                 return cls.packed(records)
             found = _found(path)
@@ -98,15 +100,15 @@ class MeshPool:
 
     @classmethod
     def packed(cls, records: Iterable[Any]) -> MeshPool:
-        """Take the meshes of records into memory."""
+        """Pack the meshes of records in memory."""
         return cls(*_concat(_parts_of(records)))
 
     def __len__(self) -> int:
         return len(self.grids)
 
-    def fact(self, name: str) -> Float64:
-        """Return a column of the facts."""
-        return np.ascontiguousarray(self.facts[:, FACTS.index(name)])
+    def measure(self, name: str) -> Float64:
+        """Return one measure of each mesh, shape (n,)."""
+        return np.ascontiguousarray(self.measures[:, MEASURES.index(name)])
 
     def hull(self, number: int) -> Float32:
         """Return the hull of a mesh seen from above, shape (h, 2)."""
@@ -115,18 +117,16 @@ class MeshPool:
 
     @property
     def arrays(self) -> tuple[Float32, AnyArray, Int32, Float64]:
-        """What :func:`tactile_envs.kernels.touch` takes."""
+        """The arrays that :func:`tactile_envs.touch_kernels.touch` takes."""
         return self.vertices, self.faces, self.starts, self.grids
 
 
 def _name_of(records: Sequence[Any]) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
-    table = getattr(records, "_table", None)
-    if table is None:
+    if not isinstance(records, RecordDataset):
         return None
-    content = [table.identity]  # what was there when it was loaded, at addresses too
-    rows = np.asarray(cast(Any, records)._rows, np.int64)
-    digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + rows.tobytes())
+    content = [records.identity]  # of the rows as they were when they were loaded
+    digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + records.row_numbers.tobytes())
     return f"meshes-{digest.hexdigest()[:32]}"
 
 
@@ -142,8 +142,10 @@ def _parts_of(records: Iterable[Any]) -> list[Parts]:
         grid[11] = ends[3]
         solid = Mesh(vertices_m, faces)
         foot_m = vertices_m[:, 2].min()
-        facts = [record.label, record.id, foot_m, solid.volume_m3, *solid.center_mass_m]
-        for column, array in zip(columns, [*arrays, grid[None], np.array([facts], np.float64)], strict=True):
+        measures = [record.label, record.id, foot_m, solid.volume_m3, *solid.center_mass_m]
+        for column, array in zip(
+            columns, [*arrays, grid[None], np.array([measures], np.float64)], strict=True
+        ):
             column.append(array)
     if max(map(len, columns[0])) <= 1 << 16:
         columns[1] = [part.astype(np.uint16) for part in columns[1]]
@@ -169,7 +171,7 @@ def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
     large = int(is_large.sum())
     starts = np.searchsorted(cell[order][large:], np.arange(across * up + 1)).astype(np.int32)
     reach_m = extent[~is_large].max(initial=0.0) / 2
-    # In the order in which triangles name them: so corners of one window lie together in memory.
+    # In the order in which triangles name them, so that corners of one window lie together in memory.
     named = faces[upward][order].reshape(-1)
     used, first, number = np.unique(named, return_index=True, return_inverse=True)
     by_use = np.argsort(first)
@@ -193,10 +195,8 @@ def _concat(parts: list[Parts]) -> Parts:
 def _write(stream: IO[bytes], parts: list[Parts]) -> None:
     """Write the arrays one after the other, each as numpy would; none is joined in memory.
 
-    A checksum ends the file: kernels take from it, without looking, where in memory they read.
+    A checksum ends the file, because kernels do not check the places in memory that they read from it.
     """
-    import xxhash
-
     digest = xxhash.xxh3_128()
 
     def write(content: bytes) -> None:
@@ -215,18 +215,13 @@ def _write(stream: IO[bytes], parts: list[Parts]) -> None:
 
 
 def _found(path: Path) -> Parts | None:
-    """Map a file of the cache; None where it is not there, or not as it was written: then it goes."""
-    import xxhash
-
+    """Map a file of the cache; None if it does not exist, or is damaged: then it is removed."""
     arrays: Parts = []
     try:
         with path.open("rb") as stream:
-            size = path.stat().st_size - _CHECKSUM_BYTES
-            content = np.memmap(path, np.uint8, "r") if size >= 0 else np.zeros(_CHECKSUM_BYTES + 1, np.uint8)
-            if (
-                xxhash.xxh3_128_digest(content[:-_CHECKSUM_BYTES].data)
-                != content[-_CHECKSUM_BYTES:].tobytes()
-            ):
+            content = np.memmap(path, np.uint8, "r")  # ValueError for an empty file
+            stored, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
+            if xxhash.xxh3_128_digest(stored.data) != checksum.tobytes():
                 raise ValueError("the meshes do not match their checksum")
             for _ in fields(MeshPool):
                 np.lib.format.read_magic(stream)

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from os import PathLike, fspath
+from pathlib import Path
 from typing import Any
 
-from env_assets.meshes import MeshView, require_fitting_meshes
-from env_assets.provider import KINDS, AssetProvider, meshes_at
-from tactile_envs.config import IDS, Registered, configured
+from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
+from tactile_envs.config import configured
+from tactile_envs.ids import IDS, EnvSpec
 from tactile_toolkit import mesh, store
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError, needs_extra
 
-try:
+with needs_extra("native environments", "ap-gym", "native"):
     from tactile_envs.environment import TactileEnv, TactileVectorEnv
-except ImportError as error:
-    _FEATURE = "native environments"
-    raise MissingExtraError(_FEATURE, error.name or "ap-gym", "native") from error
 
 
 PUBLISHED = "published"
@@ -36,44 +34,55 @@ def make_vector(
     config: Mapping[str, Any] | None = None,
     render_mode: str | None = None,
     threads: int = 1,
+    weights: str | Path | None = None,
 ) -> TactileVectorEnv:
     """Make environments side by side.
 
     Parameters
     ----------
     name : str
-        Registered id, such as ``"TactileMNIST-Depth-train-v0"``.
+        Id, such as ``"TactileMNIST-Depth-train-v0"``.
     num_envs : int
-        How many.
+        Number of environments.
     assets : path or str, optional
         Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
         folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
         default they are made on first use in ``tactile-assets``, which takes a while.
     unit : "mm", "cm", "m" or "in", optional
-        Of mesh files that state none (STL, PLY, OBJ); millimetres by default.
+        Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
     config : mapping, optional
-        Settings that differ from those of the registration; see :class:`tactile_envs.Config`.
+        Settings that differ from those of the id; see :class:`tactile_envs.Config`.
     render_mode : "rgb_array", optional
         Whether ``render()`` gives pictures.
     threads : int
-        How many threads share a step.
+        Number of threads that share a step.
+    weights : path or str, optional
+        Weights for the sensor of CycleGAN environments, ``depth_to_touch.npz`` of ``tactile-sim train``; the
+        published ones by default.
+
+    Returns
+    -------
+    TactileVectorEnv
+        The environments.
 
     Raises
     ------
     InputError
-        No such id or setting; meshes that are absent or do not fit.
+        The id or a setting does not exist; meshes or weights are missing or do not fit.
     """
-    registered = IDS[name]
-    settings = configured(registered.config, config or {})
-    records = _records(registered, assets, unit)
-    where = f"{registered.assets!r}, split {registered.split!r},"
-    kind = KINDS.get(registered.assets) if assets is None else None
+    spec = IDS[name]
+    settings = configured(spec.config, config or {})
+    records = _records(spec, assets, unit)
+    where = f"{spec.assets!r}, split {spec.split!r},"
+    kind = KINDS.get(spec.assets) if assets is None else None
     require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
-    return TactileVectorEnv(registered, settings, records, num_envs, render_mode=render_mode, threads=threads)
+    return TactileVectorEnv(
+        spec, settings, records, num_envs, render_mode=render_mode, threads=threads, weights=weights
+    )
 
 
-def _records(registered: Registered, assets: str | PathLike[str] | None, unit: str | None) -> Any:
-    name, split = registered.assets, registered.split
+def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Any:
+    name, split = spec.assets, spec.split
     if assets is None or assets == PUBLISHED:
         mesh.refuse_unit(unit, name)
     if assets is None:

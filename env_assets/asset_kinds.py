@@ -1,0 +1,63 @@
+"""Kinds of assets, and opening data sets of them."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+import pyarrow as pa
+
+from env_assets.wrench.kind import KIND as WRENCH
+from env_assets.wrench.records import WrenchDataset
+from mnist3d import DigitDataset
+from mnist3d.kind import KIND as DIGITS
+from starstruck_gen import SceneMeshDataset
+from starstruck_gen.kind import KIND as SCENES
+from tactile_toolkit import mesh, read
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.mesh import SolidDataset as SolidDataset
+from tactile_toolkit.places import kind_of_rows
+
+KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
+"""Assets that the toolkit can make without any input, by name."""
+
+THIRD_PARTY_ASSETS: dict[str, str] = {
+    "abc": "CAD models of the ABC data set; the published selection is "
+    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
+}
+"""Assets that this toolkit does not make, and where the published ones are from."""
+
+MeshSet = DigitDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
+_DATASETS: dict[str, Any] = {
+    DIGITS.name: DigitDataset,
+    SCENES.name: SceneMeshDataset,
+    WRENCH.name: WrenchDataset,
+}
+
+
+def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
+    """Open the shards of one split as the data set that they are.
+
+    InputError if these are not meshes, or of another kind than their name states. The published wrench has
+    none of our columns: meshes that are not known to be of another kind will do for one.
+    """
+    # Imported now: a process that is forked while another thread imports something waits forever for the lock
+    # of that import. The first time that Arrow makes an array of numpy, it looks for pandas.
+    for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
+        import_module(module)
+    pa.array([0]).to_numpy()
+    table = read.ShardedTable(shards)
+    mesh.require_mesh_columns(table.schema, name, DIGITS.made_by)
+    kind, expected = kind_of_rows(table.schema), KINDS.get(name)
+    names = read.class_names(table.schema, getattr(kind, "class_names", ()))
+    if expected is not None and kind is not expected and (kind is not None or expected.published):
+        raise InputError(
+            f"{name!r} was expected to hold {expected.nouns}, found "
+            f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
+            next=f"give the data set by another name, or put {expected.nouns} in its place",
+        )
+    dataset = _DATASETS.get(getattr(kind, "name", ""), SolidDataset)
+    opened: MeshSet = dataset(table, label_names=names)
+    return opened

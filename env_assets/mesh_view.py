@@ -1,0 +1,175 @@
+"""Meshes as environments use them, whether they come from a data set, from files or from memory."""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import operator
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property, partial
+from typing import Any
+
+import numpy as np
+
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int32
+from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.read import RecordDataset, picks_several, positions
+
+_FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
+
+
+@dataclass(frozen=True, eq=False)
+class LazyMesh:
+    """A record whose mesh is read when it is asked for; ``name`` is that of its file."""
+
+    id: int
+    label: int
+    read: Callable[[], Any]
+    name: str = ""
+
+    @property
+    def mesh(self) -> Any:
+        """The mesh, metres, a ``trimesh.Trimesh``; the least recently used are evicted from memory."""
+        return _MESHES.get_or_make(self, self.read)
+
+    @property
+    def vertices_m(self) -> Float32:
+        """Vertices, shape (V, 3), metres."""
+        return np.asarray(self.mesh.vertices, np.float32)
+
+    @property
+    def faces(self) -> Int32:
+        """Triangles, shape (F, 3), counter-clockwise seen from outside."""
+        return np.asarray(self.mesh.faces, np.int32)
+
+
+_MESHES = MemoryCache[LazyMesh, Any](64)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshView(Sequence[Any]):
+    """A sequence of records of meshes, with their classes and measures.
+
+    Attributes
+    ----------
+    records : sequence
+        Records as :meth:`env_assets.AssetSource.meshes` describes them.
+    label_names : tuple of str
+        Classes, in order.
+    flat : bool
+        Whether each mesh is turned onto its broadest side when it is read (:func:`flat_turn`).
+    """
+
+    records: Sequence[Any]
+    label_names: tuple[str, ...]
+    flat: bool = False
+
+    @classmethod
+    def of(cls, meshes: Any, label_names: Sequence[str] = ()) -> MeshView:
+        """Return a view of a sequence of meshes.
+
+        ``label_names`` are the classes of a sequence that does not name its own; numbers by default.
+        InputError if it holds something else, or a label is not a number.
+        """
+        if isinstance(meshes, MeshView):
+            return meshes
+        if isinstance(meshes, RecordDataset) and hasattr(meshes.record_class, "mesh"):
+            return cls(meshes, tuple(meshes.label_names))
+        is_plain = isinstance(meshes, Sequence) and not isinstance(meshes, (str, bytes, RecordDataset))
+        # Of the first alone: reading all fields of a lazy sequence would read all meshes.
+        if not (is_plain and meshes and all(hasattr(meshes[0], name) for name in _FIELDS)):
+            raise InputError(
+                f"a data set of meshes was expected, found {type(meshes).__name__}",
+                next="open one by `mnist3d.load`, or give a folder of meshes or a sequence of records with "
+                "id, label, vertices_m, faces and mesh",
+            )
+        labels: list[Any] = [getattr(record, "label", None) for record in meshes]
+        for row, label in enumerate(labels):
+            if not isinstance(label, (int, np.integer)):
+                raise InputError(
+                    f"record {row} has label {label!r}; expected the number of its class, from 0 on"
+                )
+        names = tuple(getattr(meshes, "label_names", label_names))
+        return cls(meshes, names or tuple(map(str, range(max(labels) + 1))))
+
+    def __len__(self) -> int:
+        return len(self.records)
+
+    def __getitem__(self, key: Any) -> Any:
+        """Return a record (int), or a view of some of them (slice, ints, mask)."""
+        if not picks_several(key):
+            record = self.records[operator.index(key)]
+            if self.flat:
+                return LazyMesh(record.id, record.label, partial(_laid_flat, record))
+            return record
+        if isinstance(self.records, RecordDataset):
+            return MeshView(self.records[key], self.label_names, self.flat)
+        chosen = [self.records[row] for row in positions(key, len(self)).tolist()]
+        return MeshView(chosen, self.label_names, self.flat)
+
+    def column(self, name: str) -> AnyArray:
+        """Return one value of each record, shape (n,); reads no mesh of a data set."""
+        if isinstance(self.records, RecordDataset):
+            return self.records.column(name)
+        return np.array([getattr(record, name) for record in self.records])
+
+    @cached_property
+    def volumes_m3(self) -> Float64:
+        """Volume of each mesh, shape (n,), cubic metres; negative if the triangles face inwards."""
+        if isinstance(self.records, RecordDataset):
+            with contextlib.suppress(InputError):  # the published data sets store no volumes
+                return np.asarray(self.records.column("volume_m3"), np.float64)
+        return np.array([_volume_m3(record) for record in self.records], np.float64)
+
+    @cached_property
+    def bounds_m(self) -> Float64:
+        """Lowest and highest corner of each mesh before it is turned, shape (n, 2, 3), metres."""
+        bounds = [mesh_bounds_m(record.vertices_m, f"mesh {record.id}") for record in self.records]
+        return np.array(bounds, np.float64).reshape(-1, 2, 3)
+
+
+def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
+    """Return the lowest and highest corner of vertices, shape (2, 3), metres; InputError without vertices."""
+    if not len(vertices_m):
+        raise InputError(
+            f"{where} has no vertices", next="run `validate` on the data set and generate it again"
+        )
+    # Column by column: numpy reduces short rows slowly.
+    return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
+
+
+def _volume_m3(record: Any) -> float:
+    vertices_m, faces = record.vertices_m, record.faces
+    # numpy would raise an error of its own, or take the last vertex for -1.
+    missing = faces[(faces < 0) | (faces >= len(vertices_m))]
+    if len(missing):
+        raise InputError(
+            f"mesh {record.id} has triangles that name vertex {missing[0]}, but only {len(vertices_m):,} "
+            "vertices",
+            next="run `validate` on the data set and generate it again",
+        )
+    return Mesh(vertices_m, faces).volume_m3
+
+
+def flat_turn(mesh: Any) -> Float64:
+    """Return the rotation, shape (3, 3), that turns the shortest side of the box around a mesh upright.
+
+    Of the other two sides, the one that lies more along x becomes x; the upper side stays up. The package
+    does so itself with ``smallest_dimension_up``, but fails with scipy 1.17, whose rotations refuse the
+    read-only corners of trimesh's boxes.
+    """
+    box = mesh.bounding_box_oriented.primitive
+    short, *others = np.asarray(box.transform)[:3, :3].T[np.argsort(box.extents)]
+    up = math.copysign(1.0, short[2]) * short
+    # From the longest on: of two sides that lie alike, the package takes the longer one.
+    along = max(reversed(others), key=lambda side: abs(side[0]))
+    return np.stack([along, np.cross(up, along), up])
+
+
+def _laid_flat(record: Any) -> Any:
+    turned = record.mesh.copy()
+    turned.vertices = turned.vertices @ flat_turn(record.mesh).T
+    return turned

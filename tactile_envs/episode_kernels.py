@@ -1,0 +1,97 @@
+"""Kernels of episodes, in numba: placing objects, aiming sensors, and scoring classes.
+
+All of them lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.compiled import compiled
+
+
+@compiled
+def aim(
+    actions: Float32,
+    motion: Float64,
+    sensors: Float64,
+    targets: Float64,
+    costs: Float32,
+) -> None:
+    """Turn actions (n, 3) into targets (n, 3), metres, and what they cost, (n,).
+
+    Actions are parts of the longest way, in a ball of radius 1; ``motion``, shape (8,), the lowest and the
+    highest position, metres (6), the longest way, metres, and the price of an action. In the precisions of
+    the published environment.
+    """
+    one, price = np.float32(1.0), np.float32(motion[7])
+    for i in range(len(actions)):
+        x, y, z = actions[i, 0], actions[i, 1], actions[i, 2]
+        length = np.float32(math.sqrt((x * x + y * y) + z * z))
+        for axis in range(3):
+            way = actions[i, axis] / length if length > one else actions[i, axis]
+            aimed = sensors[i, axis] + np.float64(way) * motion[6]
+            targets[i, axis] = min(max(aimed, motion[axis]), motion[axis + 3])
+        costs[i] = ((-(x * x) * price + -(y * y) * price) + -(z * z) * price) / np.float32(3.0)
+
+
+@compiled
+def place(
+    numbers: Int64,
+    drawn: Float64,
+    most_turn_rad: float,
+    room: Float64,
+    hulls: Float32,
+    grids: Float64,
+    objects: Float64,
+) -> None:
+    """Place objects in their cells, inside ``room`` (half of width and depth, metres), by random numbers.
+
+    ``drawn``, shape (n, 3), are from 0 to 1, for the turn and both coordinates; ``objects``, shape (n, 3), is
+    written: metres, radians.
+    """
+    for i in range(len(numbers)):
+        first, last = int(grids[numbers[i], 10]), int(grids[numbers[i], 11])
+        turn_rad = (drawn[i, 0] * 2 - 1) * most_turn_rad
+        least_x, least_y, most_x, most_y = spread_of_turned(
+            hulls[first:last], math.cos(turn_rad), math.sin(turn_rad)
+        )
+        for axis in range(2):
+            low = -room[axis] - (least_x if axis == 0 else least_y)
+            high = room[axis] - (most_x if axis == 0 else most_y)
+            if low > high:
+                low = high = (low + high) / 2
+            objects[i, axis] = drawn[i, axis + 1] * (high - low) + low
+        objects[i, 2] = turn_rad
+
+
+@compiled
+def classify(logits: Float32, labels: Int64) -> tuple[Float64, Bool]:
+    """Return cross-entropies of logits (n, classes), and whether the label has the first of the greatest."""
+    entropies, is_right = np.empty(len(logits)), np.empty(len(logits), np.bool_)
+    for i in range(len(logits)):
+        best, most = 0, logits[i, 0]
+        for k in range(1, logits.shape[1]):
+            if logits[i, k] > most:
+                best, most = k, logits[i, k]
+        total = 0.0
+        for k in range(logits.shape[1]):
+            total += math.exp(np.float64(logits[i, k]) - most)
+        entropies[i] = math.log(total) - (np.float64(logits[i, labels[i]]) - most)
+        is_right[i] = best == labels[i]
+    return entropies, is_right
+
+
+@compiled
+def spread_of_turned(hull: Float32, cosine: float, sine: float) -> tuple[float, float, float, float]:
+    """Return least and greatest x and y of turned points (n, 2)."""
+    least_x, least_y, most_x, most_y = np.inf, np.inf, -np.inf, -np.inf
+    for point in range(len(hull)):
+        x, y = np.float64(hull[point, 0]), np.float64(hull[point, 1])
+        over, up = cosine * x - sine * y, sine * x + cosine * y
+        least_x, most_x = min(least_x, over), max(most_x, over)
+        least_y, most_y = min(least_y, up), max(most_y, up)
+    return least_x, least_y, most_x, most_y

@@ -1,0 +1,49 @@
+"""Where sensors may go, and what an action costs."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from tactile_envs.config import Config
+from tactile_envs.episode_kernels import aim
+from tactile_toolkit.array_types import Float32, Float64
+
+_TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """Limits and costs of the motion of sensors.
+
+    Attributes
+    ----------
+    low_m, high_m : ndarray of float64, shape (3,)
+        Lowest and highest position, metres, cell frame.
+    numbers : ndarray of float64, shape (8,)
+        Both, the longest way of an action, metres, and the price of an action, as kernels take them.
+    """
+
+    low_m: Float64
+    high_m: Float64
+    numbers: Float64
+
+    @classmethod
+    def of(cls, config: Config) -> Self:
+        """Return the motion of a configuration."""
+        reach_m = np.array(config.cell_size) / 2 - np.array(config.cell_padding)
+        low_m, high_m = np.array([*-reach_m, 0.0]), np.array([*reach_m, _TOP_M])
+        costs = [config.longest_way_m, config.action_regularization]
+        return cls(low_m, high_m, np.concatenate([low_m, high_m, costs]))
+
+    def random_places(self, rng: np.random.Generator, *shape: int) -> Float64:
+        """Draw positions, shape (*shape, 2), metres."""
+        return rng.uniform(self.low_m[:2], self.high_m[:2], (*shape, 2))
+
+    def aim(self, ways: Float32, sensors: Float64, targets: Float64) -> Float32:
+        """Write targets (n, 3) of actions (n, 3) of sensors (n, 3); return the costs of the actions, (n,)."""
+        costs = np.zeros(len(ways), np.float32)
+        aim(ways, self.numbers, sensors, targets, costs)
+        return costs

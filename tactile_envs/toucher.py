@@ -1,0 +1,99 @@
+"""Touching in many environments at once, on several threads."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from tactile_envs.episodes import Episodes
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.motion import Motion
+from tactile_envs.touch_kernels import PADDING, touch
+from tactile_sim import center_view
+from tactile_toolkit.array_types import Bool, Float32, Float64
+
+_PARTS_A_THREAD = 8
+
+
+class Touches(NamedTuple):
+    """One touch of each environment.
+
+    ``images`` (n, H, W) are depth images; ``depths_m``, likewise or (0, 0, 0), distances from the camera of
+    the gel, metres; ``positions`` (n, 3) what sensors observe of theirs, -1 to 1; ``is_bare`` (n,) whether
+    the gel touched the plate alone.
+    """
+
+    images: Float32
+    depths_m: Float32
+    positions: Float32
+    is_bare: Bool
+
+
+class Toucher:
+    """Brings sensors down.
+
+    Parameters
+    ----------
+    size_px : tuple of int
+        Width and height of the depth images, pixels.
+    num_envs : int
+        How many environments.
+    threads : int
+        How many threads share a touch.
+    """
+
+    def __init__(self, size_px: tuple[int, int], num_envs: int, threads: int) -> None:
+        self._shape = (num_envs, *size_px[::-1])
+        view = center_view(*size_px)
+        self.window_m = view.window_m
+        middle = [size / 2 - 0.5 - at for size, at in zip(size_px, view.sample_px, strict=True)]
+        self._window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
+        # Touches on objects take ten times as long as others: threads take small parts in turns.
+        parts = np.array_split(range(num_envs), max(1, (threads > 1) * threads * _PARTS_A_THREAD))
+        self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
+        room = (size_px[1], size_px[0] + PADDING)
+        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, len(self._parts)))]
+        self._threads: ThreadPoolExecutor | None = None
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave threads behind."""
+        return {**self.__dict__, "_threads": None}
+
+    def touch(
+        self, pool: MeshPool, episodes: Episodes, motion: Motion, drift: Float64, *, with_depth: bool
+    ) -> Touches:
+        """Bring the sensors down where they are; then let the objects slip by ``drift``, as of the kernel."""
+        count = self._shape[0]
+        depth_shape: Sequence[int] = (0, 0, 0)
+        if with_depth:
+            depth_shape = self._shape
+        touches = Touches(
+            np.empty(self._shape, np.float32),
+            np.empty(depth_shape, np.float32),
+            np.empty((count, 3), np.float32),
+            np.empty(count, np.bool_),
+        )
+        read = (self._window, motion.numbers, drift, pool.arrays, episodes.chosen)
+        parts = iter(self._parts)  # shared by the threads: taking the next is one step for all of them
+
+        def run(room: Float32) -> None:
+            for part in parts:
+                touch(part.start, part.stop, *read, episodes.sensors, episodes.objects, room, *touches)
+
+        helpers = []
+        if len(self._rooms) > 1:
+            self._threads = self._threads or ThreadPoolExecutor(len(self._rooms) - 1)
+            helpers = [self._threads.submit(run, room) for room in self._rooms[1:]]
+        run(self._rooms[0])
+        for helper in helpers:
+            if not helper.cancel():  # one that did not start has nothing left to do
+                helper.result()
+        return touches
+
+    def close(self) -> None:
+        """End the threads."""
+        if self._threads is not None:
+            self._threads.shutdown()

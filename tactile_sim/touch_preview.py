@@ -1,0 +1,94 @@
+"""One touch of one solid, without a data set around it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_sim.generation import depth_sensor, noisy
+from tactile_sim.optics import make_optics
+from tactile_sim.poses import pose
+from tactile_sim.pressable import Pressable
+from tactile_sim.pressing import render_touch
+from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.round_plan import on_object
+from tactile_sim.touch_spec import GenerateSpec
+from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit.mesh import MeshLike
+from tactile_toolkit.touch import RENDERED_CONTACT_M
+
+# On a surface as large as the cell they are two millimetres apart.
+_POINTS = 4096
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TouchPreview:
+    """One touch.
+
+    Attributes
+    ----------
+    picture : ndarray of uint8, shape (H, W, 3)
+        The image.
+    sensor_z_m : float
+        Height of the sensor, metres.
+    contact : float
+        Share of the image in which the gel touches the object; 0 if it touches the plate alone.
+    bounds_m : ndarray of float64, shape (2, 2)
+        Least, then greatest x and y of the object as it stands, metres, cell frame.
+    """
+
+    picture: UInt8
+    sensor_z_m: float
+    contact: float
+    bounds_m: Float64
+
+
+def preview_touch(
+    mesh: MeshLike, spec: GenerateSpec, at_m: tuple[float, float] | None, turn_rad: float = 0.0
+) -> TouchPreview:
+    """Press the gel once onto a solid that stands on the plate.
+
+    Parameters
+    ----------
+    mesh : Mesh, record or trimesh.Trimesh
+        A closed mesh, metres.
+    spec : GenerateSpec
+        What the touch looks like; its plan is not used.
+    at_m : tuple of float or None
+        Where the gel goes, x and y from the solid's own origin, metres. None puts the solid under the gel: at
+        the point of it that is nearest to its middle as seen from above.
+    turn_rad : float
+        Rotation of the solid about z, radians.
+
+    Returns
+    -------
+    TouchPreview
+
+    Raises
+    ------
+    InputError
+        As :func:`tactile_sim.render_touch`.
+    """
+    optics = make_optics(spec.optics, spec.weights)
+    sensor = depth_sensor(spec, optics)
+    solid = Pressable.of(mesh, layer_m=spec.layer_m)
+    stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
+    x_m, y_m = at_m or (0.0, 0.0)
+    if at_m is None:
+        # A ring has no point in its middle.
+        points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
+        away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
+        stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
+    pressed = render_touch(solid, stands, pose(x_m, y_m), sensor)
+    # Noise is drawn as for round 0 of object 0, so that it is the same each time.
+    pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
+    picture = noisy(spec, pictures, "look", 0, 0)[0]
+    is_object = pressed.sensor_z_m - pressed.depth_m >= RENDERED_CONTACT_M
+    touched = float((is_object & (pressed.depth_m < sensor.gel_m)).mean())
+    return TouchPreview(picture, float(pressed.sensor_z_m), touched, _bounds_m(solid, stands))
+
+
+def _bounds_m(solid: Pressable, stands: Float64) -> Float64:
+    corners_m = solid.vertices_m @ stands[:2, :3].T + stands[:2, 3]
+    return np.array([corners_m.min(axis=0), corners_m.max(axis=0)])

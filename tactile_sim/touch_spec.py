@@ -1,0 +1,263 @@
+"""Specifications of data sets of touches: where the gel goes, and what a touch looks like.
+
+This module is imported by commands for their options, and imports nothing heavy.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, fields
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any, Literal
+
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.touch import size_option
+
+if TYPE_CHECKING:
+    from tactile_sim.sensor_noise import SensorNoise
+    from tactile_sim.touch_table import TouchTable
+    from tactile_toolkit.catalog import IdChoice
+
+OPTICS = ("depth", "taxim", "cyclegan")
+"""Names of the optics, by which depth becomes an image."""
+
+WINDOWS = {"center": "environment", "full": "published"}
+"""Windows of the gel that an image shows, and how manifests name them."""
+
+POSITIONS = ("cell", "grid", "object", "given")
+"""Ways of choosing where the gel goes."""
+
+TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
+"""Greatest rotation of an object, radians: of the environments that classify, of all others, and none."""
+
+SENSOR_NOISE = "none|calibrated|FILE"
+"""Values of the options for the noise of a sensor."""
+
+# A round is held in memory: at 320 x 240 pixels these are 0.9 GB of images and 2.5 GB of depth.
+_MOST_TOUCHES = 4096
+_MOST_ROUNDS = 1_000_000
+
+_STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "shift"}  # in manifests
+
+_checked_size_px = lazy("tactile_sim.sensor:checked_size_px")
+_checked_layer_m = lazy("tactile_sim.pressable:checked_layer_m")
+_checked_noise = lazy("tactile_sim.sensor_noise:checked_noise")
+_named_noise = lazy("tactile_sim.sensor_noise:SensorNoise.named")
+_weights_facts = lazy("tactile_sim.learned.weights:weights_facts")
+
+
+def default_optics() -> str:
+    """Return the optics of commands: Taxim where the extra `sim` is installed, otherwise depth."""
+    return "depth" if find_spec("taxim") is None else "taxim"
+
+
+def _turn_rad(word: str) -> float:
+    if word not in TURNS:
+        raise InputError(f"--turn is {word!r}; expected one of {', '.join(TURNS)}")
+    return TURNS[word]
+
+
+def _layer_m(words: str) -> float:
+    try:
+        layer_m = float(words) / 1e3
+    except ValueError:
+        raise InputError(f"--layer-mm is {words!r}; expected a number") from None
+    checked: float = _checked_layer_m(layer_m)
+    return checked
+
+
+@dataclass(frozen=True)
+class TouchPlan:
+    """How often and where each object is touched.
+
+    Attributes
+    ----------
+    rounds : int
+        Rounds of each object; it is placed again in each.
+    touches : int
+        Number of touches in a round.
+    positions : str
+        Where the gel goes: ``"cell"``, uniform in what it reaches; ``"grid"``, rows from the front left;
+        ``"object"``, uniform on the object as seen from above; ``"given"``, as in the table ``given``.
+    given : TouchTable, optional
+        Where the gel goes with ``positions="given"``, and how the object lies, if the table has such columns.
+        Then ``touches`` is the longest round of the table, and ``rounds`` their number, if it numbers them.
+    turn_rad : float
+        Objects are rotated about z by at most this angle either way, radians; 0 leaves them as they are.
+    object_placement : str
+        ``"random"``: anywhere in the cell, a centimetre from its edge, as in the environments; ``"middle"``:
+        the origin of the mesh in the middle of the cell.
+    perturb : bool
+        Move the object after each touch as the environments do: N(0, 1 mm) along x and y of its own frame,
+        and N(0, 0.05 rad) about z.
+    seed : int
+        Seed of everything that is drawn.
+    """
+
+    rounds: int = integer(16, 1, _MOST_ROUNDS, help="Number of rounds of each object.")
+    touches: int = integer(32, 1, _MOST_TOUCHES, help="Number of touches in a round.")
+    positions: str = choice(
+        "cell",
+        POSITIONS,
+        help="Where the gel goes: at random in the cell, on a grid, at random on the object, or as given "
+        "by --touches-from.",
+    )
+    given: TouchTable | None = text(
+        name="--touches-from",
+        metavar="FILE",
+        read=lazy("tactile_sim.touch_table:TouchTable.read"),
+        help="Table of touches, CSV or TSV: x_m, y_m; object_id, round; object_x_m, object_y_m, "
+        "object_turn_rad.",
+    )
+    turn_rad: float = real(
+        math.pi / 8,
+        0,
+        math.pi,
+        name="--turn",
+        metavar="digits|any|none",
+        shown="digits",
+        read=_turn_rad,
+        help="Random rotation of the object: up to 22.5 degrees, any angle, or none.",
+    )
+    object_placement: str = choice("random", ("random", "middle"))
+    perturb: bool = switch(True, help="Move the object a little after each touch, as the environments do.")
+    seed: int = integer(0, help="Random seed.")
+
+    def __post_init__(self) -> None:
+        given = self.given
+        if (self.positions == "given") != hasattr(given, "longest"):
+            held = type(given).__name__.replace("NoneType", "none")
+            raise InputError(
+                f"the plan of touches has positions {self.positions!r}, and its given touches are {held}; "
+                "expected positions 'given' and a TouchTable, or neither",
+                next="--positions given --touches-from FILE",
+            )
+        if given is not None:
+            object.__setattr__(self, "touches", given.longest)
+            object.__setattr__(self, "rounds", given.rounds or self.rounds)
+        check_fields(self, "the plan of touches")
+
+    def touches_of(self, object_id: int, number: int) -> int:
+        """Return how many touches a round of an object has; 0 where a given plan does not name it."""
+        if self.given is None:
+            return self.touches
+        return len(self.given.of(object_id, number)[0])
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide every pose."""
+        values = {_STORED_NAMES.get(each.name, each.name): getattr(self, each.name) for each in fields(self)}
+        if self.given is not None:
+            values["given"] = self.given.to_dict()
+        return values
+
+
+@dataclass(frozen=True)
+class GenerateSpec:
+    """Everything that decides the touches of a set of solids.
+
+    Attributes
+    ----------
+    size_px : tuple of int
+        Width and height of the images, pixels.
+    optics : str
+        How depth becomes an image: ``"depth"``, ``"taxim"`` or ``"cyclegan"``.
+    window : str
+        ``"center"``: rendered in this size, with the window that the environments show in it;
+        ``"full"``: rendered as 320 x 240 pixels of the full view of the sensor and scaled to the size.
+    plan : TouchPlan
+        Where the gel goes.
+    image_format : str
+        ``"jpeg"`` or ``"png"``.
+    quality : int
+        Quality of JPEGs, 1 to 100.
+    weights : str or None
+        File of weights for ``"cyclegan"``; the published ones by default.
+    limit : int or None
+        Only the first ``limit`` objects of each split.
+    layer_m : float
+        Height of the layers in which the solids are printed, metres; 0 for solids as they are modelled.
+    noise : SensorNoise or None
+        Noise of a real sensor, drawn for each set, object, round and touch, and added last, to the image in
+        its final size. Not for ``"depth"``, which is not the image of a camera.
+    ids, labels, per_class : optional
+        Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
+        of these the first ``per_class`` of each class of a split; then ``limit``.
+    """
+
+    size_px: tuple[int, int] = size_option((64, 64), shown="64x64")
+    optics: str = choice(
+        "taxim", OPTICS, shown="taxim; depth without the extra sim", help="How an image is made from depth."
+    )
+    window: str = choice(
+        "center",
+        tuple(WINDOWS),
+        help="center: what the environments show in this size; full: the full view of the sensor, as in "
+        "published sets.",
+    )
+    plan: TouchPlan = field(default_factory=TouchPlan)
+    image_format: Literal["jpeg", "png"] = choice(
+        "jpeg", ("jpeg", "png"), name="--format", help="Format of the images."
+    )
+    quality: int = integer(95, 1, 100, help="Quality of JPEGs, 1 to 100.")
+    weights: str | None = text(
+        metavar="FILE", read=str, help="Weights for cyclegan; those of tactile-mnist by default."
+    )
+    limit: int | None = integer(None, 1, optional=True)
+    layer_m: float = real(
+        0.0,
+        name="--layer-mm",
+        metavar="MM",
+        shown="0, smooth",
+        read=_layer_m,
+        help="Height of the layers of a 3D print, whose surface is rendered.",
+    )
+    noise: SensorNoise | None = text(
+        name="--sensor-noise",
+        metavar=SENSOR_NOISE,
+        shown="none",
+        read=_named_noise,
+        help="Noise of a real sensor on the images: none, as calibrated in tactile-mnist, or as in a JSON "
+        "file.",
+    )
+    ids: IdChoice | None = None
+    labels: Sequence[str] | None = None
+    per_class: int | None = integer(None, 1, optional=True)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "size_px", _checked_size_px(self.size_px))
+        object.__setattr__(self, "layer_m", _checked_layer_m(self.layer_m))
+        check_fields(self, "the touches")
+        object.__setattr__(self, "noise", _checked_noise(self.noise, "noise"))
+        if self.noise is not None and self.optics == "depth":
+            raise InputError(
+                "the optics 'depth' have no noise: it is that of a camera's images", next="--optics taxim"
+            )
+
+    @property
+    def chosen(self) -> dict[str, Any]:
+        """Restrictions to some of the objects, by name; empty where all are touched."""
+        named = {"ids": self.ids, "labels": self.labels, "per_class": self.per_class}
+        return {name: value for name, value in named.items() if value is not None}
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that decide the images and poses."""
+        # By content: the same weights under another name give the same images.
+        network: dict[str, Any] = {"weights_sha256": None}
+        if self.optics == "cyclegan":
+            network = _weights_facts(self.weights)
+        return {
+            "size_px": list(self.size_px),
+            "optics": self.optics,
+            "like": WINDOWS[self.window],
+            "plan": self.plan.to_dict(),
+            "image_format": self.image_format,
+            "quality": self.quality if self.image_format == "jpeg" else None,
+            **network,
+            "limit": self.limit,
+            "layer_m": self.layer_m,
+            "noise": self.noise and self.noise.to_dict(),
+            **self.chosen,
+        }
