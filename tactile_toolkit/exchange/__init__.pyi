@@ -3,13 +3,15 @@
 from .copies import (
     divide as divide,
     merge_sets as merge_sets,
-    plan_tables as plan_tables,
     write_part as write_part,
 )
 from .download import (
     DownloadPlan as DownloadPlan,
     plan_download as plan_download,
     run_download as run_download,
+)
+from .flat_tables import (
+    plan_tables as plan_tables,
 )
 from .upload_options import (
     MAIN_BRANCH as MAIN_BRANCH,

@@ -1,39 +1,22 @@
-"""Data sets made of others: merged, divided, or as tables for other libraries and the Hub's page."""
+"""Copies of data sets: several merged into one, or one divided into several."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain, pairwise
-from pathlib import Path
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
-from tactile_toolkit import catalog, mesh, read, store
-from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit import catalog, read, store
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
-from tactile_toolkit.kind import EXPORT, MERGE, SPLIT, DatasetKind, kinds
+from tactile_toolkit.kind import MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
-from tactile_toolkit.run import in_threads
-from tactile_toolkit.system import usable_cores
-
-if TYPE_CHECKING:
-    pass
-
-
-Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], AnyArray]]"
-
-_ROWS_PER_FILE = 1000
-# 100 digits are 12 MB unpacked. Level 9 makes their files 8 % smaller and takes three times as long.
-_STYLE = store.ParquetStyle(100, compression_level=3, encodings=((f"{mesh.MESH}.bytes", "PLAIN"),))
-# Made once and read by many users; at level 9 the meshes of digits are a fifth larger.
-_VIEWER_STYLE = replace(_STYLE, compression_level=19)
-# Shards in memory at a time; compression at level 19 takes about 100 MB more for each.
-_MOST_AT_ONCE = 8
 
 
 def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> store.ShardContent:
@@ -184,7 +167,7 @@ def _build(
         ]
     if not tasks:
         raise InputError(f"no row is left for {out!r}", next="choose a larger part")
-    options = {**options, **_unfinished(sources)}
+    options = {**options, **unfinished_counts(sources)}
     specs = [source.spec for source in sources]
     if any(source.is_imported for source in sources):
         options = {**options, "touches": "imported"}  # the terms of their source apply
@@ -192,11 +175,11 @@ def _build(
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
     made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
     style = _style([*shards, *chain.from_iterable(found.values())])
-    plan = _copy_plan(made, operation, options, found, source_spec, tasks, style)
+    plan = copy_plan(made, operation, options, found, source_spec, tasks, style)
     return store.build(folder, plan, write_card=made.write_card, **run)
 
 
-def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
+def unfinished_counts(sources: Iterable[_Source | Place]) -> dict[str, str]:
     """Return for the specification of a copy how much of unfinished sources there was."""
     counts = [each.unfinished for each in sources if each.unfinished]
     if counts:
@@ -204,7 +187,7 @@ def _unfinished(sources: Iterable[_Source | Place]) -> dict[str, str]:
     return {}
 
 
-def _copy_plan(
+def copy_plan(
     kind: DatasetKind,
     operation: str,
     options: JsonObject,
@@ -239,63 +222,3 @@ def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
         if not each.has_dictionary_page
     ]
     return store.ParquetStyle(group.num_rows, encodings=tuple(encodings))
-
-
-def _flat_rows(_shard: store.ShardName, rows: Any) -> store.ShardContent:
-    return store.ShardContent(mesh.flat_table(rows))
-
-
-def plan_tables(
-    kind: DatasetKind, place: Place, choices: Choices, chosen: JsonObject, out: str
-) -> store.BuildPlan:
-    """Plan Parquet files of chosen rows of splits, which other libraries read.
-
-    ``chosen`` is what :func:`~tactile_toolkit.catalog.choose_rows` chose them by. Raises as all makers
-    of folders do.
-    """
-    tasks, shards = [], {}
-    for split, rows, places in choices:
-        shards[split] = rows.files
-        starts = range(0, len(places), _ROWS_PER_FILE)
-        for index, start in enumerate(starts):
-            part = rows[places[start : start + _ROWS_PER_FILE]]
-            tasks.append(store.ShardTask(store.ShardName(split, index, len(starts)), part, _flat_rows))
-    options = {
-        "layout": "flat",
-        "ids": ",".join(map(catalog.id_text, chosen["ids"] or ())) or None,
-        "labels": ",".join(chosen["labels"] or ()) or None,
-        "limit": chosen["limit"],
-        **({} if chosen["per_class"] is None else {"per_class": chosen["per_class"]}),
-        **_unfinished([place]),
-    }
-    every = [shard for found in shards.values() for shard in found]
-    catalog.refuse_source(store.open_folder(out), place.name, every)
-    return _copy_plan(kind, EXPORT, options, shards, place.made_by or None, tasks, _STYLE, "trimesh")
-
-
-def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path) -> dict[str, str]:
-    """Write a file for each shard that the Hub's page shows; return their digests by path in ``out``.
-
-    They hold each row with its mesh as a GLB file, as a second configuration of the repository. They repeat
-    the shards, so they are made for an upload only; loaders and downloads ignore them. Raises InputError if
-    the rows have no mesh.
-    """
-    (out / store.VIEWER_FOLDER).mkdir()
-
-    def make(record: store.ShardRecord) -> tuple[str, str]:
-        shard = read.Shard(folder.address(record.shard.data_path), record.rows)
-        if not {mesh.VERTICES, mesh.FACES} <= set(read.column_names(shard.schema)):
-            raise InputError(
-                f"--viewer shows meshes in 3D, and {folder.address()!r} holds none (the Hub shows images and "
-                "clips without it); nothing was sent",
-                next="leave --viewer out",
-            )
-        rows = mesh.SolidDataset[Any](
-            read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
-        )
-        content = store.encode_parquet(mesh.flat_table(rows), _VIEWER_STYLE)
-        path = f"{store.VIEWER_FOLDER}/{record.shard}.parquet"
-        (out / path).write_bytes(content)
-        return path, store.sha256_hex(content)
-
-    return dict(in_threads(make, manifest.shards, min(usable_cores(), _MOST_AT_ONCE)))

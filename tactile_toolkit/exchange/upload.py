@@ -18,6 +18,7 @@ from typing import Any
 
 from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
@@ -275,8 +276,6 @@ def _files_to_send(
     """Collect the files to send, with the card for the Hub."""
     root, made = Path(place.address()), dict[str, str]()
     if options.viewer:
-        from tactile_toolkit.exchange.copies import viewer_tables
-
         made = viewer_tables(place, manifest, scratch)
         manifest = replace(manifest, files={**manifest.files, **made})
     paths, facts = collect(root, manifest), cards.folder_summary(place, manifest)
