@@ -42,7 +42,7 @@ def plan_tables(
     """
     tasks, shards = [], {}
     for split, rows, places in choices:
-        shards[split] = rows._table.files
+        shards[split] = rows.files
         starts = range(0, len(places), _ROWS_PER_FILE)
         for index, start in enumerate(starts):
             part = rows[places[start : start + _ROWS_PER_FILE]]
