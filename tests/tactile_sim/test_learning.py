@@ -142,7 +142,7 @@ def test_pairs_that_are_not_finished_or_too_few_are_no_training_set(sources, pai
     with pytest.raises(InputError, match=r"few' holds 12 images .*, 10 with contact, .*at least 40.*--count"):
         evaluate(trained, str(tmp_path / "few"), baselines=())
     make_pairs(*sources, "train", PairsSpec((32, 32), 4, 1.0, window="center"), tmp_path / "untouched")
-    with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no picture with contact"):
+    with pytest.raises(InputError, match=r"'depth' of .*untouched' holds no image with contact"):
         train(str(tmp_path / "untouched"), tmp_path / "out", CONFIG, device="cpu")
     edit(tmp_path / "few" / "manifest.json", lambda values: values.update(complete=False))
     with pytest.raises(IntegrityError, match=r"few' is not finished \(2 of 2 shards\); next: run the same"):
