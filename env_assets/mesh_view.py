@@ -60,7 +60,7 @@ class MeshView(Sequence[Any]):
     label_names : tuple of str
         Classes, in order.
     flat : bool
-        Whether each mesh is turned onto its broadest side when it is read (:func:`flat_turn`).
+        Whether each mesh is turned onto its broadest side when it is read (``flat_turn``).
     """
 
     records: Sequence[Any]

@@ -121,7 +121,7 @@ def summarise(dataset: AnyDataset) -> Summary:
 def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
     """Return the least, the median and the largest number of frames of a clip."""
     dataset = touches.dataset
-    rows = dataset._row_numbers[touches.round_positions].tolist()
+    rows = dataset.row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
         record._row.clip_length(touch)

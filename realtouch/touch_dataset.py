@@ -73,7 +73,7 @@ class TouchDataset(read.RecordDataset[R]):
     @property
     def touch_counts(self) -> Int64:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
-        return self._stored_counts[self._row_numbers]
+        return self._stored_counts[self.row_numbers]
 
     @property
     def _stored_counts(self) -> Int64:
@@ -135,13 +135,13 @@ class TouchDataset(read.RecordDataset[R]):
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
         rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
         of_rows = [rule for rule, count in rules for _ in range(count)]
-        return [of_rows[row] for row in self._row_numbers.tolist()]
+        return [of_rows[row] for row in self.row_numbers.tolist()]
 
     def rounds_without_media(self) -> Iterator[tuple[int, R]]:
         """Yield stored row number and round, row by row, without opening images or clips until asked for."""
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
-        wanted = set(self._row_numbers.tolist())
+        wanted = set(self.row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
         for source in self._table.shards:
             columns, start = [name for name in source.schema.names if name != media], number
@@ -154,7 +154,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     def _each(self) -> Iterator[tuple[int, R]]:
         places: dict[int, list[int]] = {}
-        for place, row in enumerate(self._row_numbers.tolist()):
+        for place, row in enumerate(self.row_numbers.tolist()):
             places.setdefault(row, []).append(place)
         # A view may hold a round several times, at several places.
         for row, record in self.rounds_without_media():

@@ -86,18 +86,18 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     @property
     def round_positions(self) -> Int64:
         """Number of the round of each touch in the data set, shape (len,), int64."""
-        return np.searchsorted(self._starts, self._row_numbers, side="right") - 1
+        return np.searchsorted(self._starts, self.row_numbers, side="right") - 1
 
     @property
     def touch_indices(self) -> Int64:
         """Number of each touch in its round, shape (len,), int64."""
-        indices: Int64 = self._row_numbers - self._starts[self.round_positions]
+        indices: Int64 = self.row_numbers - self._starts[self.round_positions]
         return indices
 
     @property
     def _stored_places(self) -> Int64:
         """Number of each touch among all that are stored, shape (len,), int64."""
-        rows = self.dataset._row_numbers[self.round_positions]
+        rows = self.dataset.row_numbers[self.round_positions]
         places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
         return places
 
@@ -160,7 +160,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
         rows = [self.dataset[place]._row for place in rounds]
         # The library's own fingerprint would be that of all bytes.
-        content = repr([self.dataset.identity, rounds, places.tobytes(), self._row_numbers.tobytes()])
+        content = repr([self.dataset.identity, rounds, places.tobytes(), self.row_numbers.tobytes()])
         return hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
 
     @property
@@ -318,14 +318,14 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
     def _concat(self, other: Self) -> Self:
         if self.dataset is other.dataset:
-            return self._view(np.concatenate([self._row_numbers, other._row_numbers]))
-        moved = other._row_numbers + self._starts[-1]
-        return type(self)(self.dataset + other.dataset, np.concatenate([self._row_numbers, moved]))
+            return self._view(np.concatenate([self.row_numbers, other.row_numbers]))
+        moved = other.row_numbers + self._starts[-1]
+        return type(self)(self.dataset + other.dataset, np.concatenate([self.row_numbers, moved]))
 
     @property
     def identity(self) -> str:
         """Identifies these touches; differs if the files change."""
-        rounds = hashlib.sha256(self.dataset._row_numbers.tobytes()).hexdigest()
+        rounds = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {rounds}"
 
     def _each(self) -> Iterator[tuple[int, Touch]]:

@@ -129,7 +129,7 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     if "per_class" in options and len(dataset):
         ((_, _, rows_kept),) = catalog.choose_rows([("", dataset)], per_class=options["per_class"])
         dataset = dataset[rows_kept]
-    rows = dataset._row_numbers.tolist()
+    rows = dataset.row_numbers.tolist()
     if not options["contact"]:
         return list(map(RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])

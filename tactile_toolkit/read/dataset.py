@@ -228,7 +228,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     def _select(self, chosen: slice | Int64) -> Self:
         """Return a view of items at given positions."""
-        return self._view(self._rows[chosen] if isinstance(chosen, slice) else self._row_numbers[chosen])
+        return self._view(self._rows[chosen] if isinstance(chosen, slice) else self.row_numbers[chosen])
 
     def _view(self, rows: range | Int64) -> Self:
         view = copy(self)
@@ -240,7 +240,6 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Number of each item among all rows of the files, shape (len,)."""
         return np.asarray(self._rows, np.int64)
 
-    _row_numbers = row_numbers
 
     @overload
     def __getitem__(self, index: int) -> T: ...
@@ -481,7 +480,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return record
 
     def _concat(self, other: Self) -> Self:
-        joined = self._view(np.concatenate([self._row_numbers, other._row_numbers + len(self._table)]))
+        joined = self._view(np.concatenate([self.row_numbers, other.row_numbers + len(self._table)]))
         joined._table = ShardedTable((*self._table.shards, *other._table.shards))
         return joined
 
@@ -489,8 +488,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         rows, starts = self._rows, self._table.part_starts
         if isinstance(rows, range) and rows.step == 1:
             return StoredParts(np.unique(np.clip(starts, rows.start, rows.stop) - rows.start))
-        order = np.argsort(self._row_numbers, kind="stable")
-        return StoredParts(np.unique(np.searchsorted(self._row_numbers[order], starts)), order)
+        order = np.argsort(self.row_numbers, kind="stable")
+        return StoredParts(np.unique(np.searchsorted(self.row_numbers[order], starts)), order)
 
     def _row_groups(self, chosen: Int64) -> list[tuple[RowSource, int]]:
         rows = self._rows
