@@ -80,7 +80,6 @@ def test_errors_of_the_toolkit_are_a_line_and_an_exit_code():
     "words",
     [
         "starstruck generate --dry-run --out NAME",
-        "env-assets info NAME",
         "env-assets wrench --dry-run --stl NAME.stl",
     ],
 )
@@ -204,12 +203,12 @@ def test_packages_have_a_version_and_run_as_modules(package, capsys):
     module = [sys.executable, "-m", package, "--version"]
     done = subprocess.run(module, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stdout, done.stderr) == (0, line, "")
-    assert call(PACKAGES[package], "info", "--version") == 0
+    assert call(PACKAGES[package], "verify", "--version") == 0
     assert capsys.readouterr() == (line, "")
-    assert call(PACKAGES[package], "inf") == 2
+    assert call(PACKAGES[package], "verif") == 2
     said = capsys.readouterr().err
     assert f"Usage: {PACKAGES[package]} " in said
-    assert "Did you mean 'info'?" in said
+    assert "Did you mean 'verify'?" in said
 
 
 @pytest.mark.one_at_a_desk
@@ -223,7 +222,7 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
     assert script.err == ""
     assert f"complete -o default -F _{name.replace('-', '_')}_completion {name}" in script.out
     monkeypatch.setenv(f"_{name.replace('-', '_').upper()}_COMPLETE", "complete_bash")
-    for line, word in ((f"{name} inf", "info"), (f"{name} info --j", "--json")):
+    for line, word in ((f"{name} verif", "verify"), (f"{name} verify --j", "--json")):
         monkeypatch.setenv("COMP_WORDS", line)
         monkeypatch.setenv("COMP_CWORD", str(line.count(" ")))
         assert call(name) == 0
@@ -231,7 +230,7 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--help"], ["info", "missing"], ["--version"], ["info", "."]])
+@pytest.mark.parametrize("words", [["--help"], ["verify", "missing"], ["--version"], ["list"]])
 def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     reader, writer = os.pipe()
     os.close(reader)
@@ -248,7 +247,7 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--version"], ["--help"], ["info", "."]])
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["list"]])
 @pytest.mark.parametrize(
     ("redirected", "code", "why"),
     [(">&-", 0, ""), (">/dev/full", 2, "No space left on device")],
@@ -262,7 +261,7 @@ def test_an_output_that_takes_nothing_is_named(tmp_path, words, redirected, code
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("redirected", ["2>&-", "2>/dev/full", ">&- 2>&-", "<&- 2>&-"])
 def test_the_exit_code_needs_no_stream(tmp_path, redirected):
-    assert _redirected(tmp_path, ["info", "missing"], redirected).returncode == 2
+    assert _redirected(tmp_path, ["verify", "missing"], redirected).returncode == 2
 
 
 @pytest.mark.thorough
