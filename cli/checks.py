@@ -1,4 +1,4 @@
-"""Commands that check: the files of a data set folder, and its objects."""
+"""The commands ``verify`` and ``validate``, which check the files of a data set folder and its objects."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ from tactile_toolkit.wording import with_count
 class Geometry:
     """How the objects of a kind are checked.
 
-    ``check`` takes names, a split or None, a limit or None, a number of processes, ``opened``, which opens a
-    name, and ``on_progress``; it
-    returns results with ``checked``, ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
+    ``check`` takes names, a split or None, a limit or None and a number of processes, and the keywords
+    ``opened``, a function that opens a name, and ``on_progress``. It returns results with ``checked``,
+    ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
     """
 
     nouns: str
@@ -38,7 +38,7 @@ class Objects:
     """Options of ``verify`` for kinds whose objects can be checked."""
 
     geometry: bool = switch(
-        False, help="Check the objects too, as `validate` does; exit code 1 when one is invalid."
+        False, help="Check the objects too, as `validate` does; exit code 1 if one is invalid."
     )
     split: str | None = catalog.SPLIT
     limit: int | None = catalog.LIMIT
@@ -57,7 +57,7 @@ def verify(
 
     Example: verify FOLDER
 
-    Exit code 3 when something is damaged; each damaged file is named.
+    Exit code 3 if something is damaged; each damaged file is named.
     """
     place = store.open_folder(folder)
     manifest = places.open_place(folder).require(kind, "verify").manifest
@@ -66,8 +66,7 @@ def verify(
     )
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
-    # "witness" is what programs read, and older than the name that Python has for it.
-    document = {"ok": result.ok, "witness": result.reference, **counts_of, "findings": findings}
+    document = {"ok": result.ok, "reference": result.reference, **counts_of, "findings": findings}
     if result.ok:
         counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
@@ -77,18 +76,18 @@ def verify(
             sink.document(document)
         return
     sink.document(document)
-    if [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:  # else damage is what counts
+    if [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:  # else damage is reported
         store.require_finished(place)
     for finding in result.findings:
-        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below only counts
+        sink.warn(f"damaged: {finding.file}: {finding.problem}")  # the error below states only their number
     record = store.read_download_record(place)
-    again = f"run the same `{kind.command_of(manifest)}` with --check, which makes damaged shards again"
+    next_step = f"run the same `{kind.command_of(manifest)}` with --check, which makes damaged shards again"
     if record is not None:
-        again = f"download {record.repo_id} there again, only what is damaged is fetched"
-    # Unknown files, links and cards: what no run would repair states itself what to do.
+        next_step = f"download {record.repo_id} there again; only damaged files are fetched"
+    # Problems that no run repairs (unknown files, links, cards) state their own next step.
     if all("; next: " in finding.problem for finding in result.findings):
-        again = "follow the next step of each"
-    raise IntegrityError(f"{with_count(len(findings), 'problems')} in {folder!r}", next=again)
+        next_step = "follow the next step of each problem"
+    raise IntegrityError(f"{with_count(len(findings), 'problems')} in {folder!r}", next=next_step)
 
 
 def validate(
@@ -102,14 +101,14 @@ def validate(
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
-    """Check each object of data sets, or mesh files, as it is read back from disk.
+    """Check each object of data sets, or of mesh files, as it is read back from disk.
 
-    A digit has to be a solid; what speaks against printing it is listed. The objects of a scene have to be
-    solids that do not overlap, as many stars among them as the label states.
+    A digit must be a solid; warnings about printing it are listed. The objects of a scene must be solids
+    that do not overlap, and the number of stars must be that of the label.
 
     Example: validate FOLDER
 
-    Exit code 1 when one is not valid. For a folder, `verify --geometry` checks its files as well.
+    Exit code 1 if an object is not valid. For a folder, `verify --geometry` checks its files as well.
     """
     checks = replace(checks, check=partial(checks.check, unit=unit))
     check_objects(sink, checks, paths, opening, split, limit, workers)
@@ -125,7 +124,10 @@ def check_objects(
     workers: int,
     verified: dict[str, Any] | None = None,
 ) -> None:
-    """Check objects as read back from disk, after the files of the folder where these were ``verified``."""
+    """Check objects as they are read back from disk.
+
+    ``verified`` is the JSON document about the files of the folder, if these were checked before.
+    """
     run.prepare_batch_process()
     if split == "all":
         split = None
@@ -139,7 +141,7 @@ def check_objects(
     sink.document(documents)
     for result in results:
         for problem in result.unreadable:
-            sink.warn(f"unreadable: {problem}")  # with --quiet, too: such an object has no row in the table
+            sink.warn(f"unreadable: {problem}")  # printed with --quiet, too, which prints no table
         sink.table(*result.table())
     checked = sum(result.checked for result in results)
     failed = sum(result.failed for result in results)

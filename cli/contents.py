@@ -1,4 +1,4 @@
-"""Commands that print what is there: data sets, rows, published sets, folders."""
+"""The commands ``info``, ``show`` and ``list``, which print the content of data sets, rows and folders."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def info(
     place = opening.open(sink, name, shows_all=True).require(kind, "info")
     manifest, folder = place.manifest, place.folder
     if manifest is None:
-        _print_copy(sink, place, kind)
+        _print_without_manifest(sink, place, kind)
         return
     if folder is None or is_copy(manifest):
         print_set(sink, kind, manifest, name)
@@ -40,8 +40,8 @@ def info(
         sink.line(f"  {line}")
 
 
-def _print_copy(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
-    """Print what the splits of a data set without a manifest hold, and where they are from."""
+def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
+    """Print the content of the splits of a data set without a manifest, and its repository."""
     repository: store.DownloadRecord | hub.HubRepository | None = place.repository
     if place.folder is not None:
         repository = store.read_download_record(place.folder) or repository
@@ -49,7 +49,7 @@ def _print_copy(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
     for split, dataset in catalog.open_splits(place, None, kind.load, kind.nouns).items():
         paths = [shard.path for shard in place.shards(split)]
         size = sum(folder.size_bytes(name) for folder, name in map(store.split_uri, paths))
-        # Not by `bincount`, which fails on labels below 0 as other people's data have them.
+        # Not by `bincount`, which fails on negative labels; data that others made may have some.
         labels = enumerate(dataset.label_names)
         per_class = {name: int((dataset.labels == index).sum()) for index, name in labels}
         counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
@@ -74,7 +74,7 @@ def show(
     opening: Opening,
     sink: Sink,
 ) -> None:
-    """Show a row of a data set: each column, its type and its value, or how many values it has.
+    """Show a row of a data set: each column, its type and its value, or the number of its values.
 
     Example: show DIR --row 3 --split test
     """
@@ -83,7 +83,9 @@ def show(
     rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):
         raise InputError(
-            f"--row is {row}; expected less than the {with_count(len(rows), 'rows')} of {chosen!r}"
+            f"--row is {row}; rows are counted from 0, and split {chosen!r} has "
+            f"{with_count(len(rows), 'rows')}",
+            next="give a smaller --row or another --split",
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
@@ -92,10 +94,10 @@ def show(
     sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
-        kept = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
+        type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
         for line in flat_lines({field.name: values[field.name]}):
             column, _, value = line.partition(" = ")
-            lines.append((column, kept, value))
+            lines.append((column, type_text, value))
     sink.table(("column", "type", "value"), lines)
 
 
@@ -120,10 +122,10 @@ def list_sets(
 
 
 def _sets_in(folder: Path) -> list[dict[str, Any]]:
-    """Return the data sets in a folder, and itself where it is one, by name, as JSON values.
+    """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
 
-    Their ``state`` is finished, unfinished, or what is wrong. Reads manifests only. Raises InputError where
-    the folder does not exist.
+    ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError
+    if the folder does not exist.
     """
     if not folder.is_dir():
         raise InputError(
@@ -149,7 +151,7 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
 
 
 def print_sets(sink: Sink, kind: DatasetKind) -> None:
-    """Print the published data sets: what they hold, their terms, what is here, and how large they are."""
+    """Print the published data sets: content, licence, size, and which splits are on this machine."""
     documents, rows = [], []
     for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
         licence, size, there = known.licence, None, "?"
@@ -166,8 +168,8 @@ def print_sets(sink: Sink, kind: DatasetKind) -> None:
         rows.append((known.name, known.content, licence or "see its card", there, here))
     sink.document(documents)
     if not rows:
-        lists = f"`{kind.package} list` lists what else {kind.package} opens"
-        sink.line(f"no data set of {kind.command} is published; next: {lists}")
+        next_step = f"`{kind.package} list` lists the published data sets that {kind.package} opens"
+        sink.line(f"no data set of {kind.command} is published; next: {next_step}")
         return
     sink.table(("name", "holds", "licence", "on the Hub", "here"), rows)
     if any(row[3] == "?" for row in rows):

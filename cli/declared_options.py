@@ -1,4 +1,4 @@
-"""From the declared fields of functions and specifications to the options that Typer takes."""
+"""Conversion of the declared fields of functions and specifications to options of Typer."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from tactile_toolkit import __version__, run
 from tactile_toolkit.checked_fields import Rule, check_value, metavar_of, rule_of, text
 
 DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
-"""Environment variable that shows the traceback of an error."""
+"""Environment variable; if it is set, errors show their traceback."""
 
 
 @dataclass(frozen=True, slots=True)
 class OptionsOf:
-    """Marks a parameter as the options of a specification, of which a command gets a dict of those given.
+    """Marks a parameter as the options of a specification; the command gets a dict of the given ones.
 
-    ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` serves specifications with defaults that follow from
-    other fields, and commands that must know what was given.
+    ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` is for specifications whose defaults follow from
+    other fields, and for commands that must know which options were given.
     """
 
     spec: type
@@ -49,7 +49,7 @@ def _use_token(token: str) -> str:
     return token
 
 
-# Eager ones count whatever is wrong with others.
+# Eager options are handled first, even if other options are invalid.
 Debug = Annotated[
     bool,
     typer.Option("--debug", callback=_show_tracebacks, is_eager=True, help="Show the traceback of an error."),
@@ -66,36 +66,36 @@ _TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face 
 
 
 def with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Callable[..., None]:
-    """Return a function that takes the fields of option groups one by one."""
-    # Annotations are text: those of a group are names of the group's module, where Typer would not look.
+    """Return a function for Typer, which takes each field of an option group as an option."""
+    # Annotations are strings. Those of a group name types of its own module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
     taken = inspect.signature(function).parameters
     groups = {name: _group(hints[name], each) for name, each in taken.items() if name not in known}
 
     @wraps(function)
     def call(context: typer.Context, **values: Any) -> None:
-        # Besides taking a second, pyarrow's import of pandas swallows a Ctrl-C that comes during it.
+        # pyarrow would import pandas, which takes a second and swallows a Ctrl-C.
         run.skip_pandas()
         arguments = {name: value for name, value in known.items() if name in taken}
         for name, group in groups.items():
-            held = {each.name: values[each.name] for each in group}
+            fields_of = {each.name: values[each.name] for each in group}
             if is_dataclass(hints[name]):
-                arguments[name] = hints[name](**held)
+                arguments[name] = hints[name](**fields_of)
             elif _mark(hints[name]) is not None:
-                arguments[name] = {each: held[each] for each in held if _is_given(context, each)}
+                arguments[name] = {each: fields_of[each] for each in fields_of if _is_given(context, each)}
             else:
                 arguments[name] = values[name]
         function(**arguments)
 
-    # Typer asks both; two options of one name are refused by `Signature`.
+    # Typer reads the signature and the annotations. `Signature` refuses two options of one name.
     context = inspect.Parameter("context", inspect.Parameter.KEYWORD_ONLY, annotation=typer.Context)
     options = [each for group in groups.values() for each in group]
     eager = {"debug": Debug, "version": Version}
-    everywhere = [
+    global_options = [
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
         for name, hint in eager.items()
     ]
-    parameters = [context, *options, _parameter("token", _TOKEN), *everywhere]
+    parameters = [context, *options, _parameter("token", _TOKEN), *global_options]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {
         name: each.annotation for name, each in inspect.signature(call).parameters.items()
@@ -113,7 +113,7 @@ def _mark(hint: Any) -> OptionsOf | None:
 
 
 def _group(hint: Any, parameter: inspect.Parameter) -> list[inspect.Parameter]:
-    """Return what a parameter of a function takes from the command line: itself, or the fields of a group."""
+    """Return the options of a parameter of a function: the parameter itself, or the fields of its group."""
     mark, group = _mark(hint), hint
     if mark is not None:
         group = mark.spec
@@ -138,12 +138,12 @@ def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) ->
     if shown is None:
         kind |= None
     hint = Annotated[kind, _declaration(name, rule, default)]
-    # By keyword only: options without a default may stand behind those with one.
+    # Keyword-only, because an option without a default may follow one with a default.
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=hint)
 
 
 def _shown_default(rule: Rule, default: Any) -> Any:
-    """Return the default as Typer takes it: of a value that is read from text, the text."""
+    """Return the default for Typer: text, if the value is read from text."""
     if default is MISSING:
         return inspect.Parameter.empty
     # Typer would convert a default of another type.
@@ -180,10 +180,10 @@ def _declaration(name: str, rule: Rule, default: Any) -> Any:
         names = [f"{names[0]}/--no-{names[0][2:]}"]
 
     def check(context: typer.Context, value: Any) -> Any:
-        """Return the one spelling of a value that was given; InputError where it does not fit."""
+        """Return the normalized value of a given option, or the default; InputError if it is not valid."""
         if not _is_given(context, name):
             return default
-        expected = rule.expected.removeprefix("None or ")  # that is to leave the option out
+        expected = rule.expected.removeprefix("None or ")  # None is an option that is left out
         if "read" in text and "several" in text:
             value = list(map(text["read"], value))
         elif "read" in text:

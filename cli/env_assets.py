@@ -1,4 +1,4 @@
-"""``env-assets``: what environments consume."""
+"""``env-assets``: the wrench, folders of assets, and the published environments."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def wrench(
     """
     if stl is not None:
         mesh.file_ending(stl)
-        stl.is_file()  # a name that the system refuses is named before anything is made
+        stl.is_file()  # raises OSError for a name that the system refuses, before anything is made
     report = mesh.inspect(env_assets.wrench_mesh(spec))
     if not dry_run:
         env_assets.write_wrench(spec, str(out), mesh_file=stl, overwrite=overwrite)
@@ -76,7 +76,7 @@ def list_environments(
 
     Example: env-assets list Minecraft
     """
-    # It registers the environments, which takes numpy.
+    # Imported here: it registers the environments, and imports numpy.
     import tactile_envs
 
     found = [{**each, "native": each["id"] in tactile_envs.IDS} for each in env_assets.overview(words or ())]
@@ -87,7 +87,7 @@ def list_environments(
     for note in dict.fromkeys(each["note"] for each in found if each["note"]):
         sink.line(note)
     if any(each["native"] for each in found):
-        sink.line("native: `tactile_envs:ID` runs the same episodes without OpenGL, many times as fast")
+        sink.line("native: `tactile_envs:ID` runs the same episodes without OpenGL, many times faster")
 
 
 for _shared in (export, verify, merge, split, show, cache):

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import typer
 
@@ -14,6 +14,7 @@ from cli.application import EXIT_FAILED
 from cli.declared_options import OptionsOf
 from cli.options import (
     ANY_SET,
+    Job,
     Opening,
     Work,
     local_out_folder,
@@ -28,17 +29,13 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
-if TYPE_CHECKING:
-    pass
-from cli.options import Job
-
 _ROWS_SHOWN = 20
 _DOING = {True: "checking", False: "writing"}
 
 
 @dataclass(frozen=True, slots=True)
-class Form:
-    """What is written."""
+class ExportOptions:
+    """Format and scale of exported files, and the size of build plates."""
 
     file_format: str | None = choice(
         None,
@@ -61,7 +58,7 @@ def export(
     kind: DatasetKind,
     name: str = ANY_SET,
     opening: Opening,
-    form: Form,
+    form: ExportOptions,
     chosen: catalog.RowFilter,
     distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
     material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
@@ -82,31 +79,31 @@ def export(
 
     After an interruption, the same command continues; finished files are kept.
 
-    Exit code 1 when an object or plate could not be written as a solid.
+    Exit code 1 if an object or plate could not be written as a solid.
     """
-    some = chosen.given()
-    # What cannot be used is reported before any work.
+    filters = chosen.given()
+    # Options that would have no effect are refused before any work.
     if form.file_format == "flat":
         given = [*distances, *material]
         if form.scale != 1:
             given.append("scale")
-        _refuse(given, "about files, not about tables of meshes as they are stored", "leave it out")
+        _refuse(given, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
     elif form.file_format not in printing.MODELS:
-        _refuse(material, "about bodies for simulators", "add --format mjcf, urdf or usd")
+        _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
     if form.plate is None:
-        _refuse(distances, "about build plates", "add --plate 256x256")
+        _refuse(distances, "applies to build plates only", "add --plate 256x256")
     elif form.file_format not in (None, "3mf", "mjcf"):
-        _refuse(["plate"], "about 3mf and mjcf, which hold named objects", "one of these")
+        _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
     place = opening.open(sink, name).require(kind, "export")
-    datasets = catalog.open_splits(place, some.pop("split"), kind.load, kind.nouns).items()
+    datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
-        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **some), some, str(out), job)
+        _export_flat(sink, kind, place, catalog.choose_rows(datasets, **filters), filters, str(out), job)
         return
     bodies = printing.Physics(**material)
     spec = form.plate and printing.PlateSpec.parse(form.plate, **distances)
-    objects = printing.choose(datasets, **some)
+    objects = printing.choose(datasets, **filters)
     if spec:
-        # Plates in MJCF are bodies that lie on a floor; 3MF knows neither density nor friction.
+        # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
         on_floor = {"mjcf": bodies}.get(form.file_format or "")
         _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
     else:
@@ -116,7 +113,7 @@ def export(
 def _refuse(given: Iterable[str], why: str, instead: str) -> None:
     """Refuse options that would have no effect."""
     for name in given:
-        raise InputError(f"--{name.replace('_', '-')} is {why}", next=instead)
+        raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
 
 
 def _export_files(
@@ -128,7 +125,6 @@ def _export_files(
     out: str,
     job: Job,
 ) -> None:
-
     how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
     with sink.progress(_DOING[job.dry_run], "files") as update:
         made = printing.export_files(
@@ -168,12 +164,11 @@ def _export_flat(
     kind: DatasetKind,
     place: places.Place,
     choices: Any,
-    some: Mapping[str, Any],
+    filters: Mapping[str, Any],
     out: str,
     job: Job,
 ) -> None:
-
-    plan = exchange.plan_tables(kind, place, choices, some, out)
+    plan = exchange.plan_tables(kind, place, choices, filters, out)
     if job.dry_run:
         if not job.overwrite:
             store.inspect_job(store.open_folder(out), plan)
@@ -195,7 +190,6 @@ def _export_plates(
     out: str,
     job: Job,
 ) -> None:
-
     with sink.progress("measuring", "objects") as update:
         layout = printing.arrange(objects, spec, scale, bodies, update)
     wrote, removed, ending = "wrote", "removed", f"{printing.TABLE_FILE} lists where each object lies"
@@ -208,7 +202,7 @@ def _export_plates(
     document = asdict(made)
     sink.document({"out": out, "plates": document.pop("files"), **document})
     if made.removed:
-        sink.info(f"{removed} plates of the export that was there before: {', '.join(made.removed)}")
+        sink.info(f"{removed} plates of an earlier export: {', '.join(made.removed)}")
     rows = [
         (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
     ]
@@ -220,7 +214,7 @@ def _export_plates(
 
 
 def _report_failures(sink: Sink, failures: Iterable[printing.FailedExport]) -> None:
-    """Name what could not be written; then the exit code is that of a failed validation."""
+    """Name the objects that could not be written; if there are any, exit as after a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")
     if failures:

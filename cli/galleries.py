@@ -1,4 +1,4 @@
-"""Commands that make galleries."""
+"""The command ``gallery``, for meshes and for touches."""
 
 from __future__ import annotations
 
@@ -40,8 +40,8 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
         with sink.progress("making the gallery", nouns) as update:
             site = gallery.build_site(page, str(out), workers, overwrite=job.overwrite, on_progress=update)
     except KeyboardInterrupt as error:
-        # The usual words promise that finished work is kept, but half a page would be of no use.
-        raise KeyboardInterrupt(f"interrupted; nothing was left behind, {out} is as it was before") from error
+        # The default message says that finished work is kept, but half a gallery would be of no use.
+        raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
     index = str(Path(site.path) / gallery.PAGE_FILE)
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
     sink.document({"page": index, **made})

@@ -19,7 +19,7 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 _LARGE_BYTES = 1_000_000_000
-# Files of a longer list that are named.
+# Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
 _VISIBLE = {True: "private", False: "public"}
 
@@ -51,7 +51,7 @@ def upload(
     _print_upload_plan(sink, prepared)
     result = None
     if not dry_run:
-        # Even where all files are there, a branch to make is a change that may not be meant.
+        # A new branch is a change that needs consent, even if it already holds all files.
         is_change = not (prepared.plan.is_done and prepared.has_branch)
         if is_change and not yes:
             refused = "upload asks before it sends, and stdin is not a terminal; nothing was sent"
@@ -105,16 +105,16 @@ def download(
 
 
 def _quiet_client(*, is_all: bool) -> None:
-    """Let the Hub's client print less: the terminal is for this program. Its bars, too, where ``is_all``."""
+    """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
     from huggingface_hub.utils.tqdm import disable_progress_bars
 
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
     if is_all:
-        disable_progress_bars()  # it draws them whatever stderr is
+        disable_progress_bars()  # it draws them even if stderr is not a terminal
 
 
 def _require_consent(question: str, refused: str, next_step: str) -> None:
-    """Ask on the terminal; InputError where that is not possible, or the user declines."""
+    """Ask on the terminal; InputError if there is none, or if the user declines."""
     # The question goes to stderr: stdout may be a file, or hold the JSON document.
     if not (sys.stdin.isatty() and sys.stderr.isatty()):
         raise InputError(refused, next=next_step)
@@ -123,7 +123,7 @@ def _require_consent(question: str, refused: str, next_step: str) -> None:
 
 
 def _listed(paths: Sequence[str]) -> str:
-    """Name some files, and how many more there are."""
+    """Return the first paths as text, and the number of the others."""
     words = ", ".join(paths[:_FILES_SHOWN])
     if len(paths) > _FILES_SHOWN:
         words += f" and {len(paths) - _FILES_SHOWN:,} more"
@@ -133,8 +133,8 @@ def _listed(paths: Sequence[str]) -> str:
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     for paths, words in (
-        (prepared.left_out, "left out, no part of the data set: {}"),
-        (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes it)"),
+        (prepared.left_out, "left out, as they are no part of the data set: {}"),
+        (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
@@ -164,7 +164,7 @@ def _print_upload(
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     name, done = prepared.options.branch, result or exchange.UploadResult("")
     address, revision = prepared.page, None
-    if done.pull:  # its branch (refs/pr/N) has no page that can be merged from
+    if done.pull:  # the page of its branch (refs/pr/N) has no button to merge it
         address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
     elif name != exchange.MAIN_BRANCH:
         address, revision = f"{address}/tree/{name}", name
@@ -195,7 +195,7 @@ def _print_upload(
         }
     )
     if plan.is_done:
-        sink.line(f"{where} holds all of it already, compared by checksum; nothing was sent")
+        sink.line(f"{where} holds all files already, compared by checksum; nothing was sent")
     elif result is None:
         sink.line("nothing was sent")
     else:
@@ -210,7 +210,7 @@ def _print_upload(
 
 
 def _where(prepared: exchange.PreparedUpload) -> str:
-    """Name the repository, and the branch where it is not the main one."""
+    """Name the repository, and its branch unless this is the main one."""
     name = prepared.options.branch
     if name == exchange.MAIN_BRANCH:
         return prepared.repo_id
@@ -218,7 +218,7 @@ def _where(prepared: exchange.PreparedUpload) -> str:
 
 
 def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> None:
-    """Print what is fetched, how large it is, and under which terms it stands."""
+    """Print which files will be fetched, their size and their licence."""
     known, files = places.published_set(name), plan.record.files.values()
     sink.info(
         f"{plan.repository.repo_id} at {plan.record.commit[:12]}: {', '.join(plan.splits)}; "
@@ -228,7 +228,7 @@ def _print_download_plan(sink: Sink, name: str, plan: exchange.DownloadPlan) -> 
     if plan.leftover:
         sink.info(f"to remove, no longer on the Hub: {_listed(plan.leftover)}")
     if plan.repository.is_cache:
-        sink.info("the Hub does not answer: the files known on this machine are taken for the whole data set")
+        sink.info("the Hub does not answer: the files on this machine are taken for the whole data set")
     if known is not None and plan.missing:
         licence = known.licence or plan.repository.licence or "see its card on the Hub"
         sink.info(f"licence: {licence}; please cite: {known.citation}")
@@ -261,7 +261,7 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
     if plan.is_done:
         done = "nothing was left to fetch"
     sink.line(f"{done}; all {len(files):,} files are intact, in {place}")
-    # Files in the Hub's cache are found again by the name of the repository, and by the revision asked for.
+    # Files in the Hub's cache are found by the name of the repository and the requested revision.
     name, revision = plan.repository.repo_id, plan.repository.revision
     if plan.folder is not None:
         name, revision = place, None

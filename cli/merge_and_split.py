@@ -1,21 +1,18 @@
-"""Commands that make data sets of data sets of the same kind."""
+"""The commands ``merge`` and ``split``."""
 
 from __future__ import annotations
 
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
 from cli.output import Sink
+from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange
 from tactile_toolkit.checked_fields import integer, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.parsed_text import comma_separated
-
-if TYPE_CHECKING:
-    pass
-from cli.runs import make_with_progress, print_set
 
 
 def _fractions(words: str) -> tuple[float, ...]:
@@ -73,8 +70,13 @@ def split(
     Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
     """
     given = {each: value for each, value in chosen.given().items() if value is not None}
-    if bool(given) == bool(fractions):
-        raise InputError("expected either --fractions, or --ids and the like", next="add --fractions 0.8,0.2")
+    if given and fractions:
+        raise InputError(
+            "--fractions was given with --ids or other filters; expected only one of them",
+            next="leave out --fractions, or the filters",
+        )
+    if not given and not fractions:
+        raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
     options: dict[str, Any] = given or {"fractions": fractions, "seed": seed}
     source = opening.open(sink, name)
     for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):

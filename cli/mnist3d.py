@@ -61,7 +61,7 @@ def generate(
     splits: Sequence[str] | None = SPLITS
     if split != "all":
         splits = None if split is None else (split,)
-    # Before the first digit, of a forecast too: it measures what a worker takes.
+    # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
     generate_set(
         sink, "making digits", mnist3d.DigitMaking.of(spec, splits), out, splits, making, _print_made

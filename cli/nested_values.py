@@ -1,4 +1,4 @@
-"""Nested values in words: specifications, and rows of data sets."""
+"""Specifications and rows of data sets as text."""
 
 from __future__ import annotations
 
@@ -6,34 +6,33 @@ from typing import Any
 
 from cli.quantities import bytes_text
 
+# Length of the longest list whose values are shown.
+_SHOWN = 6
+
 
 def flat_lines(values: Any, path: str = "") -> list[str]:
-    """Lay out nested values as lines of dotted names, in words."""
+    """Return nested values as lines such as ``solid.profile = round``."""
     if isinstance(values, dict) and values:
         inner = values.items()
     elif isinstance(values, list) and any(isinstance(value, (dict, list)) for value in values):
         inner = dict(enumerate(values, 1)).items()
     else:
-        return [f"{path} = {_in_words(values)}"]
+        return [f"{path} = {_value_text(values)}"]
     return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
 
 
-def _in_words(value: Any) -> str:
+def _value_text(value: Any) -> str:
     if value is None or value in ([], {}):
         return "none"
     if isinstance(value, list):
-        return ", ".join(map(_in_words, value))
+        return ", ".join(map(_value_text, value))
     if isinstance(value, bool):
         return {True: "yes", False: "no"}[value]
     return str(value)
 
 
-# Values of a longer list that are named.
-_SHOWN = 6
-
-
 def stored_value(scalar: Any) -> Any:
-    """Return a value of Arrow as one of Python, in Arrow's words where Python has none (nanoseconds)."""
+    """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
     try:
         return scalar.as_py()
     except ValueError:
@@ -41,7 +40,7 @@ def stored_value(scalar: Any) -> Any:
 
 
 def brief(value: Any) -> Any:
-    """Return a value of JSON, with how many there are in place of many, and sizes in place of bytes."""
+    """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
     if isinstance(value, dict):
         return {name: brief(each) for name, each in value.items()}
     if isinstance(value, bytes):

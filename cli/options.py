@@ -4,31 +4,22 @@ from __future__ import annotations
 
 from dataclasses import MISSING, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from cli.output import Sink
 from tactile_toolkit import catalog, places, run, store
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.system import usable_cores
 
-if TYPE_CHECKING:
-    from cli.output import Sink
-from typing import TYPE_CHECKING
-
-from cli.output import Sink
-
-if TYPE_CHECKING:
-    pass
-
-
 JOB = "Job options"
-"""Panel of the help of all options that say who does the work, not what is made."""
+"""Panel of the help for options that decide how the work is done, not what is made."""
 
 
 def local_place(text: str | Path) -> Path:
-    """Read a path of this machine: ``~`` is the home folder, addresses such as ``s3://...`` are refused.
+    """Read a local path: ``~`` is the home folder, and addresses such as ``s3://...`` are refused.
 
-    Paths of the type ``Path`` would come with ``//`` folded, so that such an address became a folder here.
+    ``Path`` alone would turn ``//`` into ``/``, so that an address would become a local folder.
     """
     if "://" in str(text):
         raise InputError(
@@ -54,12 +45,12 @@ def parse_address(text: str | Path) -> str:
 
 
 def argument(metavar: str, help: str, **option: Any) -> Any:
-    """Declare what a command takes without a name."""
+    """Declare a positional argument."""
     return text(option.pop("default", MISSING), argument=True, metavar=metavar, help=help, **option)
 
 
 def out_folder(default: Any = MISSING) -> Any:
-    """Declare the folder that a command writes, here or in a store."""
+    """Declare the folder that a command writes, on this machine or in an object store."""
     return text(default, name="--out -o", metavar="DIR", read=parse_address, help="Folder to write.")
 
 
@@ -88,9 +79,9 @@ class Opening:
     allow_incomplete: bool = catalog.INCOMPLETE
 
     def open(self, sink: Sink, name: str, *, shows_all: bool = False) -> places.Place:
-        """Say what a name stands for; print that it is unfinished, where the command continues all the same.
+        """Open a data set by its name; print a note if an unfinished one is accepted.
 
-        With ``shows_all`` an unfinished data set is opened as far as it is there.
+        With ``shows_all``, the finished part of an unfinished data set is opened.
         """
         allow = self.allow_incomplete or shows_all
         place = places.open_place(
@@ -103,7 +94,7 @@ class Opening:
 
 @dataclass(frozen=True, slots=True)
 class Work:
-    """Options of all commands that fill a data set folder: who does the work."""
+    """Options of all commands that write a data set folder: how the work is done."""
 
     workers: int = WORKERS
     runner: str = text(
@@ -126,7 +117,7 @@ class Work:
     overwrite: bool = OVERWRITE
 
     def run_keywords(self) -> store.RunKeywords:
-        """Return these options as functions take them."""
+        """Return these options as keywords of the functions that write data sets."""
         name, _, address = self.runner.partition("=")
         runner: int | run.Runner = process_count(self.workers)
         if name == "ray":
@@ -149,13 +140,13 @@ class Making(Work):
 
 
 def process_count(workers: int) -> int:
-    """Return what ``--workers`` asks for: 0 means one process per processor core."""
+    """Return the number of processes for ``--workers``; 0 means one per processor core."""
     return workers or usable_cores()
 
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """How files other than those of a data set are made."""
+    """Options of commands that write other files than data sets."""
 
     workers: int = WORKERS
     overwrite: bool = switch(False, panel=JOB, help="Replace files of an earlier run that differ.")

@@ -1,4 +1,4 @@
-"""Where words go: data on stdout, messages on stderr."""
+"""Printed output: results on stdout, messages and progress on stderr."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from cli.quantities import BYTES, bytes_text, duration_text, rate_text
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.shown_text import printable, printable_json
 
-# Where no terminal is, lines stay: a job of a day writes some 17,000 of them, 1 MB of log.
+# Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
 _BAR_INTERVAL_S = 0.1
 _BAR = 24
@@ -28,16 +28,16 @@ _SIDES = {True: ">", False: "<"}
 
 @dataclass(frozen=True, slots=True)
 class Sink:
-    """What a command prints with; a command that takes one has the options ``--json`` and ``--quiet``.
+    """Prints the output of a command; a command with such a parameter has ``--json`` and ``--quiet``.
 
-    ``--json`` stands for one document on stdout and no tables, ``--quiet`` for no progress and no tables.
+    ``--json`` prints one document on stdout and no tables, ``--quiet`` neither progress nor tables.
     """
 
     as_json: bool = switch(False, name="--json", help="Print one JSON document on stdout.")
     quiet: bool = switch(False, name="--quiet -q", help="Print neither progress nor tables, only errors.")
 
     def document(self, content: Any) -> None:
-        """Print the JSON document of the command, when one was asked for."""
+        """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:
             sys.stdout.write(printable_json(content) + "\n")
 
@@ -47,12 +47,12 @@ class Sink:
             sys.stdout.write(printable(text, keep="\n") + "\n")
 
     def info(self, text: str) -> None:
-        """Say something on stderr."""
+        """Print a message on stderr, unless ``--quiet`` was given."""
         if not self.quiet:
             self.warn(text)
 
     def warn(self, text: str) -> None:
-        """Say something on stderr to those too who want to hear nothing else, such as what is damaged."""
+        """Print a message on stderr even with ``--quiet``, such as the name of a damaged file."""
         sys.stderr.write(printable(text, keep="\n") + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
@@ -63,11 +63,11 @@ class Sink:
             return
         is_number = [isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in rows[0]]
         cells = [[printable(_cell(cell)).rstrip() for cell in row] for row in rows]
-        # Piped into a file, a table keeps its columns, however wide.
+        # In a file or pipe, a table keeps its columns, however wide it is.
         width = sys.maxsize
         if sys.stdout.isatty():
             width = shutil.get_terminal_size().columns
-        # The words of a header stand under one another before the columns do.
+        # A table that is too wide gets headings of one word per line, or else one line per cell.
         for above in ([header], list(zip_longest(*map(str.split, header), fillvalue=""))):
             widths = [max(map(len, column)) for column in zip(*above, *cells, strict=True)]
             if sum(widths) + len(_GAP) * (len(widths) - 1) <= width:
@@ -88,7 +88,7 @@ class Sink:
         Yields
         ------
         callable
-            Takes the number of items done so far and the number in all.
+            Takes the number of finished items and the total number.
         """
         start_s = last_s = time.monotonic()
         is_bar, interval_s = sys.stderr.isatty(), _LINE_INTERVAL_S
@@ -98,7 +98,7 @@ class Sink:
         def update(done: int, total: int) -> None:
             nonlocal last_s
             now_s = time.monotonic()
-            # The last one always: a log that ends at 80 % looks like work that was stopped.
+            # The last update is always shown: a log that ends at 80 % looks like interrupted work.
             if self.quiet or not done or (done < total and now_s - last_s < interval_s):
                 return
             last_s = now_s
@@ -131,7 +131,7 @@ def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool
 
 
 def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
-    """Write how far work is: counts, the rate over all the time, and the time left."""
+    """Return the progress as text: counts, the mean rate, and the time left."""
     # Shards come in bursts: the rate of the last seconds would jump.
     amount: Callable[[int], str] = "{:,}".format
     if unit == BYTES:

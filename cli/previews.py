@@ -1,4 +1,4 @@
-"""What is made of a data set: pictures, a page, and files for printers, simulators and other libraries."""
+"""Options of all ``preview`` commands, and the command for touches."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tactile_toolkit.kind import DatasetKind
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
-    """Where pictures go."""
+    """Options for the files of pictures."""
 
     out: Path | None = text(
         name="--out -o",
@@ -39,7 +39,7 @@ class Pictures:
         folder, drawn = self.out or Path(usual), plan.pictures
         if folder.suffix.lower() == ".png":
             if len(drawn) != 1:
-                what = f"--out is the file {str(folder)!r} for {len(drawn)} pictures"
+                what = f"--out is the file {str(folder)!r}, but there are {len(drawn)} pictures"
                 raise InputError(what, next="give a folder")
             folder, drawn = folder.parent, (replace(drawn[0], name=folder.name),)
         for reason in plan.left_out:

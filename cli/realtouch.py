@@ -38,8 +38,9 @@ from tactile_toolkit.wording import with_count
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
 
 
-# What `verify` did, by --quick; and whether a number of the paper is that of the data.
+# How thoroughly `verify` checked images, by --quick.
 _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
+# Whether a number of the paper agrees with the data.
 _ANSWERS = {True: "yes", False: "NO"}
 
 
@@ -52,7 +53,7 @@ def load(
     check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: Sink,
 ) -> None:
-    """Download what is missing, check it, and print what it holds.
+    """Download missing files, check the data set, and print a summary.
 
     Example: realtouch load real-single-64x64 --split test
     """
@@ -116,7 +117,7 @@ def verify(
 ) -> None:
     """Check every file, round, touch and frame, and list all errors.
 
-    Exit code 3 when something is damaged.
+    Exit code 3 if something is damaged.
 
     Example: realtouch verify real-single-64x64 --split test
     """
@@ -127,7 +128,7 @@ def verify(
     unprotected = list(result.unprotected)
     sink.document({"ok": result.ok, **counts_of, "findings": findings, "unprotected": unprotected})
     if place.folder is not None and [finding.file for finding in result.findings] == [store.MANIFEST_FILE]:
-        store.require_finished(place.folder)  # else damage is what counts
+        store.require_finished(place.folder)  # else damage is reported
     _require_intact(sink, result, name, unfinished=bool(place.unfinished))
     how = _DEPTHS[quick]
     counts = f"{with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}"
@@ -135,7 +136,8 @@ def verify(
     if result.unprotected:
         sink.line(
             f"{with_count(len(result.unprotected), 'files')} unprotected, {result.unprotected[0]!r} first: "
-            "no checksums of pages and none by a manifest or the Hub, so that a changed number shows nowhere"
+            "neither their pages, nor a manifest, nor the Hub have checksums, so a changed number is not "
+            "noticed"
         )
 
 
@@ -143,7 +145,7 @@ def verify(
 def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
-    Exit code 1 when something differs.
+    Exit code 1 if a number differs.
 
     Example: realtouch reproduce real-single-64x64
     """
@@ -171,14 +173,14 @@ def _verified(
 def _require_intact(
     sink: Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
 ) -> None:
-    """Name all damage on stderr; IntegrityError where there is any."""
+    """Name all damage on stderr; IntegrityError if there is any."""
     for finding in result.findings:
         sink.warn(f"damaged: {finding}")
     if not result.ok:
-        again = "download or convert it again"
+        next_step = "download or convert it again"
         if unfinished:
-            again = "run the same command with --check, which makes damaged shards again"
-        raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=again)
+            next_step = "run the same command with --check, which makes damaged shards again"
+        raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=next_step)
 
 
 def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:

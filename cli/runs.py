@@ -1,4 +1,4 @@
-"""Making a data set folder as all command lines do it: progress while it lasts, then what was made."""
+"""How all command lines make a data set folder: progress during the run, then a summary."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ if TYPE_CHECKING:
 _LEFT_OUT_SHOWN = 20
 
 PrintMade = Callable[..., None]
-"""Prints what a folder holds.
+"""Prints the content of a folder.
 
-Of a sink, a kind, a manifest, the folder, and how long it took where it was just made, else None.
+Takes a sink, a kind, a manifest, the folder, and the duration of the run in seconds, or None without a run.
 """
 
 
@@ -39,8 +39,8 @@ def generate_set(
     print_made: PrintMade,
     require: Callable[[], None] = lambda: None,
 ) -> None:
-    """Make a data set of a kind, or forecast it, and print what was made and what comes next."""
-    # Arrow and numpy, which no help needs.
+    """Make a data set of a kind, or forecast it, and print a summary and the next step."""
+    # Imported here: it imports Arrow and numpy, which `--help` does not need.
     from tactile_toolkit.generation import forecast, generate
 
     if making.dry_run:
@@ -52,7 +52,7 @@ def generate_set(
     if manifest is None:
         return
     table = manifest.split_table()
-    # One that has rows, so that the line works when it is tried.
+    # A split with rows, so that the printed line works.
     split = next(name for name in splits or table if table[name]["rows"])
     call = rows.kind.loading_lines(manifest, out, split)[1]
     sink.line(f"next: {rows.kind.command} verify {out}   or in Python: {call}")
@@ -68,9 +68,9 @@ def make_with_progress(
     print_made: PrintMade,
     unit: str | None = None,
 ) -> store.Manifest | None:
-    """Run ``make`` and print what was made; progress counts ``unit`` where that is not the nouns of rows.
+    """Run ``make``, which takes the keywords of a run, and print a summary.
 
-    It takes the keywords of a run. Returns None where this was one part of many.
+    ``unit`` names the items of the progress, if these are not rows. Returns None if only a part was made.
     """
     start_s = time.monotonic()
     rows = skipped = 0
@@ -87,7 +87,7 @@ def make_with_progress(
             manifest = make(**work.run_keywords(), on_progress=on_progress)
         except store.MissingPartsError as error:
             sink.document({"complete": False, "array": error.array, "parts": error.parts})
-            # On stdout, for a script to hand to `sbatch`; the sentence about it goes to stderr.
+            # On stdout, so that a script can pass it to `sbatch`; the error message goes to stderr.
             sink.line(f"--array={error.array}")
             raise
     elapsed_s = time.monotonic() - start_s
@@ -99,10 +99,10 @@ def make_with_progress(
     if work.part is not None:
         counts = {"rows": rows, "skipped": skipped, "elapsed_s": round(elapsed_s, 3)}
         sink.document({"folder": out, "complete": False, "part": work.part, **counts})
-        sink.line(f"{made}; part {work.part} of the data set in {out} is there")
-        sink.line("next: when all parts have ended, the same command with --finish instead of --part")
+        sink.line(f"{made}; part {work.part} of the data set in {out} is finished")
+        sink.line("next: after all parts, run the same command with --finish instead of --part")
         return None
-    # Another split may be unfinished: what is finished of it stays and is shown, as `info` shows it.
+    # Another split may be unfinished: its finished shards stay and are shown, as by `info`.
     manifest = store.manifest_so_far(store.open_folder(out)) or manifest
     print_made(sink, kind, manifest, out, elapsed_s)
     sink.line(f"{made}; the data set is in {out}")
@@ -139,10 +139,10 @@ def print_set(
     left_out: str = "",
     **further: Any,
 ) -> None:
-    """Print what a folder holds, and how it continues where its run is not finished.
+    """Print the content of a folder and, if its run is not finished, the next step.
 
-    ``rows`` are further figures of a finished one; ``left_out`` is what items that were left out are called,
-    where they are not rows; ``further`` are JSON values for the document.
+    ``header`` and ``rows`` are one more table for a finished data set. ``left_out`` names the items that were
+    left out, if these are not rows. ``further`` are JSON values for the document.
     """
     table = manifest.split_table()
     planned = {split: count for split, count in manifest.shards_planned().items() if split in table}
@@ -162,7 +162,9 @@ def print_set(
     )
     if not manifest.complete:
         record, activity = store.read_download_record(store.open_folder(out)), "run"
-        next_step = f"repeat the same `{kind.command_of(manifest)}`, or name what is missing with --finish"
+        next_step = (
+            f"run the same `{kind.command_of(manifest)}` again, or add --finish to list missing shards"
+        )
         if record is not None:
             activity, next_step = "download", f"download {record.repo_id} there again; it continues"
         sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
@@ -179,7 +181,7 @@ def print_set(
 
 
 def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
-    """Print the first items that gave no row, and the first files of the source that hold none."""
+    """Print the first files and items of the source that were left out, with the reasons."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
     source: Any = manifest.spec.get("source")
     files: dict[str, str] = {}

@@ -1,4 +1,4 @@
-"""The commands that command lines share, in one table."""
+"""The table of the commands that all kinds of data sets share."""
 
 from __future__ import annotations
 
@@ -36,9 +36,10 @@ _COMMANDS: dict[str, Any] = {
 
 
 def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
-    """Add the shared commands, with what they must know of a kind.
+    """Add the shared commands to the application of a kind.
 
-    ``others`` are the kind's own commands by name, in place of those here; None leaves one out.
+    ``others`` are the kind's own commands by name, in place of those here; None leaves one out. ``known`` are
+    arguments of the commands that are no options.
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:

@@ -55,8 +55,8 @@ def generate(
         # Outlines are measured by manifold3d: 5.9 s of processor time with one thread, 7.1 s with its own
         # ones. Circles do without it, and would only pay for the 0.1 s that the setting costs.
         run.limit_threads()
-    # Before anything is made or forecast, which may take minutes.
-    with sink.progress("trying whether the fullest scene has room", "failed layouts") as on_failure:
+    # Tried before anything is made or forecast, as it may take minutes.
+    with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneMaking(spec)
         generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)

@@ -1,4 +1,4 @@
-"""Where every command starts, with nothing imported yet: Ctrl-C during the imports ends it quietly, too."""
+"""The entry point of each command, which imports nothing first, so that Ctrl-C during imports is quiet."""
 
 from functools import partial
 

@@ -1,4 +1,4 @@
-"""Standard streams that end the command when they take no more."""
+"""Standard streams that end the command if they cannot be written."""
 
 from __future__ import annotations
 
@@ -12,39 +12,39 @@ from tactile_toolkit.errors import (
     StorageError,
 )
 
-# 128 and the number of SIGPIPE: what a shell reports of `cat`, `grep` and others whose reader left.
+# 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
 _EXIT_CLOSED_PIPE = 141
 
 
 class _Output:
-    """A standard stream that ends the command when it takes no more: a closed pipe quietly, as other tools.
+    """A standard stream that ends the command if it cannot be written; a closed pipe ends it quietly.
 
-    Caught here, because click would end with another exit code, and because the same errors of a file, or of
-    a connection to the Hub, mean something else.
+    Errors are caught here because click would use another exit code, and because the same errors of a file
+    or of a connection to the Hub mean something else.
     """
 
     def __init__(self, stream: Any) -> None:
-        # Python has none where the caller closed it.
+        # Python's stream is None if the caller closed it.
         self._stream = stream or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        return int(self._taken(self._stream.write, text))
+        return int(self._end_on_error(self._stream.write, text))
 
     def flush(self) -> None:
-        self._taken(self._stream.flush)
+        self._end_on_error(self._stream.flush)
 
-    def _taken(self, act: Callable[..., Any], *arguments: str) -> Any:
+    def _end_on_error(self, act: Callable[..., Any], *arguments: str) -> Any:
         try:
             return act(*arguments)
         except OSError as error:
-            # What is left in the buffer must go somewhere when Python ends.
+            # Python flushes the rest of the buffer at its end, which must not fail again.
             os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
             if isinstance(error, BrokenPipeError):
                 raise SystemExit(_EXIT_CLOSED_PIPE) from error
-            with suppress(SystemExit):  # of a stderr that takes no more either
+            with suppress(SystemExit):  # if stderr cannot be written either
                 sys.stderr.write(
                     f"error: the output cannot be written: {error.strerror}; next: redirect it to "
                     "another place\n"

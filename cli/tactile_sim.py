@@ -52,7 +52,7 @@ def generate(
 
     After an interruption, the same command continues; finished shards are kept.
     """
-    # "cell" is the default, and who gives a table means it; any other place with a table is refused.
+    # A table of positions implies `given` in place of the default `cell`; other values are refused.
     if "given" in plan and plan.get("positions", "cell") == "cell":
         plan["positions"] = "given"
     given = chosen.given()
@@ -70,7 +70,7 @@ def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec
     """Return the specification of the options that were given."""
     spec = GenerateSpec(**{"optics": tactile_sim.default_optics(), **picture, **others})
     if "optics" not in picture and spec.optics == "depth":
-        sink.info("note: images are depth images, as Taxim needs the extra `sim`: --optics taxim")
+        sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
     return spec
 
 
@@ -79,7 +79,7 @@ def _print_made(
 ) -> None:
     rows = []
     for split, held in manifest.split_table().items():
-        # Shards carry their counts, so that no row is read for this table.
+        # Shard records hold these counts, so no row is read.
         parts = [record.statistics or {} for record in manifest.shards_of(split)]
         touches, contact = (sum(part.get(name, 0) for part in parts) for name in ("touches", "on_object"))
         share = "-"
@@ -113,7 +113,7 @@ def render(
         metavar="X,Y|object",
         shown="0,0",
         read=_place_m,
-        help="Where the gel goes, relative to the origin of the mesh; object: onto the mesh, wherever it is.",
+        help="Centre of the gel, relative to the origin of the mesh; object: the mesh, wherever it is.",
     ),
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
@@ -131,7 +131,7 @@ def render(
     """
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
-        raise InputError(f"--out is {out.name!r}; expected a picture that ends with {', '.join(_ENDINGS)}")
+        raise InputError(f"--out is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}")
     spec = _spec_of(sink, picture)
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
@@ -147,8 +147,8 @@ def render(
     if not seen.contact:
         (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
         sink.info(
-            f"the gel met the plate only; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} to "
-            f"{high_y:.1f} mm; next: --at-mm object, or a larger --size where it is thinner than a pixel"
+            f"the gel touched only the plate; the mesh is at x {low_x:.1f} to {high_x:.1f} mm, y {low_y:.1f} "
+            f"to {high_y:.1f} mm; next: add --at-mm object, or a larger --size if it is thinner than a pixel"
         )
 
 
@@ -163,7 +163,7 @@ def pairs(
     making: Making,
     sink: Sink,
 ) -> None:
-    """Make the training set of a CycleGAN: depth images and real touches, not paired.
+    """Make the training set of a CycleGAN: unpaired depth images and real touches.
 
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
@@ -197,16 +197,15 @@ def train(
     After an interruption, the same command continues from the last checkpoint.
     On several GPUs: torchrun --nproc-per-node 4 -m tactile_sim train pairs --out weights
     """
-    # Torch takes seconds, and is an extra: the first import reports where it is missing.
+    # Torch takes seconds to import, and is an extra: the first import raises an error if it is missing.
     import tactile_sim.learned  # noqa: F401
     from tactile_sim.learned.training import train as train_both
 
     settings = TrainConfig.read(config, options)
-    # `torchrun` starts this command once for each GPU, numbered by RANK: the first speaks for all.
-    talks = sink
+    # `torchrun` starts this command once for each GPU, numbered by RANK: only the first one prints.
     if os.environ.get("RANK", "0") != "0":
-        talks = Sink(quiet=True)
-    with talks.progress("training", "steps") as update:
+        sink = Sink(quiet=True)
+    with sink.progress("training", "steps") as update:
         done = train_both(
             pairs,
             str(out),
@@ -217,12 +216,12 @@ def train(
             compiled=compiled,
             on_progress=update,
         )
-    # JSON has no NaN, which losses are where no step was left to take.
+    # JSON has no NaN; losses are NaN if no step was left.
     losses = dict.fromkeys(done.losses)
     losses |= {name: loss for name, loss in done.losses.items() if math.isfinite(loss)}
-    talks.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
-    talks.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
-    talks.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
+    sink.document({"folder": done.folder, "steps": done.steps, "taken": done.taken, "losses": losses})
+    sink.line(f"{with_count(done.taken, 'steps')} taken, {done.steps:,} in all; the weights are in {out}")
+    sink.line(f"next: tactile-sim evaluate {out} --pairs {pairs}")
 
 
 @command(app)
@@ -246,7 +245,7 @@ def evaluate(
 
     Example: tactile-sim evaluate weights --pairs pairs-test --out evaluation
     """
-    # Torch takes seconds, and is an extra: the first import reports where it is missing.
+    # Torch takes seconds to import, and is an extra: the first import raises an error if it is missing.
     import tactile_sim.learned
     from tactile_sim.learned.evaluation import BASELINES, evaluate as measure
 

@@ -1,4 +1,4 @@
-"""Commands that make data sets or files of touches from data sets of touches."""
+"""Commands that convert data sets of touches to other data sets or files."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from tactile_toolkit.touch import contact_height_option, size_option
 _FRAME = choice(
     "contact_end",
     ("contact_end", "contact_start", "peak", "best"),
-    help="Frame of a clip: last or first of the contact, of the deepest press, or with the best score of "
-    "contact.",
+    help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
 )
 
 
@@ -33,7 +32,7 @@ class _Options:
     __slots__ = ()
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of its function."""
+        """Return the arguments of the conversion."""
         return {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
 
 
@@ -58,7 +57,7 @@ class Resize(_Options):
     quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of its function: width and height are two."""
+        """Return the arguments of the conversion; width and height are separate."""
         width, height = self.size
         return {"width": width, "height": height, "quality": self.quality}
 
@@ -107,9 +106,9 @@ class Select(_Options):
     per_class: int | None = catalog.PER_CLASS
 
     def arguments(self) -> dict[str, Any]:
-        """Return the arguments of its function; InputError for options that would have no effect."""
+        """Return the arguments of the conversion; InputError for options that would have no effect."""
         if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
-            raise InputError("--min-height-mm and --as-recorded are about --contact", next="add --contact")
+            raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
         # Ids of objects are numbers.
         objects = [each if isinstance(each, int) else catalog.id_range(each) for each in self.ids or ()]
         return {
@@ -151,8 +150,8 @@ def add_conversion(
 ) -> None:
     """Add a command: print what will be fetched, convert with progress, print what was made.
 
-    ``options_of`` declares its options, named as the parameters of its function, unless it has a method
-    ``arguments``; the docstring is the help. ``nouns`` are the rows of what is made.
+    ``options_of`` is the class of its options. They have the names of parameters of ``function``, unless the
+    method ``arguments`` is overridden. Its docstring is the help. ``nouns`` names the rows of the result.
     """
 
     def convert(
@@ -178,10 +177,10 @@ def add_conversion(
 
 
 def announce_fetching(sink: Sink, place: places.Place, split: str | None) -> None:
-    """Print what of a data set on the Hub is about to be fetched: a published one may have many gigabytes."""
+    """Print which splits will be fetched from the Hub, as published data sets have many gigabytes."""
     if place.repository is None:
         return
-    part = "all splits (--split takes one)"
+    part = "all splits (--split selects one)"
     if split:
         part = f"split {split!r}"
     sink.info(f"{place.repository.repo_id}: fetching the missing files of {part} from the Hub")

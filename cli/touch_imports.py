@@ -1,4 +1,4 @@
-"""The command that imports the recordings of others."""
+"""The command ``import``, which makes a data set from the recordings of others."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ def import_touches(
     split_name: str | None = text(
         name="--split",
         metavar="NAME",
-        help="Split, if no column names it; by default that of tars called SPLIT-000000.tar, or train.",
+        help="Name of the split, if no column has it; by default that of tars (SPLIT-000000.tar), or train.",
     ),
     work: Work,
     sink: Sink,
 ) -> None:
     """Make a data set of touches from images and a table of labels and poses; images are not changed.
 
-    Images that cannot be used are left out and listed with the reason. Columns that this program writes are
-    found by their names.
+    Images that cannot be used are left out and listed with the reason. Columns with the names that `realtouch
+    frames` and `realtouch export` write need no option.
 
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
@@ -68,10 +68,10 @@ def _print_imported(
     if realtouch.CONVERSION in options:
         sink.info(f"the images were converted without loss: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
-        sink.info("no classes are known (--label-column names their column): the label of all is -1")
+        sink.info("no classes are known (--label-column names their column), so all labels are -1")
     print_left_out(sink, manifest)
     fields = store.add_up(list(manifest.statistics().values())).get(realtouch.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
-        sink.info(f"fields that were not imported, and of how many touches: {counts}")
+        sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
     print_set(sink, kind, manifest, out, left_out="touches")

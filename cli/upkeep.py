@@ -1,4 +1,4 @@
-"""Commands of a data set folder that all command lines share: what it holds, and whether it is intact."""
+"""The commands ``card`` and ``cache``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
     Example: card FOLDER
     """
     opened = places.open_place(folder).require(kind, "card").require_complete()
-    # Touches may be of the publisher, who writes no manifest.
+    # The published touches have no manifest.
     kind = opened.kind or kind
     manifest = opened.manifest
     if kind.needs_manifest:
@@ -44,7 +44,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
 def cache(
     *,
     action: str = choice("ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."),
-    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for so many days."),
+    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for this many days."),
     sink: Sink,
 ) -> None:
     """List or remove cached files; they are made again when they are needed.
@@ -64,4 +64,4 @@ def cache(
         sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
         return
     sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
-    sink.line(f"kept in {cache_folder()}; next: cache prune removes it")
+    sink.line(f"these files are in {cache_folder()}; next: `cache prune` removes them")

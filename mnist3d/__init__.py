@@ -1,7 +1,7 @@
 """MNIST 3D: from images of handwritten digits to printable 3D meshes.
 
 ``mnist3d.load`` opens a data set, ``mnist3d.generate`` makes one, ``mnist3d.solidify`` turns one image into a
-mesh and ``mnist3d.inspect`` states whether a mesh prints. Names are imported on first use, so that
+mesh and ``mnist3d.inspect`` checks whether a mesh can be printed. Names are imported on first use, so that
 ``import mnist3d`` costs nothing.
 """
 

@@ -1,6 +1,7 @@
 """Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.compiled`).
 
-IEEE operations run in the order in which they are written.
+Floating-point operations run in the order in which they are written, so that results do not depend on the
+processor.
 """
 
 from __future__ import annotations
@@ -15,14 +16,15 @@ from tactile_toolkit.compiled import compiled
 
 @compiled
 def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float32:
-    """Measure how far each pixel centre lies from the outline of the ink, positive inside, up to two reaches.
+    """Return the distance of each pixel centre from the outline of the ink, pixels, positive inside.
 
-    The outline runs between pixels, half a pixel from the centres on either side. The edge of the image is no
-    outline. Exact up to the reaches, which are below 127. First
-    along the rows, then over the offsets of the columns (Felzenszwalb and Huttenlocher 2012 write the
-    transform that way); with a short reach plain passes over small integers beat their lower envelope.
+    The outline runs between pixels, half a pixel from the centres on either side. The edge of the image is
+    not an outline. Distances are exact up to ``inside_px`` and ``outside_px``, both below 127, and are cut
+    off there. They are found along the rows, then over the offsets of the columns, as by Felzenszwalb and
+    Huttenlocher (2012); for short distances, plain passes over small integers are faster than their lower
+    envelope.
     """
-    # Reaches of the centres, from which the outline is half a pixel away.
+    # Largest distances between centres; the outline is half a pixel from a centre.
     inside_px, outside_px = inside_px + 0.5, outside_px + 0.5
     height, width = mask.shape
     reaches = int(np.ceil(outside_px)), int(np.ceil(inside_px))
@@ -71,7 +73,8 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
 def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
     """Return rows and columns, shape (2, N), of narrow ink and paper: necks, gaps, whiskers and notches.
 
-    A pixel is narrow if nothing of its kind within a square around it is wide.
+    A pixel is narrow if the square around it, ``reach`` pixels to each side, has no pixel of the same kind
+    that is at least ``wide_px`` from the outline.
     """
     height, width = distance.shape
     found, count = np.empty((2, height * width), np.int64), 0
@@ -95,12 +98,12 @@ def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
 def blurred(
     values: Floating, nodes: Float64, sigma_per_pitch: float, bell_reach: float, grain: float
 ) -> Float64:
-    """Return values at nodes after a blur, as wide as the nodes are apart, along the first axis.
+    """Blur values along the first axis, in proportion to the distance of the nodes; return those at nodes.
 
-    Weights are twice a bell less a wider one, rounded to a grain. They keep waves that a bell would damp, so
-    that tips, notches and ridges lose less than half as much, and still remove what the lattice cannot
-    represent. A bell is close to a Gaussian, but of products and sums only: exponentials differ between
-    processors. A node one pixel from the next is not blurred.
+    The weights are twice a bell minus a wider one, rounded to multiples of ``grain``. They keep waves that
+    one bell would damp, so that tips, notches and ridges lose less than half as much, and still remove what
+    the lattice cannot represent. A bell is close to a Gaussian, but is computed by products and sums only,
+    because exponentials differ between processors. A node one pixel from the next is not blurred.
     """
     found = np.zeros((len(nodes), values.shape[1]))
     weights = np.empty((2, len(values)))
@@ -132,7 +135,10 @@ def blurred(
 
 @compiled
 def runs_of(mask: Bool) -> tuple[Int64, Int64]:
-    """Return the runs of marked pixels, (row, begin, end) each, and the pairs of runs that touch."""
+    """Return the runs of marked pixels and the pairs of runs that touch.
+
+    Runs have the shape (N, 3): row, first column, and the column after the last. Pairs have the shape (M, 2).
+    """
     height, width = mask.shape
     found = np.empty((height * (width // 2 + 1), 3), np.int64)
     pairs = np.empty((2 * len(found), 2), np.int64)
@@ -160,10 +166,10 @@ def runs_of(mask: Bool) -> tuple[Int64, Int64]:
 
 @compiled
 def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> Float32:
-    """Move vertices by shares of the way to the mean of their neighbours; those of a flat rim in its plane.
+    """Move vertices towards the mean of their neighbours, by each share of the way in turn.
 
-    An edge counts once for each of its triangles. Neighbours are added from the last to the first: the order
-    decides the last bit.
+    Vertices marked in ``flat`` keep their z. An edge counts once for each of its triangles. Neighbours are
+    added from the last to the first: the order decides the last bit.
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
     for corner in faces.ravel():

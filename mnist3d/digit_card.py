@@ -126,7 +126,7 @@ def _limits(
 
 
 def source_words(name: str) -> dict[str, str]:
-    """Return the description of a source of digits; an unknown source has a neutral one."""
+    """Return the texts about a source of digits; an unknown source has neutral ones."""
     known = cards.card_words("digit_words.toml")
     return {"name": name, **known.get(name, known["other"])}
 
@@ -134,7 +134,7 @@ def source_words(name: str) -> dict[str, str]:
 def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
     """Describe a source with its fingerprint."""
     fields = dict(fingerprint)
-    if words["name"] == "mnist":  # which comes in parts
+    if words["name"] == "mnist":  # its files are in parts, train and test
         fields["images"] = sum(part["images"] for part in fields["parts"])
         fields["marks"] = ", ".join(f"`{part['images_sha256']:.12}`" for part in fields["parts"])
     return f"`{words['name']}`: {words['text'].format(**fields)}"

@@ -1,4 +1,4 @@
-"""Checks of stored meshes, of data sets and of single files."""
+"""Checks of the meshes of data sets and of single files."""
 
 from __future__ import annotations
 
@@ -41,12 +41,12 @@ class CheckedMesh:
         }
 
     def table_row(self) -> tuple[object, ...]:
-        """Return what a table shows of it, below :data:`_SHOWN`."""
+        """Return the cells of a row of :meth:`CheckedMeshes.table`."""
         report = self.report
         numbers = [each.text(getattr(report, each.name)) for each in _SHOWN]
         if not report.is_solid:
-            story = ", ".join((report.detail or report.problem or "", *report.notes))
-            return (self.name, "NO", "-", *numbers, story)
+            findings = ", ".join((report.detail or report.problem or "", *report.notes))
+            return (self.name, "NO", "-", *numbers, findings)
         size = " x ".join(f"{side:.1f}" for side in report.size_mm)
         return (self.name, "yes", size, *numbers, ", ".join((*report.warnings, *report.notes)) or "none")
 
@@ -90,8 +90,8 @@ class CheckedMeshes:
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of failed meshes, or of all if there are few."""
         header = ("mesh", "solid", "size, mm", *(each.heading for each in _SHOWN), "findings")
-        worth = [item for item in self.items if not item.report.is_solid]
-        shown = self.items if len(self.items) <= _ROWS_SHOWN else worth[:_ROWS_SHOWN]
+        failures = [item for item in self.items if not item.report.is_solid]
+        shown = self.items if len(self.items) <= _ROWS_SHOWN else failures[:_ROWS_SHOWN]
         words = ", ".join(f"{word} {count:,}" for word, count in self.warnings().items())
         title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; warnings: {words or 'none'}"
         return header, [item.table_row() for item in shown], title
@@ -123,15 +123,15 @@ def validate_paths(
     paths : sequence of str
         Names of data sets, and STL, 3MF, PLY, OBJ or GLB files. Unreadable files are reported as such.
     split, limit : optional
-        Of data sets, only this split and only the first rows of each split.
+        Check only this split of data sets, and only the first ``limit`` rows of each split.
     workers : int
-        Processes that check rows of data sets.
+        Number of processes that check rows of data sets.
     profile : PrintProfile, optional
         Printer and material.
     unit : str, optional
         Unit of mesh files, as in :func:`mnist3d.read_mesh`.
     opened : callable
-        Opens the name of a data set.
+        Opens a data set by its name.
     on_progress : callable
         Called with the numbers of meshes done and in total.
 
@@ -143,7 +143,7 @@ def validate_paths(
         A shard is damaged, or the run that makes the data set is not finished.
     """
     profile = profile or mesh.PrintProfile()
-    # All names are opened first, so that a typing error shows at once.
+    # All names are opened first, so that a wrong one is reported at once.
     files = [path for path in paths if _is_single_file(path)]
     for name in paths:
         if name not in files:

@@ -13,7 +13,7 @@ from tactile_toolkit.array_types import Int64
 
 
 class DigitRecord(mesh.SolidRecord):
-    """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh`` and what follows.
+    """One 3D digit: ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh``, ``writer`` and ``source``.
 
     Frame of the mesh: origin at the image centre, x right and y up as the digit is read, z out of the plate,
     lowest point at z = 0; metres.
@@ -137,7 +137,8 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, several splits and no name, another kind, or no columns of MNIST 3D.
+        There is no such folder or split, there are several splits and none is named, or the data set is of
+        another kind or lacks the columns of MNIST 3D.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

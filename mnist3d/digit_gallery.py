@@ -20,7 +20,7 @@ _SHOWN = (*with_role(DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "
 def plan_gallery(
     name: places.Name | places.Place, chosen: catalog.RowFilter = catalog.NO_FILTER
 ) -> gallery.Gallery:
-    """State what a gallery of digits shows; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
+    """Plan a gallery of digits; see :func:`~tactile_toolkit.gallery.gallery_of_rows`."""
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = places.open_place(name)
     folder = place.folder

@@ -78,7 +78,7 @@ class DigitMaking(generation.RowGenerator):
 
     @classmethod
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
-        """Leave a folder of pictures undivided, unless the specification or ``splits`` ask for a division."""
+        """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
         is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
         if is_asked_for or not isinstance(spec.source, FolderSource):
             return cls(spec)
@@ -163,8 +163,8 @@ def generate(
     out : str or path-like
         Folder to write.
     splits : sequence of str, optional
-        Splits to make; other splits in the folder stay. By default all; for a folder of images only
-        ``train``, unless ``spec.split`` divides them.
+        Splits to make; other splits in the folder stay. The default is all splits, or ``train`` for a folder
+        of images that ``spec.split`` does not divide.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 

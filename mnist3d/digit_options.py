@@ -41,18 +41,18 @@ class SourceOptions:
 
 @dataclass(frozen=True, slots=True)
 class DigitPreviewSpec(catalog.PreviewSpec):
-    """Which pictures of digits to draw; the steps of a data set need the files of its source."""
+    """Which pictures of digits to draw; the steps for a data set need the files of its source."""
 
     kinds: tuple[str, ...] = choice(
         (),
         ("sheet", "steps", "all"),
         name="--kind",
-        help="What to draw; may be repeated. Of a data set: sheet.",
+        help="What to draw; may be repeated. By default sheet, or steps for a picture.",
     )
     images: Path | None = text(
         metavar="PATH",
         read=Path,
-        help="Images of the source of the data set, as for `generate`; for --kind steps.",
+        help="Images of the source of the data set, as given to `generate`; for --kind steps.",
     )
     writer_info: Path | None = text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."

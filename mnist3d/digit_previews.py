@@ -1,4 +1,4 @@
-"""Which pictures of digits are drawn: contact sheets, single meshes, and the steps of an image."""
+"""Pictures of digits: contact sheets, single meshes, and the steps from an image to a solid."""
 
 from __future__ import annotations
 
@@ -28,11 +28,10 @@ _VIEW_PX = 520
 
 
 def plan_previews(name: Name | Place, spec: DigitPreviewSpec) -> pictures.PicturePlan:
-    """Decide which pictures of a data set, a mesh file or an image of a digit to draw; draws none.
+    """Plan the pictures of a data set, a mesh file or an image of a digit; nothing is drawn yet.
 
-    Kinds are sheet and steps. Raises InputError as
-    :class:`~tactile_toolkit.pictures.MeshPreviews` does and where a file cannot be read, and
-    IntegrityError where the data set is damaged or unfinished.
+    Kinds are sheet and steps. Raises InputError as :class:`~tactile_toolkit.pictures.MeshPreviews` does and
+    if a file cannot be read, and IntegrityError if the data set is damaged or unfinished.
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):
         return _plan_file(fspath(name), spec)
@@ -51,7 +50,7 @@ def plan_previews(name: Name | Place, spec: DigitPreviewSpec) -> pictures.Pictur
 
 
 def is_picture_or_mesh(name: str) -> bool:
-    """Return whether a name is that of a single picture or mesh on this machine, and of no data set."""
+    """Return whether a name is that of a local picture or mesh file, and not of a data set."""
     if store.is_remote(name):
         return False
     path = store.expanded(name)
@@ -73,20 +72,20 @@ def _plan_file(name: str, spec: DigitPreviewSpec) -> pictures.PicturePlan:
         drawings = [(f"{stem}-sheet.png", partial(draw_mesh, part, path.name))]
     else:
         mesh.refuse_unit(spec.unit, name)
-        drawings = _draw_pages(path, stem)
+        drawings = _plan_pages(path, stem)
     return pictures.PicturePlan(
         tuple(pictures.PlannedPicture(file, path.name, draw) for file, draw in drawings)
     )
 
 
-def _draw_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
-    """Read the pages of a picture, each of which is a digit; return file names and what draws the steps."""
+def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
+    """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
     pages, drawings = pages_of(path), []
     for number, page in enumerate(pages, 1):
         file, title = f"{stem}-steps.png", path.name
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
-        # On the sheet that the sources use: the default specification is for 500 px.
+        # Fitted into 500 px, as by the sources; the default specification is for that size.
         pixels = ink.fit(read_picture(path, page=page))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
@@ -97,7 +96,9 @@ def _plan_steps(
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
     if "source" not in opened.made_by:
-        raise InputError(f"{opened.name!r} does not name the source of its images")
+        raise InputError(
+            f"{opened.name!r} does not name the source of its images", next="draw --kind sheet only"
+        )
     with catalog.specification_read(opened.name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
@@ -120,7 +121,7 @@ def _plan_steps(
 
 
 def draw_digit_sheet(records: Sequence[DigitRecord], per_row: int, title: str, names: Sequence[str]) -> UInt8:
-    """Draw digits from above at one scale; ``names`` are those of the classes."""
+    """Draw digits from above at one scale; ``names`` are the names of the classes."""
     solids = [mesh.Mesh(record.vertices_m, record.faces) for record in records]
     widest_m = max(float(np.ptp(each.vertices_m[:, :2], axis=0).max()) for each in solids)
     px_per_mm = _TILE_PX / (mesh.MM_PER_M * widest_m)
@@ -142,7 +143,7 @@ def draw_mesh(part: mesh.Mesh, title: str) -> UInt8:
 
 
 def object_facts(part: mesh.Mesh) -> tuple[str, ...]:
-    """Return the measures of a mesh in words, and what keeps it from being a solid."""
+    """Return the measures of a mesh as text, and the reason if it is not a solid."""
     x_mm, y_mm, z_mm = (np.ptp(part.vertices_m, axis=0) * mesh.MM_PER_M).tolist()
     size = f"{x_mm:.1f} x {y_mm:.1f} x {z_mm:.1f} mm"
     parts = f"{len(part.vertices_m):,} vertices, {len(part.faces):,} triangles"

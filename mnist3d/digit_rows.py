@@ -48,7 +48,7 @@ class DigitRow(mesh.MeshRow):
 
 
 SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "measure"))
-"""Columns of the report that are summed up for each split."""
+"""Columns of the report that are summarised for each split."""
 
 
 @cache

@@ -17,7 +17,7 @@ KIND = DatasetKind(
     class_names=tuple(map(str, range(10))),
     columns=("writer",),
     splits=("train", "test", "holdout", "printed_train", "printed_test"),
-    # Counts here and in the other rooms: Tactile MNIST paper and the documentation of the published loaders.
+    # Counts here and in the other kinds: Tactile MNIST paper and the documentation of the published loaders.
     published=(tactile_mnist_set("mnist3d", "mnist3d", "13,580 meshes of digits in 5 splits"),),
     plan_previews=lazy("mnist3d.digit_previews:plan_previews"),
     plan_gallery=lazy("mnist3d.digit_gallery:plan_gallery"),

@@ -1,4 +1,4 @@
-"""Meshes, their files and the report on how they print: of the toolkit, named here for users of digits."""
+"""Meshes, mesh files and print reports of the toolkit, exported again for users of digits."""
 
 from tactile_toolkit.mesh import (
     Mesh as Mesh,

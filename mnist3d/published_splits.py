@@ -17,7 +17,7 @@ from tactile_toolkit.checked_fields import (
 from tactile_toolkit.errors import InputError
 
 SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
-"""The five splits in canonical order, in which also scarce digits are assigned."""
+"""The five splits in canonical order, in which scarce digits are assigned, too."""
 
 PUBLISHED_SIZES: dict[str, int] = {
     "train": 1148,
@@ -46,7 +46,7 @@ class SplitSpec:
         None means ``"none"`` for a folder of images if neither splits nor sizes are given, otherwise
         ``"digit"``.
     sizes : tuple of (str, int), or None
-        Digits per class of each split, also as a mapping. None means the published sizes, or their
+        Digits per class of each split; a mapping is accepted, too. None means the published sizes, or their
         proportions for a class of fewer than 1,358 digits.
     """
 
@@ -73,7 +73,8 @@ class SplitSpec:
             return
         if self.by == "none":
             raise InputError(
-                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'"
+                "split sizes are given for digits that are not divided; expected by='digit' or 'writer'",
+                next="leave out sizes (--split-sizes), or change by (--split-by)",
             )
         sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MOST_DIGITS)
         object.__setattr__(self, "sizes", sizes)

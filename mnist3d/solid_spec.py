@@ -53,8 +53,8 @@ class SolidSpec:
     bridge_width_mm : float
         Width of these bridges.
     lattice_pitch_mm : float or None
-        Distance of the nodes at which the fast method evaluates the solid, which then decides the number of
-        vertices; None takes the pitch for the vertex budget.
+        Distance of the nodes at which the fast method evaluates the solid; the number of vertices follows
+        from it. None chooses the pitch that meets the vertex budget.
     target_vertices : int
         Vertex budget of a mesh. A digit that needs more than 1.5 times as many is refused.
     smoothing_iterations : int

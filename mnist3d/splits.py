@@ -133,11 +133,14 @@ def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
     if NO_WRITER in writers:
         raise InputError(
-            "splits by writer need the writer of every digit, and the source does not know them",
+            "splits by writer need the writer of every digit, and the source does not state all writers",
             next="name the writer column (--writer-column) or split by digit",
         )
     if shares.sum() == 0:
-        raise InputError("all split sizes are 0; expected at least one split with digits")
+        raise InputError(
+            "all split sizes are 0; expected at least one split with digits",
+            next="raise a size (--split-sizes)",
+        )
     wanted, given = shares / shares.sum() * counts.sum(), np.zeros(len(SPLITS))
     split_of = np.full(len(writers), -1, dtype=np.int64)
     # Every split first gets a writer; by shares only, small splits of few writers would stay empty.

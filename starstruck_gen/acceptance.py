@@ -13,13 +13,13 @@ from starstruck_gen.scene_spec import SceneSpec
 
 @dataclass(frozen=True, slots=True)
 class Acceptance:
-    """Counts of scenes, which add up over shards."""
+    """Counts of scenes and of drawn positions, which add up over shards."""
 
     classes: list[int]  # scenes of each class
     distractors: list[int]  # scenes with 0, 1, 2, ... distractors
     objects: list[int]  # scenes that have a first object, a second one, ...
-    attempts: list[int]  # positions drawn for the first objects, the second ones, ..., in all layouts
-    restarts: int  # how often scenes were started over
+    attempts: list[int]  # positions drawn for the first object, the second one, ..., in all layouts
+    restarts: int  # number of times that scenes were started over
 
     @property
     def attempts_per_object(self) -> tuple[float, ...]:
@@ -28,7 +28,7 @@ class Acceptance:
 
     @property
     def accepted(self) -> float:
-        """Share of all drawn positions at which an object was left standing."""
+        """Share of all drawn positions at which an object of a finished scene stands."""
         return sum(self.objects) / max(1, sum(self.attempts))
 
 

@@ -46,7 +46,7 @@ class Placement(NamedTuple):
 
     @property
     def is_star(self) -> bool:
-        """Whether the object counts."""
+        """Whether the object is a star, which is counted."""
         return self.shape.partition("(")[0] == STAR
 
 
@@ -65,12 +65,12 @@ def circles_clear(one: Placement, others: Sequence[Placement], clearance_m: floa
 def outlines_clear(one: Placement, others: Sequence[Placement], clearance_m: float) -> bool:
     """Return whether outlines keep a clearance, as measured by manifold3d.
 
-    An object inside of a hole of another one is clear of it, an object inside of its solid is not.
+    An object inside a hole of another one is clear of it; an object inside its solid is not.
     """
     least_mm = (clearance_m + STORAGE_MARGIN_M) * mesh.MM_PER_M
     near = (other for other in others if not circles_clear(one, [other], clearance_m))
     pairs = ((_standing(one), _standing(other)) for other in near)
-    # The gap does not reveal an object inside of another one, and is slow to compute if objects overlap.
+    # The gap does not reveal an object inside another one, and is slow to compute if objects overlap.
     return all((a ^ b).is_empty() and a.min_gap(b, 2 * least_mm) > least_mm for a, b in pairs)
 
 

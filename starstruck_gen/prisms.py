@@ -18,7 +18,7 @@ from tactile_toolkit.array_types import Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
 MOST_KEPT = 1_024
-"""Solids of shapes in memory."""
+"""Largest number of solids of shapes in memory."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +99,7 @@ class Prisms:
 def prisms(keys: tuple[str, ...]) -> Prisms:
     """Return the solids of the shapes that keys name, in their order.
 
-    They are kept, as scenes have few shapes in few orders; the published specification has 189.
+    Results are cached, as scenes have few shapes in few orders; the published specification has 189 orders.
     """
     each = [prism(key) for key in keys]
     # Begins with empty arrays, since a layout may be empty.
@@ -141,9 +141,9 @@ def require_fine_steps(
         moved_m = math.hypot(*np.spacing(farthest_m.astype(np.float32)).tolist()) / 2
         if thinnest_m <= 2 * moved_m:
             raise InputError(
-                f"cell_m of the scene specification is {cell_m!r}; expected a smaller one with shape "
-                f"{shape.key!r} of radius_m {shape.radius_m!r}: its thinnest triangle is {thinnest_m:.2g} m, "
-                f"and storing coordinates as float32 moves corners by up to {moved_m:.2g} m there",
+                f"cell_m of the scene specification is {cell_m!r}; expected a smaller cell for shape "
+                f"{shape.key!r} of radius_m {shape.radius_m!r}: the thinnest triangle of the shape is "
+                f"{thinnest_m:.2g} m high, and float32 moves its corners by up to {moved_m:.2g} m",
                 next="lower cell_m (--cell-mm) or the corners of the shape (segments, points), or raise "
                 "radius_m (--radius-mm)",
             )

@@ -20,6 +20,7 @@ from starstruck_gen.scene_spec import SceneSpec
 from starstruck_gen.shapes import Shape
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 T = TypeVar("T")
 Uniform = Callable[[], float]
@@ -33,7 +34,7 @@ _INFEASIBLE_DEVIATIONS = 8.0
 
 
 class SamplingExhausted(InputError):  # noqa: N818
-    """No position was found for an object of a scene, in all restarts."""
+    """No position was found for an object of a scene, in any of its layouts."""
 
 
 def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
@@ -90,11 +91,11 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     spec : SceneSpec
         How scenes are made.
     split : str
-        Split.
+        One of :data:`starstruck_gen.SPLITS`.
     seed : int
         Seed of the data set.
     start, count : int
-        Which scenes.
+        Number of the first scene, and number of scenes.
 
     Raises
     ------
@@ -126,9 +127,9 @@ def require_feasible(
 
 
 def is_infeasible(reached: list[int], objects: int) -> bool:
-    """Return whether no layout will hold all objects, judged from how many each layout so far held.
+    """Return whether no layout will hold all objects, judged from the numbers that earlier layouts held.
 
-    These counts lie close together: if all objects are more than eight standard deviations above the mean of
+    These numbers lie close together: if ``objects`` is more than eight standard deviations above the mean of
     the last ten, no number of restarts is enough.
     """
     if len(reached) < _RECENT_LAYOUTS:
@@ -167,7 +168,7 @@ def rejection_sampling(
     while len(reached) <= spec.restarts and not is_infeasible(reached, len(shapes)):
         placed: list[Placement] = []
         for number, shape in enumerate(shapes):
-            # Once for an object, not for each attempt.
+            # Drawn once for an object, not for each attempt.
             height_m = _choice(spec.heights_m, uniform)
             for _ in range(spec.attempts):
                 attempts[number] += 1
@@ -193,16 +194,16 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
 
 
 def _exhausted(spec: SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:
-    """Return the error for a scene of which the layouts so far held these numbers of objects."""
+    """Return the error for a scene; ``reached`` are the numbers of objects that its layouts held."""
     number, restarts = reached[-1], len(reached) - 1
-    near, patience = "", ", or in Python raise attempts or restarts of SceneSpec"
+    verdict, more_tries = "", ", or in Python raise attempts or restarts of SceneSpec"
     if is_infeasible(reached, len(shapes)):
-        near, patience = "; no layout came near", ""
+        verdict, more_tries = "; no layout held nearly as many objects", ""
     width_mm, height_mm = (2 * mesh.MM_PER_M * half_m for half_m in spec.half_area_m)
     return SamplingExhausted(
         f"no place for object {number + 1} of {len(shapes)} (a {shapes[number].name}): {spec.attempts} "
-        f"attempts failed, and the scene was started over {restarts} times (restarts){near}; centres may lie "
-        f"in {width_mm:g} x {height_mm:g} mm",
-        next="lower the most --stars or --distractors (stars, distractors), --clearance-mm (clearance_m) or "
-        f"--radius-mm (radius_m of a shape), or raise --cell-mm (cell_m){patience}",
+        f"attempts failed, and the scene was started over {with_count(restarts, 'times')} (restarts){verdict}"
+        f"; centres may lie in {width_mm:g} x {height_mm:g} mm",
+        next="lower the largest number of --stars or --distractors (stars, distractors), --clearance-mm "
+        f"(clearance_m) or --radius-mm (radius_m of a shape), or raise --cell-mm (cell_m){more_tries}",
     )

@@ -64,12 +64,12 @@ class CheckedScenes:
         return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
 
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
-        """Return header, rows and title of a table of the scenes that fail."""
+        """Return header, rows and title of a table of invalid scenes."""
         solids = with_count(self.bodies, "solids")
         if self.declared:
             solids = f"{solids}, {self.stars:,} of them stars"
         else:
-            solids = f"{solids}; which of them are stars is not declared"
+            solids = f"{solids}; the data set does not declare which of them are stars"
         title = f"{self.path}: {self.checked:,} checked, {self.failed:,} failed; {solids}"
         shown = [(failure.split, failure.id, failure.problem) for failure in self.failures[:_SHOWN]]
         return ("split", "scene", "finding"), shown, title
@@ -94,7 +94,7 @@ def validate_folder(
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
         shards,
-        partial(_prove, names=names, shapes=[kind() for kind in KINDS.values()]),
+        partial(_check_row, names=names, shapes=[kind() for kind in KINDS.values()]),
         _COLUMNS,
         limit,
         workers,
@@ -113,7 +113,7 @@ def validate_folder(
     return CheckedScenes(place.name, len(rows), bodies, stars, tuple(failures), declares)
 
 
-def _prove(
+def _check_row(
     row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
 ) -> tuple[str | None, int, int]:
     """Return the problem of a scene (or None), its number of bodies, and that of its declared stars.
@@ -135,8 +135,8 @@ def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) ->
     """Check a stored scene from its triangles; return its problem (or None) and its number of bodies.
 
     The triangles bound solids that do not overlap (:mod:`tactile_toolkit.mesh.solid_check`) and stand on
-    z = 0. Each declared object has one solid, which is that object. There are as many stars as the class
-    says. Of a scene without declared objects (the published data set), only the solids are checked.
+    z = 0. Each declared object has one solid, which is that object. The number of stars is that of the class.
+    For a scene without declared objects (the published data set), only the solids and the class are checked.
     """
     mesh = Mesh(record.vertices_m, record.faces)
     verdict = check_manifold(mesh)
@@ -152,7 +152,7 @@ def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
     mesh_m = float(mesh.bounds_m[0, 2])
     if mesh_m != 0.0:
         return f"the lowest point of the mesh is at z = {mesh_m:g} m; expected 0"
-    # Bodies of negative volume are voids inside of others.
+    # Bodies of negative volume are voids inside others.
     lowest_m = [body.bounding_box()[2] / MM_PER_M for body in bodies if body.volume() > 0]
     for number, each_m in enumerate(lowest_m, 1):
         if each_m > _PLACE_TOLERANCE_M:
@@ -164,7 +164,7 @@ def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
 def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
     declared = build_meshes([record.placements])[0]
     if bodies != len(record.placements):
-        return f"{bodies} bodies stand there, {len(record.placements)} objects are declared"
+        return f"found {with_count(bodies, 'solids')}; expected {len(record.placements)}, one for each object"
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
     if not same or not np.abs(declared.vertices_m - mesh.vertices_m).max() <= _PLACE_TOLERANCE_M:
         return "the mesh is not that of the declared objects"
@@ -175,18 +175,19 @@ def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | Non
     doubled = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
     wrong = int((np.where(a[:, 2] > 0, doubled, -doubled) <= 0).sum())
     if wrong:
-        return f"{with_count(wrong, 'triangles')} of flat faces are turned over or have no area"
+        return f"found {with_count(wrong, 'triangles')} of flat faces turned over or without area"
     return None
 
 
 def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:
     declared = record.star_count
     if not 0 <= record.label < len(names) or names[record.label] != str(declared):
-        return f"{declared} stars are declared, the class is {record.label} of {', '.join(names)}"
+        stated = with_count(declared, "stars")
+        return f"star_count states {stated}; the label is {record.label}, an index into {', '.join(names)}"
     if record.has_placements:
         stars = sum(placement.is_star for placement in record.placements)
         others = len(record.placements) - stars
         if (stars, others) != (declared, record.distractor_count):
             expected = f"{declared} and {record.distractor_count}"
-            return f"{stars} stars and {others} others stand there, {expected} are declared"
+            return f"found {with_count(stars, 'stars')} and {others} other objects; expected {expected}"
     return None

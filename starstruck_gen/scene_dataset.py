@@ -76,8 +76,8 @@ class SceneRecord(mesh.SolidRecord):
         """Show the scene from above in a notebook."""
         if not self.has_placements:
             return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
-        caption = f"scene {self.id}: {self.star_count} stars, {self.distractor_count} distractors"
-        return pictures.figure_html(self._drawn(2.0), caption)
+        stars, others = with_count(self.star_count, "stars"), with_count(self.distractor_count, "distractors")
+        return pictures.figure_html(self._drawn(2.0), f"scene {self.id}: {stars}, {others}")
 
     def _tile_html(self) -> str:
         caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
@@ -168,7 +168,8 @@ def load(
     Raises
     ------
     InputError
-        No such folder or split, several splits and no name, another kind, or no columns of Starstruck.
+        There is no such folder or split, there are several splits and none is named, or the data set is of
+        another kind or lacks the columns of Starstruck.
     IntegrityError
         The data set is damaged or unfinished.
     HubError

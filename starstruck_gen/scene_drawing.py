@@ -18,7 +18,7 @@ DISTRACTOR_COLOUR = (92, 110, 132)
 _SUPERSAMPLING = 4
 _PLATE = (245, 243, 238)
 _EDGE = (40, 40, 40)
-# Of the enlarged drawing: 300 MB at three bytes each.
+# Largest enlarged drawing: 300 MB at three bytes for each pixel.
 _MOST_PIXELS = 100_000_000
 
 
@@ -30,7 +30,10 @@ def draw_scene(placements: Iterable[Placement], cell_m: tuple[float, float], px_
     sides = np.round(np.array(cell_m) * 1e3 * px_per_mm)
     most = _MOST_PIXELS // _SUPERSAMPLING**2
     if not (np.isfinite(sides).all() and sides.min() >= 1 and sides.prod() <= most):
-        raise InputError(f"a picture of {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels")
+        raise InputError(
+            f"the picture would have {sides[0]:g} x {sides[1]:g} pixels; expected 1 to {most:,} pixels",
+            next="change px_per_mm",
+        )
     width, height = sides.astype(int).tolist()
     picture = Image.new("RGB", (width * _SUPERSAMPLING, height * _SUPERSAMPLING), _PLATE)
     for placement in placements:
@@ -46,7 +49,7 @@ def _paint_object(picture: Image.Image, placement: Placement, px_per_m: float) -
         turned = moved(ring, np.array([[c, s], [-s, c]]))
         standing_m = placement.radius_m * turned + (placement.x_m, placement.y_m)
         rings.append(standing_m * px_per_m * (1.0, -1.0) + np.array(picture.size) / 2)
-    # A mask of the size of the object keeps its holes open, so that objects inside of them stay visible.
+    # A mask of the size of the object keeps its holes open, so that objects inside them stay visible.
     low, high = (
         np.clip((rings[0].min(axis=0), rings[0].max(axis=0) + 2), 0, picture.size).astype(int).tolist()
     )

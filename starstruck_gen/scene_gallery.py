@@ -19,7 +19,7 @@ from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
-_OPAQUE_FROM = 150  # levels by which the fill of every object is darker than the plate
+_OPAQUE_FROM = 150  # each object is at least this many levels darker than the plate
 
 _SHOWN = (
     *with_role(SceneRow, "facet", "measure"),
@@ -41,7 +41,7 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
     gallery.require_mesh(record, split)
     stars = record.star_count
     mesh = Mesh(record.vertices_m, record.faces)
-    notes = [("Size over all", gallery.size_text(mesh.vertices_m))]
+    notes = [("Overall size", gallery.size_text(mesh.vertices_m))]
     values: dict[str, Any] = {
         "star_count": stars,
         "distractor_count": None,

@@ -56,7 +56,7 @@ class SceneSetSpec:
     scene : SceneSpec
         How scenes are made.
     scenes : tuple of (str, int)
-        Number of scenes of each split, also as a mapping.
+        Number of scenes of each split; a mapping is accepted, too.
     seed : int
         Random seed.
     limit : int or None
@@ -114,7 +114,7 @@ class SceneMaking(generation.RowGenerator):
             smallest=1_000,
             largest=10_000,
             wanted=48,
-            sampled=200,  # a scene takes tens of microseconds; fewer would measure the clock
+            sampled=200,  # a scene takes tens of microseconds, too short to measure fewer
         )
 
     def schema(self, split: str) -> Any:
@@ -122,7 +122,7 @@ class SceneMaking(generation.RowGenerator):
         return scene_schema(self.spec.scene.class_names)
 
     def make(self, split: str, items: Any) -> list[SceneRow]:
-        """Make the rows; SamplingExhausted when a scene cannot be made."""
+        """Return the rows of some scenes; SamplingExhausted if a scene cannot be made."""
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
@@ -156,6 +156,11 @@ def generate(
         Called after each failed layout while the fullest scene is tried.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
+
+    Returns
+    -------
+    Manifest
+        Content of the folder.
 
     Raises
     ------

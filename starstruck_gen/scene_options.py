@@ -34,7 +34,7 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
     except ValueError:
         lengths_m = ()
     if not 0 < len(lengths_m) <= most:
-        raise InputError(f"{option} is {words!r}; expected millimetres such as 120, or up to {most} of them")
+        raise InputError(f"{option} is {words!r}; expected 1 to {most} lengths in millimetres, such as 120")
     return lengths_m
 
 
@@ -71,16 +71,16 @@ class SceneOptions:
     collision: str = choice(
         "circles",
         ("circles", "exact"),
-        help="What must not overlap: circles around objects, or their exact outlines.",
+        help="What must not overlap: circles around objects (circles), or their outlines (exact).",
     )
-    clearance_mm: float = real(0.0, help="Minimum distance between them.")
+    clearance_mm: float = real(0.0, help="Minimum distance between these circles or outlines.")
 
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("--distractors", self.distractors)
         if len(comma_separated(self.distractors)) > 2:
             raise InputError(
-                f"--distractors is {self.distractors!r}; expected the least and the most such as 0-5"
+                f"--distractors is {self.distractors!r}; expected the minimum and the maximum, such as 0-5"
             )
         sides_m = _lengths_m("--cell-mm", self.cell_mm, 2)
         shapes = [each for each in _BETWEEN_SHAPES.split(self.shapes) if each.strip()]
@@ -98,7 +98,7 @@ class SceneOptions:
         )
 
     def _star(self) -> starstruck_gen.Shape:
-        # An impossible radius is refused before a ratio that follows from it.
+        # An impossible radius is refused before the ratio that is computed from it.
         plain = starstruck_gen.Shape("star", self.radius_mm / 1e3)
         numbers: dict[str, float] = {}
         if self.star_points is not None:

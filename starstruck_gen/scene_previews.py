@@ -18,7 +18,7 @@ _TILE_PX = 150
 
 
 def plan_previews(name: places.Name | places.Place, spec: catalog.PreviewSpec) -> pictures.PicturePlan:
-    """Decide which pictures of a folder or Parquet file of scenes to draw; draws none.
+    """Plan the pictures of a folder or Parquet file of scenes; nothing is drawn yet.
 
     Raises InputError if there is nothing to draw, or an option does not fit the data.
     """
@@ -46,6 +46,6 @@ def draw_scene_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: i
         for record in records
     ]
     known = all(record.has_placements for record in records)
-    colours = "stars are yellow" if known else "it is not stored which objects are stars"
+    colours = "stars are orange" if known else "the data set does not store which objects are stars"
     words = f"{with_count(len(records), 'scenes')} from above, the id of each below it; {colours}"
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)

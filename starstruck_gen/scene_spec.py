@@ -53,7 +53,7 @@ class SceneSpec:
     heights_m : tuple of float
         Heights of objects, each with equal chance, metres (package tactile-mnist 0.13.0: 5 mm).
     rotation_rad : float
-        Objects are turned about z by a uniform angle between 0 and this.
+        Largest rotation of an object about z, radians; rotations are uniform from 0 to it.
     collision : str
         One of :data:`COLLISION_RULES`.
     clearance_m : float
@@ -98,7 +98,7 @@ class SceneSpec:
         self._require("stars", fits, "integers from 0, each larger than the one before")
         fits = len(self.distractors) == 2 and is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
-        self._require("distractors", fits, "the least and the most, integers from 0")
+        self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS
         self._require("stars", fits, f"1 to {_MOST_OBJECTS} objects in a scene, distractors included")
         fits = isinstance(self.star, Shape) and self.star.name == STAR
@@ -123,7 +123,7 @@ class SceneSpec:
     def half_area_m(self) -> tuple[float, float]:
         """Largest distance of a centre from the middle along x and y, metres.
 
-        Objects in any rotation then stay inside of the padded cell.
+        Objects in any rotation then stay inside the padded cell.
         """
         widest_m = 2 * max(shape.radius_m for shape in (self.star, *self.distractor_shapes))
         return (
@@ -159,17 +159,21 @@ class SceneSpec:
         unknown = sorted(set(values) - {entry.name for entry in fields(cls)})
         if unknown:
             raise InputError(
-                f"unknown field {unknown[0]!r} in a scene specification; see starstruck_gen.SceneSpec"
+                f"unknown field {unknown[0]!r} in a scene specification",
+                next="see the fields of starstruck_gen.SceneSpec",
             )
         try:
-            to_builtin: dict[str, Any] = {
+            arguments: dict[str, Any] = {
                 name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
             }
             if "star" in values:
-                to_builtin["star"] = Shape.from_dict(values["star"])
+                arguments["star"] = Shape.from_dict(values["star"])
             if "distractor_shapes" in values:
                 shapes = values["distractor_shapes"]
-                to_builtin["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
-            return cls(**to_builtin)
+                arguments["distractor_shapes"] = tuple(Shape.from_dict(entry) for entry in shapes)
+            return cls(**arguments)
         except (TypeError, ValueError) as error:
-            raise InputError(f"a scene specification has a value of a wrong type: {error}") from error
+            raise InputError(
+                f"a value of the scene specification has a wrong type: {error}",
+                next="see the types of the fields in starstruck_gen.SceneSpec",
+            ) from error

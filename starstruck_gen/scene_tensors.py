@@ -14,6 +14,6 @@ from tactile_toolkit.read import TrainingBatches as TrainingBatches
 
 
 class SceneTensors(SolidTensors):
-    """A map-style data set of scenes, of files or on the fly; its grids cover the published cell of 12 cm."""
+    """A map-style data set of scenes, stored or on the fly; its grids cover the published cell of 12 cm."""
 
     extent_m = (0.12, 0.12, 0.01)

@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError
 Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
 
-_LARGEST = 1e6  # for kinds without a declared range
+_LARGEST = 1e6  # for numbers without a declared range
 
 STAR = "star"
 """The shape that is counted."""
@@ -38,7 +38,7 @@ class Proportions:
     Raises
     ------
     InputError
-        When a number is outside its range; the message names shape, field, what was found and expected.
+        A number is outside its range; the message names the shape, the field and the range.
     """
 
     name: ClassVar[str] = ""
@@ -86,7 +86,7 @@ class Proportions:
 
 
 def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
-    # The process that pickled it has registered, and so checked, the kind.
+    # The kind was checked when it was registered in the process that pickled it.
     if kind.name:
         KINDS.setdefault(kind.name, kind)
     return kind(**values)

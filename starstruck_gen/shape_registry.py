@@ -60,13 +60,13 @@ def register_shape(kind: K) -> K:
     >>> Shape("kite", 0.012, Kite(width=0.4)).key
     'kite(width=0.4)'
     """
-    _require_described(kind)
+    _require_valid_kind(kind)
     former = KINDS.get(kind.name)
     if former is kind:
         return kind
     # A notebook cell that is run again defines its class again; the new class replaces the former one.
     if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
-        raise InputError(f"shape {kind.name!r} is taken by {former.__qualname__}; expected another name")
+        raise InputError(f"the name {kind.name!r} is taken by {former.__qualname__}; expected another name")
     made = checked_prism(kind.name, read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
@@ -75,13 +75,13 @@ def register_shape(kind: K) -> K:
             "the circumscribed radius"
         )
     KINDS[kind.name] = kind
-    # Caches by key may hold shapes of a former kind of the same name.
+    # Caches may hold outlines of the former kind of the same name.
     for kept in (outline, prism, prisms, prism_solid):
         kept.cache_clear()
     return kind
 
 
-def _require_described(kind: Any) -> None:
+def _require_valid_kind(kind: Any) -> None:
     is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
     if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
         raise InputError(

@@ -140,7 +140,7 @@ def outline(key: str) -> Outline:
 
 
 def read_only(rings: Outline) -> Outline:
-    """Return read-only rings; the class of a user may return its own arrays."""
+    """Return rings as read-only arrays of float64."""
     rings = tuple(np.asarray(ring, dtype=np.float64) for ring in rings)
     for ring in rings:
         ring.setflags(write=False)
@@ -148,7 +148,7 @@ def read_only(rings: Outline) -> Outline:
 
 
 def _parse_key(key: str) -> Proportions:
-    """Read a :func:`shape_key`, which may be written by people, with spaces or repeated numbers."""
+    """Read a :func:`shape_key`; InputError for a key that a person wrote wrongly."""
     match = _KEY.fullmatch(key.strip())
     if match is None:
         raise InputError(f"{key!r} is not a shape; expected a name such as ring, or ring(hole_ratio=0.3)")

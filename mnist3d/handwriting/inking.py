@@ -15,7 +15,7 @@ _CELL_PX = 4
 _NODES = PAGE_PX // _CELL_PX + 1
 # Cells between the nodes of the wide grain of the edge noise.
 _COARSE = 4
-# The distance is right up to so far outside the ink; the edge noise must stay below it.
+# Distances are exact up to this far outside the ink; edge noise must stay below it.
 _BEYOND_PX = 7.0
 _FAR_PX = 50.0
 # Reach of a speckle, pixels.
@@ -30,7 +30,9 @@ _PRESSURE_WAVE_PX = 70.0
 
 
 def ink_paths(paths: list[Float64], pen_px: float, style: WriterStyle, rng: KeyedRng) -> UInt8:
-    """Ink evenly sampled paths, in pixels, with the pen of a writer; return the page as grey levels.
+    """Ink evenly sampled paths with the pen of a writer.
+
+    Each path has the shape (N, 2), in pixels. Returns the page, shape (500, 500), uint8, 0 for ink.
 
     The distance to the edge of the ink is computed on a grid of 4 px near the strokes, roughened there and
     then interpolated. That is 1/16 of the work, and noise of that grain looks like a felt tip on paper.

@@ -32,7 +32,7 @@ def binarise(
 ) -> Bool:
     """Return the ink that becomes the solid: binarised, cleaned and, with ``spec.join_bodies``, joined.
 
-    Parameters and errors as of :func:`mnist3d.solidify`.
+    Parameters and errors are those of :func:`mnist3d.solidify`; the mask has the shape (H, W).
     """
     if ink not in ("auto", "dark", "light"):
         raise InputError(f"ink is {ink!r}; expected 'auto', 'dark' or 'light'")
@@ -43,7 +43,7 @@ def binarise(
         levels, ink = even_out(levels), "dark"
     levels, otsu = dark_on_light(levels, ink)
     if resample:
-        # Other levels have another threshold.
+        # The threshold of the image does not fit resampled levels.
         levels, otsu = fit(levels), None
     elif max(levels.shape) < SMALL_PX:
         height_px, width_px = levels.shape

@@ -19,7 +19,7 @@ from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Bool, Int64
 
 CONTACT_PX = 3
-"""Most pixels by which a speck may touch wider ink."""
+"""Largest number of pixels at which a speck may touch wider ink."""
 
 _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
@@ -27,7 +27,7 @@ _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 def clean(mask: Bool, spec: SolidSpec) -> Bool:
     """Remove specks and pinholes, and repair corner contacts, so that 4- and 8-connectivity agree.
 
-    Specks that touch a stroke by a few pixels go, too: they would become fins that no printer makes.
+    Specks that touch a stroke by a few pixels are removed, too: they would become fins that no printer makes.
 
     Raises ItemError ``no-ink`` if there were only specks.
     """
@@ -78,7 +78,7 @@ def _without_small(mask: Bool, min_px: float, *, first_stays: bool = False) -> B
 
 
 def _pieces(mask: Bool) -> tuple[Int64, Int64]:
-    """Return the runs of marked pixels, (row, begin, end) each, and the first run of the piece of each."""
+    """Return the runs of marked pixels, (row, begin, end) each, and for each the first run of its piece."""
     runs, touching = runs_of(mask)
     return runs, mesh.connected(touching[:, 0], touching[:, 1], len(runs))
 
@@ -109,7 +109,7 @@ def _without_attached_specks(mask: Bool, min_px: float) -> Bool:
 
 
 def _opened(mask: Bool, radius_px: int) -> Bool:
-    """Keep what octagons within the mask cover; they are ``2 * radius_px + 1`` pixels wide."""
+    """Open a mask (erode, then dilate it) by an octagon that is ``2 * radius_px + 1`` pixels wide."""
     # Shifts of the whole mask take 1/12 of the time of scipy's opening (0.5 and 5.6 ms at radius 6).
     # Steps with and without corners in turn add up to octagons.
     paper = ~mask

@@ -19,7 +19,7 @@ WIDEST_STROKE = 1 / 6
 
 
 def reduction(shape: tuple[int, ...]) -> int:
-    """Return the factor by which a picture of a shape is reduced."""
+    """Return the factor by which a picture of this shape is reduced."""
     return max(1, round(max(shape) / _COARSE_PX))
 
 
@@ -29,19 +29,19 @@ def to_coarse(view: UInt8) -> UInt8:
 
 
 def to_fine(values: UInt8, shape: tuple[int, ...]) -> UInt8:
-    """Interpolate a picture that :func:`to_coarse` reduced at the pixels of a view of a shape."""
+    """Enlarge a picture that :func:`to_coarse` reduced to the shape of its view, by interpolation."""
     factor, (height, width) = reduction(shape), values.shape
     larger = Image.fromarray(values).resize((width * factor, height * factor), Image.Resampling.BILINEAR)
     return np.asarray(larger)[: shape[0], : shape[1]]
 
 
 def fine_mask(mask: Bool, shape: tuple[int, ...]) -> Bool:
-    """Return which pixels of a view of a shape are in a mask of coarse pixels."""
+    """Enlarge a mask of coarse pixels to the shape of a view."""
     return to_fine(np.where(mask, np.uint8(255), np.uint8(0)), shape) > 127
 
 
 def paper_around(values: UInt8, widest: float = WIDEST_STROKE) -> UInt8:
-    """Return the paper around each coarse pixel, by a closing that is wider than any stroke."""
+    """Return the level of the paper around each coarse pixel, by a closing wider than any stroke."""
     side = int(max(values.shape) * widest) | 1
     # Beyond the edge of the picture, the pixels of the edge are repeated.
     beyond = np.pad(values, side, mode="edge")

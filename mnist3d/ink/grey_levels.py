@@ -12,7 +12,7 @@ MIN_SIDE_PX = 8
 """Smaller images cannot show a digit."""
 
 SMALL_PX = 64
-"""Images with a shorter longer side would give a block of a few millimetres, and have to be resampled."""
+"""Least length of the longer side; smaller images would make a block of a few millimetres."""
 
 PAPER_SHARE = 0.75
 """Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
@@ -25,7 +25,7 @@ MOST_BORDER = 0.05
 
 _WHITE = 255
 _SLACK = 0.5 / _WHITE
-"""White may lie half a level above the scale, by rounding of whoever wrote the file."""
+"""Values may lie half a level outside the scale, by rounding when a file was written."""
 
 
 def as_levels(pixels: AnyArray) -> UInt8:

@@ -13,16 +13,16 @@ _RIM, _SPECK = 0.05, 0.02
 """Shares of the longer side: reach of the border of a scan, and least length of ink."""
 
 _PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
-"""Shares of the longest piece: length and thickness of further pieces, gaps, length of another digit."""
+"""Shares of the longest piece: least length and thickness of its parts, widest gap, least other digit."""
 
 _SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
-"""Least size of ink on the page, largest thickness by length, largest width by height."""
+"""Least size of ink relative to the page, largest ratios of thickness to length and of width to height."""
 
 _SOFT = 0.1
 """Least change within a pixel, as a share of the contrast, at nine tenths of the edges of ink."""
 
 NEAR_PX = 2
-"""Reach of the greys of edges, pixels."""
+"""Width of the grey edges of ink, pixels."""
 
 
 def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
@@ -61,7 +61,7 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
         refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
     if np.percentile(slopes[digit & edges], 10) < _SOFT:
-        refuse("not-a-digit", "ink whose edges are blurred in part", "the edges of a pen")
+        refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
     return digit
 
 
@@ -71,9 +71,9 @@ def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
     small = max(height, width) / min(int(inside.any(axis=axis).sum()) for axis in (0, 1))
     thick, wide = 2 * depth_px / max(height, width), width / height
     for fits, what, expected in (
-        (small >= _SMALLEST, f"ink of {small:.0%} of the page", f"{_SMALLEST:.0%} or more"),
-        (wide <= _WIDEST, f"ink {wide:.1f} times as wide as it is high", f"{_WIDEST} times at most"),
-        (thick <= _BLOB, f"ink {thick:.0%} as thick as it is long", f"{_BLOB:.0%} at most"),
+        (small >= _SMALLEST, f"ink as long as {small:.0%} of the page", f"{_SMALLEST:.0%} or more"),
+        (wide <= _WIDEST, f"ink {wide:.1f} times as wide as it is high", f"at most {_WIDEST} times"),
+        (thick <= _BLOB, f"ink as thick as {thick:.0%} of its length", f"at most {_BLOB:.0%}"),
     ):
         if not fits:
             refuse("not-a-digit", what, expected)

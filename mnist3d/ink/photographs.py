@@ -95,7 +95,7 @@ def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
 
 
 def _views(picture: Image.Image) -> UInt8:
-    """Return grey, and of a coloured picture red, green and blue, shape (N, H, W)."""
+    """Return the grey levels and, for a coloured picture, its three channels, shape (N, H, W)."""
     grey = np.asarray(picture.convert("L"))
     if picture.mode == "L":
         return grey[None]
@@ -120,7 +120,7 @@ def _even_out(views: UInt8, ink: str) -> UInt8:
 def _across_shadow(views: UInt8, page: Bool) -> UInt8:
     """Try again without the outline of the page, which may be the edge of a shadow that ink crosses.
 
-    Raises ItemError ``cut-off`` where the outline itself is now taken for ink.
+    Raises ItemError ``cut-off`` if the outline itself is now taken for ink.
     """
     levels = _ink_on(views, np.ones_like(page))
     outline = fine_mask(page & ~eroded(page, 2), levels.shape)
@@ -132,7 +132,7 @@ def _across_shadow(views: UInt8, page: Bool) -> UInt8:
 def _under_fingers(views: UInt8, page: Bool) -> UInt8:
     """Try again with a paper estimate that also follows narrow shadows.
 
-    Raises ItemError ``no-ink`` where it follows wide strokes, too.
+    Raises ItemError ``no-ink`` if it follows wide strokes, too.
     """
     levels = _ink_on(views, page, _NARROW * WIDEST_STROKE)
     inside = fine_mask(eroded(page, 2), levels.shape)

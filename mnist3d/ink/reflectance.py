@@ -65,7 +65,7 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
         level = float(np.median(seen))
         clearness = (level - float(np.percentile(seen, 0.5))) / (_deviation(seen) + 0.01 * level)
         if number == 0:
-            clearness *= 1.3  # grey has less noise than its parts
+            clearness *= 1.3  # grey has less noise than single channels
         if clearness > best:
             divided = np.divide(view, to_fine(paper, view.shape), dtype=np.float32) / np.float32(level)
             best = clearness
@@ -73,7 +73,7 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
 
 
 def find_ink(reflectance: Float32, inside: Bool) -> Ink:
-    """Return the pixels that are nearer to ink than to paper."""
+    """Return the pixels inside the page whose reflectance is nearer to ink than to paper."""
     values = reflectance[inside]
     ink = float(np.percentile(values, 0.3))
     for _ in range(4):
@@ -87,7 +87,7 @@ def find_ink(reflectance: Float32, inside: Bool) -> Ink:
 
 
 def without_shadows(found: Ink) -> Bool:
-    """Remove what is between ink and paper, such as shadows of fingers, but keep the edges of ink."""
+    """Remove parts that are lighter than ink, such as shadows of fingers, but keep the edges of ink."""
     middle = found.mask & (found.reflectance > found.ink + _MIDDLE * (1 - found.ink))
     steps = max(1, round(_SHADOW_PX * max(middle.shape)))
     wide = ndimage.minimum_filter(middle, 2 * steps + 1)

@@ -11,19 +11,19 @@ _SENTENCES = {
     "bad-dtype": "the image has dtype {}; expected grey levels (integers, floats or bool)",
     "not-finite": "{}: found NaN or infinity in {}, expected finite levels",
     "bad-pixels": "{}: found pixels from {:g} to {:g}, expected 0 to {:g}",
-    "too-small": "the image has {} x {} px, which make {:g} mm; expected {} px or more",
+    "too-small": "the image has {} x {} px, so that the solid would be {:g} mm long; expected {} px or more",
     "unclear-ink": "{}: the ink cannot be distinguished from the paper, found {:.0%} of the margin light and "
     "the rest dark, expected nearly all of it to be paper",
     "one-level": "the image has one grey level only ({}); expected dark ink on light paper",
     "no-ink": "no pixel is dark enough to be ink; expected a digit",
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
     "paper, with less than {:.0%} of the margin ink",
-    "empty-page": "nothing on the page is as dark as ink and has edges like ink; expected a digit",
+    "empty-page": "no part of the page is as dark as ink and has edges like ink; expected a digit",
     "half-ink": "ink covers {:.0%} of the image, which would make a slab; expected at most half of it",
     "border": "ink touches {:.0%} of the border of the image; expected {:.0%} at most, and paper elsewhere",
     "several-digits": "the page shows {} digits or other pieces of ink; expected one digit",
     "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
-    "not-a-digit": "found {}; expected a digit, {}",
+    "not-a-digit": "found {}; expected {} for a digit",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
     "topology": "no lattice keeps the topology of the ink (bodies: {}, holes: {}); the finest has {} and {}",
     "layers": "the stack of layers has another topology than the ink (bodies: {}, holes: {}); the ink has {} "
@@ -33,19 +33,21 @@ _SENTENCES = {
 }
 
 _NEXT = {
+    "bad-shape": "give one image of grey levels, at least as large",
+    "bad-dtype": "convert the image to uint8, from 0 to 255",
     "not-finite": "repair or rescale this image in the file, or leave it out",
     "bad-pixels": "repair or rescale this image in the file, or leave it out",
-    "too-small": "solidify(..., resample=True) draws it again with 500",
+    "too-small": "give a larger image, or enlarge it with solidify(..., resample=True)",
     "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
     "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
     "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
-    "not-a-digit": "leave the picture out, or photograph the digit from nearer, in even light",
-    "empty-page": "leave the picture out, or photograph the digit from nearer, in even light",
+    "not-a-digit": "leave the picture out, or photograph the digit from closer, in even light",
+    "empty-page": "leave the picture out, or photograph the digit from closer, in even light",
     "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",
     "border": "leave room around the digit, or crop the image to its page",
     "layers": "leave the digit out, or try method='fast'",
-    "vertex-budget": "ask for {5:,} (target_vertices, --vertices)",
+    "vertex-budget": "raise target_vertices (--vertices) to {5:,}",
 }
 
 

@@ -1,6 +1,6 @@
 """From a digit image to a printable solid: Algorithm 1 of the Tactile MNIST paper.
 
-Most readers need :func:`solidify` only. After :func:`~mnist3d.ink.binarisation.binarise`, :func:`solid_steps`
+Most users need :func:`solidify` only. After :func:`~mnist3d.ink.binarisation.binarise`, :func:`solid_steps`
 takes the steps of the algorithm, one function each: :func:`~mnist3d.solid.erosion_and_stacking.erode`,
 :func:`~mnist3d.solid.erosion_and_stacking.stack`, :func:`~mnist3d.solid.marching_cubes.half_surface`,
 :func:`~mnist3d.solid.smoothing.smooth`, :func:`~mnist3d.solid.mirroring_and_scaling.mirror` and
@@ -45,7 +45,7 @@ def solidify(
         Grey levels, row 0 at the top. Other integers count from 0 to 255, floats from 0 to 1 or to 255; bool
         is accepted too.
     spec : SolidSpec, optional
-        The numbers of the algorithm; the published ones by default.
+        Parameters of the algorithm; the published ones by default.
     method : {"fast", "literal"}
         ``"fast"``: one distance transform and a lattice of real values; ``"literal"``: the algorithm as the
         paper prints it.
@@ -69,7 +69,7 @@ def solidify(
         ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``cut-off``,
         ``several-digits``, ``not-a-digit``, ``topology``, ``vertex-budget``.
     InputError
-        An unknown method, or an unknown word for the ink.
+        ``method`` or ``ink`` is unknown.
     """
     spec = spec or SolidSpec()
     if method not in ("fast", "literal"):
@@ -121,7 +121,7 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
             refuse("topology", *counts, *found)
         lattice = finer
     mesh = scale(mirror(smoothed), ink.shape, spec)
-    # A given pitch decides the number of vertices.
+    # With a given pitch, the number of vertices follows from it.
     if spec.lattice_pitch_mm is None and len(mesh.vertices_m) > BUDGET_SLACK * spec.target_vertices:
         mesh = decimate(mesh, spec.target_vertices)
     return SolidSteps(lattice, upper_half, surface, mesh)

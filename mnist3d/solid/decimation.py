@@ -14,20 +14,21 @@ from tactile_toolkit.mesh import Mesh, self_crossing
 FIRST_TOLERANCE_MM = 0.01
 # One pass with a wide tolerance leaves more vertices, and worse placed ones.
 TOLERANCE_GROWTH = 1.25
+# One pass is tried for up to this many times as many vertices as allowed.
 FEW_TOO_MANY = 2.0
 
 E_FOLD_MM = 0.1
-"""Excess of vertices up to which one pass is tried, and the tolerance that leaves 1/e of them."""
+"""Tolerance at which one pass leaves about 1/e of the vertices."""
 
 BUDGET_SLACK = 1.5
-"""Largest number of vertices, in budgets."""
+"""Largest number of vertices, as a multiple of the budget."""
 
 
 def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
-    """Remove the vertices that matter least until the budget is met; a mesh within it is returned itself.
+    """Remove the least important vertices until the budget is met; a smaller mesh is returned unchanged.
 
-    A mesh of 1.5 to 3 budgets keeps up to 1.5. Raises ItemError ``vertex-budget`` where these are too few for
-    its bodies and holes.
+    A mesh with 1.5 to 3 times the budget may keep up to 1.5 times. Raises ItemError ``vertex-budget`` if
+    these are too few for its bodies and holes.
     """
     if len(mesh.vertices_m) <= target_vertices:
         return mesh
@@ -39,11 +40,11 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         solid = passes[0].simplify(tolerance_mm + E_FOLD_MM * math.log(over))
         simpler = _mesh_of(solid)
         fits = len(simpler.vertices_m) <= most
-        if fits and _is_held(solid, counts) and not _crosses_itself(simpler, counts[0]):
+        if fits and _keeps_topology(solid, counts) and not _crosses_itself(simpler, counts[0]):
             return simpler
     while passes[-1].num_vert() > target_vertices:
         simpler = passes[-1].simplify(tolerance_mm)
-        if not _is_held(simpler, counts):
+        if not _keeps_topology(simpler, counts):
             break
         passes.append(simpler)
         tolerance_mm *= TOLERANCE_GROWTH
@@ -68,7 +69,7 @@ def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
     return self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
 
 
-def _is_held(solid: Any, counts: tuple[int, int]) -> bool:
+def _keeps_topology(solid: Any, counts: tuple[int, int]) -> bool:
     """Return whether a symmetric solid has these bodies and holes, and none of its walls have met."""
     if bodies_and_holes(solid.num_vert(), np.asarray(solid.to_mesh64().tri_verts)) != counts:
         return False

@@ -26,7 +26,7 @@ NARROW_PX = 2.0
 """Ink or paper is narrow (a neck, a gap, a whisker) if its middle is nearer to the outline than this."""
 
 NARROW_REACH_PX = 3
-"""Distance, pixels, within which ink and paper near something wider are not narrow: outlines are rough."""
+"""Ink and paper within this distance, pixels, of a wider part are not narrow, as outlines are rough."""
 
 NARROW_ERROR_PX = 0.25
 """Largest error of the outline of narrow parts: 0.05 mm."""
@@ -74,7 +74,7 @@ class Lattice:
     def heights_px(self, spec: SolidSpec) -> Float32:
         """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
 
-        Each is an array of its own: numpy squares scalars by another function, with another last bit.
+        Each height is an array: numpy squares scalars by another function, whose last bit may differ.
         """
         top_px = spec.half_thickness_px + 2 * self.pitch_px
         return np.arange(0, top_px, self.pitch_px).astype(np.float32)[:, None]
@@ -82,8 +82,8 @@ class Lattice:
     def finer(self, inside: Bool) -> Lattice | None:
         """Return a lattice with more nodes where bodies or holes are lost; None if each pixel is a node.
 
-        Nodes are added where nodes ``inside`` the mid-plane touch at a corner only, or else where the lattice
-        shows ink for paper, or paper for ink.
+        ``inside`` states which nodes of the mid-plane are in the solid. Nodes are added where two of them
+        touch at a corner only, or else where the lattice shows ink for paper, or paper for ink.
         """
         if self.s_px.shape == self.ink.shape:
             return None
@@ -114,9 +114,9 @@ class Lattice:
         return replace(self, rows_px=rows, columns_px=columns, s_px=s_px)
 
     def _corner_contacts(self, inside: Bool) -> Int64:
-        """Return the pixels, shape (2, N), between nodes of which two touch at a corner only.
+        """Return the pixels, shape (2, N), in cells of the lattice whose nodes touch at a corner only.
 
-        The surface may join these two, or the two across.
+        The surface may join either pair of opposite nodes.
         """
         one, other = inside[:-1, :-1], inside[:-1, 1:]
         contacts = (one == inside[1:, 1:]) & (other == inside[1:, :-1]) & (one != other)
@@ -164,7 +164,7 @@ def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
     if spec.lattice_pitch_mm is not None:
         return min(max(spec.lattice_pitch_mm / spec.pixel_pitch_mm, 1.0), LARGEST_PITCH_PX)
     pitch = FIRST_PITCH_PX
-    for _ in range(2):  # the second round corrects for what the first lattice was too coarse to see
+    for _ in range(2):  # the second round corrects the count, as the first lattice may be too coarse
         rows, columns = (np.arange(0, side - 1, pitch).round().astype(np.intp) for side in distance.shape)
         crossed = _crossed_edges(distance[np.ix_(rows, columns)], pitch, spec)
         pitch = float(np.clip(pitch * math.sqrt(crossed / spec.target_vertices), 1.0, LARGEST_PITCH_PX))
@@ -181,7 +181,7 @@ def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
 
 
 def _refined(nodes: Float64, lines: Int64, count: int) -> Float64:
-    """Put nodes on every line in which something is missed, and on the lines next to it."""
+    """Put nodes on every line with missed pixels, and on the lines next to it."""
     missed = np.zeros(count, dtype=bool)
     missed[lines] = True
     wanted = np.flatnonzero(missed | np.append(missed[1:], False) | np.append(False, missed[:-1])) * 1.0

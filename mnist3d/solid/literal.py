@@ -28,8 +28,8 @@ from tactile_toolkit.mesh import Mesh
 def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh:
     """Build the solid of clean ink; ``decimated=False`` leaves it as fine as its pixels.
 
-    Raises ItemError ``topology`` where the surface lacks bodies or holes of the ink, and ``vertex-budget`` as
-    :func:`mnist3d.solid.decimation.decimate`.
+    Raises ItemError ``topology`` if the surface has other numbers of bodies or holes than the ink, and
+    ``vertex-budget`` as :func:`mnist3d.solid.decimation.decimate` does.
     """
     upper_half = stack([eroded_by_disc(ink, radius_px) for radius_px in erosion_radii_px(spec)])
     volume = np.concatenate([upper_half[:, :, ::-1], upper_half], axis=2)

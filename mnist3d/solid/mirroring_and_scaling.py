@@ -17,7 +17,7 @@ def mirror(upper: Surface) -> Surface:
     The paper mirrors the stack of layers. Marching cubes and smoothing treat both halves alike, so mirroring
     after them gives the same surface in half the time, and its halves agree to the last bit.
 
-    Vertices off the mid-plane appear again behind those of the upper half, in the same order.
+    The mirrored vertices follow those of the upper half, in the same order; those of the rim are not doubled.
     """
     count = len(upper.vertices_px)
     off_plane = np.delete(np.arange(count), upper.rim)

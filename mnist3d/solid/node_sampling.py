@@ -11,18 +11,22 @@ from mnist3d.compiled_loops import blurred
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 
 F = TypeVar("F", np.float32, np.float64)
-BLUR_PER_PITCH = 0.25
-RIDGE_BLUR_PER_PITCH = 0.6
 
-RIDGE_DEPTH_PER_PITCH = 1.0
-"""Blur near the outline, blur in the depth, and where the one passes into the other.
+BLUR_PER_PITCH = 0.25
+"""Standard deviation of the blur near the outline, in pitches."""
+
+RIDGE_BLUR_PER_PITCH = 0.6
+"""Standard deviation of the blur far inside, in pitches.
 
 Distances grow evenly with the depth, so a blur changes only the ridge of a narrow stroke, whose height would
 otherwise depend on the positions of the nodes.
 """
 
+RIDGE_DEPTH_PER_PITCH = 1.0
+"""Depth from which, and over which, the first blur passes into the second, in pitches."""
+
 BELL_REACH = 11**0.5
-"""(1 - (x / r)^2)^4 has the standard deviation r / sqrt(11)."""
+"""Half width r of a bell in standard deviations: (1 - (x / r)^2)^4 has the deviation r / sqrt(11)."""
 
 GRAIN_PX = 2.0**-12
 """Grid to which sampled distances are rounded."""
@@ -39,7 +43,7 @@ def sampled(distance: Float32, rows: Float64, columns: Float64, pitch_px: float)
 
 
 def _blurred(values: Float32, rows: Float64, columns: Float64, sigma_per_pitch: float) -> Float32:
-    """Return values at nodes after a blur as wide as the nodes are apart.
+    """Return values at nodes after a blur in proportion to the distance of the nodes.
 
     Values and weights lie on such coarse grids that every product and sum is exact in double precision, with
     the same bits on every processor.

@@ -1,4 +1,4 @@
-"""The profile of a solid: how far its outline draws in with the height, and how deep points lie in it."""
+"""The profile of a solid: how far its outline moves inwards with height, and how deep points lie in it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ _DISC_OFFSETS_PX = {"outline": 0.0, "disc": 0.5}
 
 
 def erosion_radius_px(z_px: Floating, spec: SolidSpec) -> Floating:
-    """Return how far the outline draws in at heights from 0 to the half thickness, pixels."""
+    """Return how far the outline moves inwards at heights from 0 to the half thickness, pixels."""
     half_px = spec.half_thickness_px
     if spec.profile == "flat":
         return np.zeros_like(z_px)
@@ -42,7 +42,7 @@ def depth_px(s_px: Floating, z_px: Floating, spec: SolidSpec) -> Floating:
     """Return the depth of points in the solid, pixels, positive inside; the two shapes broadcast.
 
     Values are true distances wherever one side of the solid is nearest, so their zero between two nodes is
-    exact. A stack of binary layers would place it half way.
+    exact. A stack of binary layers would place it half-way.
     """
     half_px = spec.half_thickness_px
     if spec.profile == "flat":

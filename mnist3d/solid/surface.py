@@ -40,7 +40,8 @@ class Surface:
 def bodies_and_holes(vertices: int, faces: AnyArray, rim: int = 0) -> tuple[int, int]:
     """Count the bodies of a closed surface and the holes through them.
 
-    Of the upper half of a surface, ``rim`` is the number of vertices in the mid-plane.
+    ``vertices`` is the number of vertices. For the upper half of a surface, ``rim`` is the number of those in
+    the mid-plane.
     """
     corners = faces.astype(np.int64)
     least = connected(corners[:, :2].ravel(), corners[:, 1:].ravel(), vertices)

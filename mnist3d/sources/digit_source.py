@@ -94,4 +94,5 @@ class DigitSource(Protocol):
 def require_known(digit_id: int, count: int, where: str) -> None:
     """Raise ItemError for an id that a source of ``count`` digits does not have."""
     if not 0 <= digit_id < count:
-        raise ItemError("unknown-id", f"{where}: found id {digit_id}, expected 0 to {count - 1}")
+        found = f"{where}: found id {digit_id}, expected 0 to {count - 1}"
+        raise ItemError("unknown-id", found, next="choose an id in this range")

@@ -16,6 +16,7 @@ from mnist3d.ink.grey_levels import as_grey
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 _SCALE_SAMPLE = 16
 _FINGERPRINT_SAMPLE = 64
@@ -23,7 +24,7 @@ _FINGERPRINT_SAMPLE = 64
 
 @dataclass(frozen=True, slots=True)
 class HwdPlusSource:
-    """The two ``.npy`` files of HWD+ (Beaulac & Rosenthal 2022), or of anything in the same layout.
+    """The two ``.npy`` files of HWD+ (Beaulac and Rosenthal 2022), or other files of the same layout.
 
     The image array is mapped for one image at a time, so memory does not grow with the file. Integers of any
     width are grey levels from 0 to 255. Floats run from 0 to 1 if the brightest pixels of 16 evenly spaced
@@ -58,7 +59,7 @@ class HwdPlusSource:
         Raises InputError when a file is missing, damaged or of another shape or type, when the numbers of
         rows differ, or when a label is not an integer from 0 to 9.
         """
-        count, (labels, writers) = len(self._stack()), self._people()
+        count, (labels, writers) = len(self._stack()), self._annotations()
         if len(labels) != count:
             raise InputError(
                 f"{self.writer_info}: found {len(labels)} rows, expected {count}, one for each image of "
@@ -73,7 +74,7 @@ class HwdPlusSource:
         Raises ItemError ``"unknown-id"``, ``"not-finite"`` (NaN or infinite pixels) or ``"bad-pixels"``
         (values outside the grey scale of the file).
         """
-        stack, (labels, writers) = self._stack(), self._people()
+        stack, (labels, writers) = self._stack(), self._annotations()
         where = f"{self.images}, row {digit_id}"
         require_known(digit_id, min(len(stack), len(labels)), self.images)
         full_scale = _full_scale(self.images, _stamp(self.images))
@@ -83,10 +84,10 @@ class HwdPlusSource:
     def fingerprint(self) -> dict[str, object]:
         """Return dtype and shape, and SHA-256 of labels, writers and 64 evenly spaced images.
 
-        Only a sample, because hashing gigabytes would take longer than making the first shard. Raises
-        InputError as :meth:`catalog` does.
+        Only a sample is hashed, because hashing gigabytes would take longer than making the first shard.
+        Raises InputError as :meth:`catalog` does.
         """
-        stack, (labels, writers) = self._stack(), self._people()
+        stack, (labels, writers) = self._stack(), self._annotations()
         sample = hashlib.sha256()
         for row in _evenly_spaced(len(stack), _FINGERPRINT_SAMPLE):
             sample.update(self._stack()[row].tobytes())
@@ -112,7 +113,7 @@ class HwdPlusSource:
             next="give the file 'Images(500x500).npy' of HWD+",
         )
 
-    def _people(self) -> tuple[Int64, Int64]:
+    def _annotations(self) -> tuple[Int64, Int64]:
         return _labels_and_writers(self.writer_info, _stamp(self.writer_info), self.writer_column)
 
 
@@ -151,9 +152,9 @@ def _labels_and_writers(path: str, stamp: tuple[int, int], writer_column: int | 
     if writer_column is not None:
         if not 1 <= writer_column < table.shape[1]:
             raise InputError(
-                f"{path}: writer column {writer_column} is not there, expected one from 1: the file has "
-                f"{table.shape[1]} columns, column 0 is the digit",
-                next="change --writer-column",
+                f"{path}: there is no writer column {writer_column}; the file has "
+                f"{with_count(table.shape[1], 'columns')}; expected one after column 0, which is the digit",
+                next="change --writer-column, or leave it out",
             )
         writers = _int_column(table, writer_column, path)
     for shared in (labels, writers):

@@ -90,7 +90,7 @@ class MnistSource:
     def fingerprint(self) -> dict[str, object]:
         """Return count and SHA-256 of the unpacked images and labels of each part.
 
-        Raises InputError see :meth:`catalog`.
+        Raises InputError as :meth:`catalog` does.
         """
         parts = [
             {
@@ -116,7 +116,7 @@ class MnistSource:
         path, folder = _find(self.root, prefix, kind), Path(self.root)
         if path is not None:
             return path
-        found = "no such folder"
+        found = "no folder"
         if folder.is_dir():
             found = str(sorted(each.name for each in folder.iterdir() if not store.is_hidden(each.name))[:8])
         raise InputError(
@@ -170,7 +170,7 @@ def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns
 
 
 def read_idx(path: Path, magic: int) -> UInt8:
-    """Read a file of unsigned bytes, plain or (as its first bytes say) gzipped, read-only.
+    """Return the read-only array of an IDX file of unsigned bytes, which may be gzipped.
 
     The first number of the file must be ``magic``, whose last byte is the number of dimensions. Raises
     InputError when the file cannot be read, is damaged, cut off or too long, or is of another kind. The size
@@ -202,5 +202,6 @@ def read_idx(path: Path, magic: int) -> UInt8:
 
 def _unusable(path: Path, found: str, expected: object) -> InputError:
     return InputError(
-        f"{path}: found {found}, expected {expected}", next="remove it, then download or copy it again"
+        f"{path}: found {found}, expected {expected}",
+        next="replace it by an intact copy, or check the folder",
     )

@@ -1,4 +1,4 @@
-"""Files of pictures: which there are, how many pages they have, and how they are opened."""
+"""Files of pictures: known formats, the pages of a file, and reading a page."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def _formats() -> tuple[str, ...]:
         warnings.simplefilter("ignore")
         if not features.check("avif"):
             known.remove("AVIF")
-    try:  # of the extra heic
+    try:  # installed by the extra heic
         from pillow_heif import register_heif_opener
     except ImportError:
         return tuple(known)
@@ -86,7 +86,7 @@ def _formats() -> tuple[str, ...]:
 def _opened(path: Path) -> Iterator[Image.Image]:
     """Open a picture by its content; all errors become ItemError ``"unreadable"``."""
     ending = path.suffix.lower()
-    # TGA has no mark of its own, so nearly anything can pass for it.
+    # TGA has no signature, so nearly every file can pass for it.
     formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
     try:
         with warnings.catch_warnings():
@@ -97,7 +97,7 @@ def _opened(path: Path) -> Iterator[Image.Image]:
                 yield picture
     # Decoders raise many types for broken files: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
-        next_step = "replace or remove it"
+        next_step = "replace it by an intact copy, or leave it out"
         if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
             next_step = f"{install_line('heic')}, or store it as JPEG"
         found = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"

@@ -75,8 +75,7 @@ class FolderSource:
     def image(self, digit_id: int) -> DigitImage:
         """Read one picture and fit it into 500 x 500 px.
 
-        Raises ItemError ``"unknown-id"``, or one of the reasons of
-        ``read_picture``.
+        Raises ItemError ``"unknown-id"``, or one of the reasons of ``read_picture``.
         """
         pictures = self._listing().pictures
         require_known(digit_id, len(pictures), self.root)
@@ -175,13 +174,13 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
 
 
 def _problem_of(path: Path, base: Path) -> str:
-    """Return why a file must not be opened; one that cannot be is named when it is read."""
+    """Return why a file must not be opened, or ""; a file that cannot be opened is named when it is read."""
     if path.is_dir():
         return ""
     try:
         store.open_regular(path, below=base).close()
     except IntegrityError:
-        return "a link out of the folder" if path.is_file() else "no regular file"
+        return "a link out of the folder" if path.is_file() else "not a regular file"
     except OSError:
         return ""
     return ""

@@ -35,7 +35,7 @@ def read_picture(path: Path, ink: str = "auto", threshold: str = "auto", page: i
     ink : {"auto", "dark", "light"}
         Which part is ink.
     threshold : {"auto", "local", "global"}
-        Even out pictures that are not clean, all of them, or none.
+        Even out only pictures that are not clean, all pictures, or none.
     page : int
         Number of the page, from 0.
 

@@ -36,7 +36,8 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
     """Return the source that options ask for; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
-            raise InputError(f"--source {name} needs --{option.replace('_', '-')}, which was not given")
+            flag = f"--{option.replace('_', '-')}"
+            raise InputError(f"--source {name} needs {flag}, which was not given", next=f"add {flag}")
     for option in given:
         if option not in _TAKEN[name]:
             owners = " or ".join(each for each, taken in _TAKEN.items() if option in taken)
@@ -56,13 +57,15 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
 
 
 def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSource:
-    """Return the source that a fingerprint describes; ``files`` are where its files are now.
+    """Return the source that a fingerprint describes; ``files`` are the present paths of its files.
 
-    Raises InputError where files are missing, or differ from those that the data set was made from.
+    Raises InputError if files are missing, or differ from those that the data set was made from.
     """
     name = described["name"]
     if name not in _TAKEN:
-        raise InputError(f"the data set was made from source {name!r}, which is not known")
+        raise InputError(
+            f"the data set was made from the unknown source {name!r}", next="draw --kind sheet only"
+        )
     known = {
         **files,
         "digits": described.get("count"),
@@ -73,6 +76,11 @@ def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSour
     source = chosen_source(name, given, int(described.get("seed", 0)))
     found = {key: value for key, value in source.fingerprint().items() if key not in _UNCOMPARED}
     if found != {key: value for key, value in described.items() if key not in _UNCOMPARED}:
+        if files.get("images") is None:
+            raise InputError(
+                f"source {name!r} now makes other images than the data set was made from",
+                next="use the version of the toolkit that its manifest names",
+            )
         raise InputError(
             f"--images {files.get('images')!r} holds other images than the data set was made from",
             next="give the same files as when it was made",

@@ -310,7 +310,7 @@ def test_a_name_that_is_not_text_is_refused(words, tmp_path, monkeypatch, capsys
     monkeypatch.chdir(tmp_path)
     assert call(*(word.replace("NAME", "caf\udce9") for word in words.split())) == 2
     said = capsys.readouterr().err
-    assert said == "error: 'caf\\udce9' is not text in UTF-8; next: give another name\n"
+    assert said == "error: 'caf\\udce9' is not valid UTF-8; next: give another name\n"
 
 
 @pytest.mark.parametrize(

@@ -140,11 +140,11 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     assert lines[0] == "damaged: data/mine.parquet: is not listed in .download.json; next: remove it"
     assert lines[1] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
     assert lines[2].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
-    assert f"next: download {BARE} there again, only what is damaged is fetched" in lines[3]
+    assert f"next: download {BARE} there again; only damaged files are fetched" in lines[3]
     assert call(server, tmp_path, "mnist3d", "download", BARE, "--out", out).code == 0
     stray = call(server, tmp_path, "mnist3d", "verify", out)
     assert stray.code == 3
-    assert stray.err.splitlines()[1].endswith("; next: follow the next step of each")
+    assert stray.err.splitlines()[1].endswith("; next: follow the next step of each problem")
     (out / "data" / "mine.parquet").unlink()
     assert call(server, tmp_path, "mnist3d", "verify", out).code == 0
 

@@ -77,7 +77,7 @@ def test_what_is_said_of_a_run_that_was_stopped_before_its_first_shard(tmp_path)
     process.send_signal(signal.SIGINT)
     _, talked = process.communicate()
     assert process.returncode == 130
-    assert talked == b"interrupted; what was finished is kept, the same command continues from there\n"
+    assert talked == b"interrupted; finished work is kept, and the same command continues from there\n"
     assert not (tmp_path / "scenes").exists()
 
 

@@ -39,7 +39,7 @@ def test_a_row_is_shown_column_by_column(digits, capsys):
     assert f"{len(record.vertices_m):,} values" in printed
     assert "row 3 of the 20 rows in test" in printed
     assert call("mnist3d", "show", digits, "--row", 20) == 2
-    assert "--row is 20; expected less than the 20 rows" in capsys.readouterr().err
+    assert "--row is 20; rows are counted from 0, and split " in capsys.readouterr().err
 
 
 def test_a_row_of_others_is_shown_whatever_is_in_it(tmp_path, capsys):

@@ -101,14 +101,14 @@ def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, 
 def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     now_s = [0.0]
     monkeypatch.setattr("cli.output.time.monotonic", lambda: now_s[0])
-    with Sink().progress("trying whether the fullest scene has room", "failed layouts") as tell:
+    with Sink().progress("trying the fullest scene", "failed layouts") as tell:
         tell(1, 1_001)
         assert capsys.readouterr().err == ""
         now_s[0] = 60.0
         tell(2, 1_001)
         tell(3, 1_001)
     told = capsys.readouterr().err
-    assert told.startswith("trying whether the fullest scene has room: 2 of 1,001, 2.0 failed layouts/min, ")
+    assert told.startswith("trying the fullest scene: 2 of 1,001, 2.0 failed layouts/min, ")
     assert told.count("\n") == 1
 
 
@@ -131,7 +131,7 @@ def test_validate_and_verify_pass(made):
         (("--stars", "3-1"), "--stars is '3-1'; expected a range"),
         (("--stars", "many"), "--stars is 'many'"),
         (("--distractors", "-1"), "--distractors is '-1'"),
-        (("--cell-mm", "large"), "--cell-mm is 'large'; expected millimetres"),
+        (("--cell-mm", "large"), "--cell-mm is 'large'; expected 1 to 2 lengths"),
         (("--cell-mm", "30"), "--cell-mm, in metres, of the scene specification is (0.03, 0.03)"),
         (("--shapes", "box,sun"), "unknown shape 'sun'"),
         (("--shapes", "star"), "expected Shape objects that are not stars"),
@@ -143,13 +143,13 @@ def test_validate_and_verify_pass(made):
         (("--stars", "²"), "--stars is '²'; expected a range"),
         (("--scenes", "²"), "--scenes is '²'"),
         (("--scenes", "9" * 5_000), "--scenes is '999"),
-        (("--cell-mm", "120x130x140"), "--cell-mm is '120x130x140'; expected millimetres"),
-        (("--distractors", "1,2,9"), "--distractors is '1,2,9'; expected the least and the most"),
+        (("--cell-mm", "120x130x140"), "--cell-mm is '120x130x140'; expected 1 to 2 lengths"),
+        (("--distractors", "1,2,9"), "--distractors is '1,2,9'; expected the minimum and the maximum"),
         (("--distractors", "1-2-9"), "--distractors is '1-2-9'"),
         (("--shapes", "ring(hole_ratio=.3,hole_ratio=.4)"), "expected each once as NAME=NUMBER"),
         (("--radius-mm", "0", "--star-inner-mm", "3"), "--radius-mm, in metres, of shape 'star' is 0.0"),
         (("--star-points", "4", "--star-inner-mm", "9"), "next: lower inner_ratio (--star-inner-mm)"),
-        (("--distractors", "0-30"), "no layout came near"),
+        (("--distractors", "0-30"), "no layout held nearly as many objects"),
         (
             ("--radius-mm", "0.1", "--cell-mm", "2000", "--shapes", "disc(segments=256)"),
             "--cell-mm, in metres, of the scene specification is (2.0, 2.0)",

@@ -80,7 +80,10 @@ def test_objects_are_taken_out_by_id(tmp_path, capsys):
     assert [row["id"] for row in _rows(tmp_path / "parts/part-1")["test"]] == [ids[0], ids[3]]
     assert len(_rows(tmp_path / "parts/part-2")["test"]) == len(ids) - 2
     assert call("mnist3d", "split", folder, "--out", tmp_path / "none", *ALONE) == 2
-    assert "expected either --fractions" in capsys.readouterr().err
+    assert "expected --fractions, or filters" in capsys.readouterr().err
+    both = ("--fractions", "0.8,0.2", "--ids", f"{ids[0]}")
+    assert call("mnist3d", "split", folder, *both, "--out", tmp_path / "none") == 2
+    assert "next: leave out --fractions, or the filters" in capsys.readouterr().err
     for wrong in ("0.8,0.3", "0", "a", "nan"):
         assert call("mnist3d", "split", folder, "--fractions", wrong, "--out", tmp_path / "none") == 2
         assert f"--fractions is '{wrong}'" in capsys.readouterr().err

@@ -164,7 +164,7 @@ def test_an_empty_page_stays_empty(tmp_path: Path, ink: str, level: int, expecte
 @pytest.mark.parametrize(
     ("threshold", "ink", "reason", "found"),
     [
-        ("auto", "auto", "no-ink", "nothing on the page is as dark as ink"),
+        ("auto", "auto", "no-ink", "no part of the page is as dark as ink"),
         ("global", "auto", "unclear-ink", "found 50% of the margin light"),
         ("global", "dark", "cut-off", "ink touches 50% of the border"),
         ("global", "light", "cut-off", "ink touches 50% of the border"),
@@ -366,5 +366,5 @@ def test_what_is_no_file_of_the_folder_is_left_out_and_named(tmp_path: Path) -> 
     for root in (home, tmp_path / "linked"):
         made = FolderSource(str(root))
         assert made.catalog().labels.tolist() == [7, 7]
-        left_out = {"7/b.png": "a link out of the folder", "7/d.png": "no regular file"}
+        left_out = {"7/b.png": "a link out of the folder", "7/d.png": "not a regular file"}
         assert made.fingerprint()["left_out"] == left_out

@@ -176,7 +176,7 @@ def test_labels_that_are_no_digits(tmp_path: Path, labels: NDArray[Any], found: 
 @pytest.mark.parametrize("column", [-1, 0, 2, 99])
 def test_writer_column_that_is_not_there(tmp_path: Path, column: int) -> None:
     message = refusal(source(tmp_path, writer_column=column))
-    assert f"WriterInfo.npy: writer column {column} is not there, expected one from 1" in message
+    assert f"WriterInfo.npy: there is no writer column {column}; the file has" in message
     assert "the file has 2 columns" in message
 
 

@@ -108,7 +108,7 @@ def test_what_is_in_a_file_says_whether_it_is_packed(tmp_path: Path) -> None:
 class TestRefusals:
     def test_no_folder(self, tmp_path: Path) -> None:
         message = refusal(MnistSource(str(tmp_path / "no")))
-        assert message.startswith(f"{tmp_path}/no: found no such folder, expected train-images-idx3-ubyte")
+        assert message.startswith(f"{tmp_path}/no: found no folder, expected train-images-idx3-ubyte")
 
     def test_nothing_of_mnist(self, tmp_path: Path) -> None:
         (tmp_path / "notes.txt").touch()

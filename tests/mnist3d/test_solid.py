@@ -157,7 +157,9 @@ def test_light_ink_floats_and_bool_make_the_same_solid() -> None:
 
 def test_a_small_image_is_resampled_or_refused_with_the_way_out() -> None:
     small = 255 - six().reshape(20, 25, 20, 25).mean(axis=(1, 3)).astype(np.uint8)
-    with pytest.raises(ItemError, match=r"20 x 20 px, which make 4 mm.*resample=True") as refused:
+    with pytest.raises(
+        ItemError, match=r"20 x 20 px, so that the solid would be 4 mm long.*resample=True"
+    ) as refused:
         solidify(small)
     assert refused.value.reason == "too-small"
     report = inspect(solidify(small, resample=True))
@@ -283,7 +285,7 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     for row, column in np.ndindex(5, 5):
         mask &= ~disc(6, 40 + 30 * row, 40 + 30 * column)[:200, :200]
     mask = np.pad(mask, 30)
-    pattern = r"needs ([\d,]+) vertices to keep its topology .bodies: 1, holes: 25.* ask for ([\d,]+) "
+    pattern = r"needs ([\d,]+) vertices to keep its topology .bodies: 1, holes: 25.* raise target_vertices .--vertices. to ([\d,]+)"
     with pytest.raises(ItemError, match=pattern) as refused:
         solidify(drawn(mask), SolidSpec(target_vertices=100), method=method)
     assert refused.value.reason == "vertex-budget"

@@ -101,7 +101,7 @@ def test_our_own_field_names_are_found(
         if layout == "folder"
         else "frame (20), id (20), touch (20)"
     )
-    assert f"fields that were not imported, and of how many touches: {counted}\n" in said
+    assert f"fields that were not imported, with their numbers of touches: {counted}\n" in said
     manifest = json.loads((back / "manifest.json").read_text())
     assert manifest["statistics"]["train"]["not_imported"]["touch"] == 15
 

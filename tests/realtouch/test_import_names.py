@@ -90,7 +90,7 @@ def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.Captu
     reasons = json.loads(shown["manifest.json"])["skipped"]
     assert reasons == {"json": 2, "name": 1}
     assert call("realtouch", *arguments, "--classes", "ok,\udcff", "--out", tmp_path / "no") == 2
-    assert "is not text in UTF-8; next: give another name" in capsys.readouterr().err
+    assert "is not valid UTF-8; next: give another name" in capsys.readouterr().err
     assert not (tmp_path / "no").exists()
 
 

@@ -232,9 +232,9 @@ def _move(row):
         (_open, "not-manifold"),
         (_onto_one_another, "overlap"),
         (_lift, "lowest point"),
-        (_relabel, "the class is"),
-        (_undeclare, "objects are declared"),
-        (_misdeclare, "others stand there"),
+        (_relabel, "an index into"),
+        (_undeclare, "one for each object"),
+        (_misdeclare, "other objects; expected"),
         (_move, "not that of the declared objects"),
     ],
 )

@@ -100,7 +100,7 @@ def _named(kind, name):
 @pytest.mark.parametrize(
     ("kind", "message"),
     [
-        (_named(Kite, "star"), "shape 'star' is taken by Star"),
+        (_named(Kite, "star"), "the name 'star' is taken by Star"),
         (_named(Kite, "a b"), "is not a kind of shape; .* with a plain word as its name"),
         (_Wordy, "field 'colour' of shape 'wordy' has the default 'red'; expected a number"),
         (_Bare, r"outline of shape 'bare' reaches distance 0.707\d* from the origin; expected 1"),

@@ -48,7 +48,7 @@ def test_json_and_back(spec):
         ({"stars": (3, 1)}, "stars .* larger than the one before"),
         ({"stars": (0, 1)}, "stars .* 1 to 1000 objects in a scene"),
         ({"stars": (5_000,)}, "stars .* 1 to 1000 objects"),
-        ({"distractors": (3, 1)}, r"distractors .* \(3, 1\); expected the least and the most"),
+        ({"distractors": (3, 1)}, r"distractors .* \(3, 1\); expected the minimum and the maximum"),
         ({"distractors": (0, 1.5)}, "distractors .* integers from 0"),
         ({"distractors": 5}, "distractors .* .5,."),
         ({"star": Shape("box")}, "star .* expected a Shape named 'star'"),

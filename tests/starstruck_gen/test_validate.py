@@ -90,7 +90,7 @@ def test_cap_triangles_turned_by_rounding_are_found_although_the_solid_is_one(tm
     pq.write_table(table_of([turned], scene_schema()), tmp_path / "train-00000-of-00001.parquet")
     (record,) = load(str(tmp_path))
     assert check_manifold(Mesh(record.vertices_m, record.faces)).problem is None
-    assert "triangles of flat faces are turned over" in check_scene(record)[0]
+    assert "triangles of flat faces turned over" in check_scene(record)[0]
 
 
 @pytest.mark.parametrize("overlap_m", [1e-6, 5e-3])

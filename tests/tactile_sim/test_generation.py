@@ -410,4 +410,4 @@ def test_the_default_of_the_optics_needs_no_extra(monkeypatch, tmp_path, capsys)
     block().apply_scale(1000).export(tmp_path / "part.stl")
     words = (tmp_path / "part.stl", "--size", "32x24", "--out", tmp_path / "touch.png")
     assert call("tactile-sim", "render", *words) == 0
-    assert "note: images are depth images, as Taxim needs the extra `sim`" in capsys.readouterr().err
+    assert "note: images are depth images; --optics taxim needs the extra `sim`" in capsys.readouterr().err
