@@ -240,7 +240,6 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Number of each item among all rows of the files, shape (len,)."""
         return np.asarray(self._rows, np.int64)
 
-
     @overload
     def __getitem__(self, index: int) -> T: ...
     @overload

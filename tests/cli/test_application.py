@@ -230,7 +230,7 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--help"], ["verify", "missing"], ["--version"], ["list"]])
+@pytest.mark.parametrize("words", [["--help"], ["verify", "missing"], ["--version"], ["cache", "ls"]])
 def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
     reader, writer = os.pipe()
     os.close(reader)
@@ -247,7 +247,7 @@ def test_a_closed_pipe_ends_a_command_as_it_ends_other_tools(tmp_path, words):
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("words", [["--version"], ["--help"], ["list"]])
+@pytest.mark.parametrize("words", [["--version"], ["--help"], ["cache", "ls"]])
 @pytest.mark.parametrize(
     ("redirected", "code", "why"),
     [(">&-", 0, ""), (">/dev/full", 2, "No space left on device")],

@@ -285,7 +285,10 @@ def test_a_digit_that_needs_more_vertices_is_refused_with_their_number(method: A
     for row, column in np.ndindex(5, 5):
         mask &= ~disc(6, 40 + 30 * row, 40 + 30 * column)[:200, :200]
     mask = np.pad(mask, 30)
-    pattern = r"needs ([\d,]+) vertices to keep its topology .bodies: 1, holes: 25.* raise target_vertices .--vertices. to ([\d,]+)"
+    pattern = (
+        r"needs ([\d,]+) vertices to keep its topology .bodies: 1, holes: 25.* "
+        r"raise target_vertices .--vertices. to ([\d,]+)"
+    )
     with pytest.raises(ItemError, match=pattern) as refused:
         solidify(drawn(mask), SolidSpec(target_vertices=100), method=method)
     assert refused.value.reason == "vertex-budget"
