@@ -25,7 +25,8 @@ KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WR
 THIRD_PARTY_ASSETS: dict[str, str] = {
     "abc": "CAD models of the ABC data set; the published selection is "
     "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
-    "minecraft": "items that the package shapes from textures on Mojang's servers, not to be passed on",
+    "minecraft": "items that the package shapes from textures on Mojang's servers, which must not be "
+    "redistributed",
 }
 """Assets that this toolkit does not make, and where the published ones are from."""
 
@@ -38,13 +39,13 @@ _DATASETS: dict[str, Any] = {
 
 
 def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
-    """Open the shards of one split as the data set that they are.
+    """Open the shards of one split as a data set of their kind.
 
-    InputError if these are not meshes, or of another kind than their name states. The published wrench has
-    none of our columns: meshes that are not known to be of another kind will do for one.
+    Raises InputError if they hold no meshes, or meshes of another kind than ``name`` states. The published
+    wrench has none of our columns, so meshes of an unknown kind are accepted for it.
     """
     # Imported now: a process that is forked while another thread imports something waits forever for the lock
-    # of that import. The first time that Arrow makes an array of numpy, it looks for pandas.
+    # of that import. Arrow imports pandas, if it is there, when it first makes an array of numpy.
     for module in ("pyarrow.parquet", "pyarrow.compute", "trimesh"):
         import_module(module)
     pa.array([0]).to_numpy()
@@ -56,7 +57,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
         raise InputError(
             f"{name!r} was expected to hold {expected.nouns}, found "
             f"{getattr(kind, 'nouns', 'other meshes')} (classes {', '.join(names) or 'without names'})",
-            next=f"give the data set by another name, or put {expected.nouns} in its place",
+            next=f"give this data set another name, or give a data set of {expected.nouns}",
         )
     dataset = _DATASETS.get(getattr(kind, "name", ""), SolidDataset)
     opened: MeshSet = dataset(table, label_names=names)

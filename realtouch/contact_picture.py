@@ -1,4 +1,4 @@
-"""Contact by the picture: how much of it changed against a background, by default the median.
+"""Contact from pictures: how much of a picture differs from a background, by default the median.
 
 Grey is what OpenCV and JPEG call luma (ITU-R BT.601), in integers: (4899 R + 9617 G + 1868 B + 8192) >>
 14. The results are exact, the same on every machine.
@@ -17,7 +17,7 @@ from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.errors import InputError
 
 _SHAPES = {3: "(H, W, 3)", 4: "(N, H, W, 3)"}
-# Values of a picture that are compared at a time: with 90 frames of a clip, what a core keeps at hand.
+# Number of values of each picture that are processed at once; those of 90 frames fit into a core's cache.
 _PIXELS_AT_ONCE = 1 << 13
 
 Representation = Literal["signed", "grey", "absolute"]
@@ -33,25 +33,26 @@ def median_in_memory(pictures: UInt8) -> UInt8:
     values = pictures.reshape(len(pictures), -1)
     starts = range(0, values.shape[1], _PIXELS_AT_ONCE)
     parts = (values[:, start : start + _PIXELS_AT_ONCE] for start in starts)
-    found = np.concatenate([_values_in_the_middle([[part]] * 8, 1) for part in parts])
+    found = np.concatenate([_median_by_bits([[part]] * 8, 1) for part in parts])
     return found.reshape(pictures.shape[1:])
 
 
 def median_of(batches: Callable[[], Iterable[UInt8]]) -> UInt8:
-    """Return the median picture of batches, shape (n, H, W, 3), at least one, that can be read twice.
+    """Return the exact median of the pictures of batches, shape (H, W, 3).
 
-    Exact; of an even number of pictures the mean of the two in the middle, rounded down.
+    ``batches`` is called twice and returns at least one batch, shape (n, H, W, 3). For an even number of
+    pictures, the median is the mean of the two middle values, rounded down.
     """
-    # Four bits at a time: 15 counts of each value of a 320 x 240 picture are 14 MB, 255 would be 235.
-    return _values_in_the_middle((batches() for _ in range(2)), 4)
+    # Four bits at a time: 15 counts of each value of a 320 x 240 picture take 14 MB, 255 would take 235 MB.
+    return _median_by_bits((batches() for _ in range(2)), 4)
 
 
-def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
+def _median_by_bits(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8:
     """Return the median of each pixel; each pass over the pictures finds some of its bits, highest first.
 
-    The value of a rank is the greatest that no more pictures than that lie below.
+    The value at rank k of the sorted pictures is the largest value that at most k pictures are below.
     """
-    found: list[UInt8] = []  # of the one rank in the middle, or of both
+    found: list[UInt8] = []  # for the middle rank, or for both middle ranks
     for number, batches in enumerate(passes, 1):
         steps = (np.arange(1, 1 << bits) << (8 - number * bits)).astype(np.uint8)
         total = 0
@@ -65,7 +66,8 @@ def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8
                 (first_height, first_width), (height, width) = below.shape[2:4], batch.shape[1:3]
                 raise InputError(
                     f"pictures of {first_width} x {first_height} and of {width} x {height} pixels have no "
-                    "common background; expected one size"
+                    "common background; expected one size",
+                    next="compare pictures of one size at a time",
                 )
             total += len(batch)
             counted = np.min_scalar_type(len(batch))
@@ -73,7 +75,7 @@ def _values_in_the_middle(passes: Iterable[Iterable[UInt8]], bits: int) -> UInt8
                 for count, step in zip(counts, steps, strict=True):
                     count += (batch < value + step).sum(axis=0, dtype=counted)
         ranks = sorted({(total - 1) // 2, total // 2})
-        # After the first pass one value became two, where there are two ranks in the middle.
+        # If there are two middle ranks, the first pass turns the one value into two.
         found = [
             found[-place] + ((below[-place] <= rank).sum(axis=0) << (8 - number * bits)).astype(np.uint8)
             for place, rank in enumerate(ranks)
@@ -111,7 +113,7 @@ def difference(pictures: UInt8, background: UInt8, representation: Representatio
     pictures : ndarray, shape (H, W, 3) or (N, H, W, 3), uint8
         One picture, or several.
     background : ndarray, shape (H, W, 3), uint8
-        Such as :func:`background` gives.
+        Background, such as :func:`background` returns.
     representation : str
         ``"signed"``: picture - background; ``"grey"``: (picture - background + 256) // 2, where 128 is equal
         and half of each difference is kept; ``"absolute"``: its absolute value.
@@ -137,22 +139,22 @@ def difference(pictures: UInt8, background: UInt8, representation: Representatio
 
 @dataclass(frozen=True)
 class ContactRule:
-    """When a picture shows contact.
+    """The rule by which a picture shows contact.
 
     Attributes
     ----------
     min_change : int
-        Grey levels above which a pixel has changed: grey of the absolute difference from the background.
+        A pixel has changed if the grey of its absolute difference from the background is above this level.
     min_area_px : int
-        Changed pixels from which a picture may show contact.
+        Least number of changed pixels of a picture with contact.
     min_intensity : float
-        Mean grey of the changed pixels from which it does, levels.
+        Least mean grey of the changed pixels of a picture with contact, levels.
     crop : float
-        Share of height and width around the middle that is looked at, over 0 to 1.
+        Share of height and width, around the middle, that is compared; above 0, at most 1.
 
     Notes
     -----
-    The defaults are those of a known consumer of the published clips (median background of each clip, central
+    The defaults are those of software that uses the published clips (median background of each clip, central
     half of the picture); see :func:`contacts_by_image`.
     """
 
@@ -170,7 +172,7 @@ class ContactRule:
 
     def window(self, height: int, width: int) -> tuple[slice, slice]:
         """Return the rows and columns that are compared."""
-        # At least a pixel or two stay, however small the crop.
+        # At least one or two pixels stay, however small the crop is.
         margins = [min(round(size * (1 - self.crop) / 2), (size - 1) // 2) for size in (height, width)]
         return slice(margins[0], height - margins[0]), slice(margins[1], width - margins[1])
 
@@ -184,7 +186,7 @@ class ContactScore:
     area_px : int64
         Changed pixels.
     intensity : float64
-        Mean grey of the changed pixels, levels; 0 where none has changed.
+        Mean grey of the changed pixels, levels; 0 if none has changed.
     """
 
     area_px: Any
@@ -208,7 +210,7 @@ def contact_score(pictures: UInt8, background: UInt8, rule: ContactRule | None =
     pictures : ndarray, shape (H, W, 3) or (N, H, W, 3), uint8
         One picture, or several.
     background : ndarray, shape (H, W, 3), uint8
-        What they look like without contact.
+        Picture without contact.
     rule : ContactRule, optional
         Threshold of a changed pixel, and crop.
 
@@ -244,8 +246,8 @@ def best_of(
 ) -> tuple[int, ContactScore]:
     """Return the frame of a clip, shape (N, H, W, 3), with the greatest total change, and its score.
 
-    The earliest of equals. Without a background ``base`` it is the median of the clip. Raises InputError
-    where there is no frame.
+    Of equal frames, it is the earliest. The background ``base`` is by default the median of the clip. Raises
+    InputError if there is no frame.
     """
     rule = rule or ContactRule()
     if not len(frames):

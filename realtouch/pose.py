@@ -1,6 +1,6 @@
-"""Rigid transforms that also answer to the names of the published poses (package `transformation3d`).
+"""Rigid transforms that also have the attributes of the published poses (package `transformation3d`).
 
-In a file of its own: scipy.spatial takes longer to import than a conversion of a small set to run.
+This is a file of its own because importing scipy.spatial takes longer than converting a small data set.
 """
 
 from __future__ import annotations
@@ -23,11 +23,11 @@ class Pose(RigidTransform):
 
     @classmethod
     def of(cls, position_m: AnyArray, quaternion: AnyArray) -> Pose:
-        """Make poses of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
+        """Make poses from positions (..., 3), metres, and quaternions (..., 4), x, y, z, w."""
         rotation = Rotation.from_quat(np.array(quaternion))  # a copy: scipy takes no empty read-only view
         matrix = np.zeros((*np.shape(position_m)[:-1], 4, 4))
         matrix[..., :3, :3], matrix[..., :3, 3], matrix[..., 3, 3] = rotation.as_matrix(), position_m, 1.0
-        # Not normalised again, which would change the last bits.
+        # Not normalised again, because that would change the last bits.
         made = cls(matrix, normalize=False, copy=False)
         # Kept, as a matrix does not show which of two quaternions of opposite sign was stored.
         made._rotation = rotation
@@ -63,7 +63,7 @@ class Pose(RigidTransform):
 
     @property
     def inv(self) -> InversePose:
-        """Inverse; may be called for the same, as scipy's method is."""
+        """Inverse; calling it returns the same pose, as scipy's method does."""
         return InversePose(super().inv().as_matrix(), normalize=False)
 
     def to_dict(self) -> dict[str, list[object]]:
@@ -91,12 +91,12 @@ class Pose(RigidTransform):
         self._rotation = None
 
     def __reduce__(self) -> tuple[object, ...]:
-        # By the stored values; pickling by scipy would lose the quaternion.
+        # Pickled by the stored values; pickling by scipy would lose the sign of the quaternion.
         return (Pose.of, (self.translation, self.quaternion))
 
 
 class InversePose(Pose):
-    """An inverse, which was asked for as an attribute or by a call."""
+    """The inverse of a pose, which can be used as an attribute or called."""
 
     def __call__(self) -> Pose:
         """Return the inverse as a plain pose."""

@@ -1,4 +1,4 @@
-"""A stored round: what its columns say of the touches, their times, the poses of the gel, and metadata."""
+"""A stored round: positions and times of its touches, poses of the gel, and metadata."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class StoredRound(StoredColumns):
     __slots__ = ()
 
     def intended_positions(self, touch: int | None = None) -> Floating:
-        """Return where each touch was meant to be, shape (T, 2), or one alone, (1, 2), a view.
+        """Return the intended position of each touch, shape (T, 2), or of one touch, (1, 2), as a view.
 
         Metres, cell frame. Raises IntegrityError, which names the touch, for a position that is missing or
         not finite.
@@ -49,7 +49,7 @@ class StoredRound(StoredColumns):
     def stamps_s(self, touch: int | None = None) -> list[Float64] | None:
         """Return the time stamps of each touch, or of one alone: shapes (N_i,), float64, seconds.
 
-        None in data sets without. Raises IntegrityError for stamps that are missing or run backwards.
+        None if the data set stores none. Raises IntegrityError for stamps that are missing or run backwards.
         """
         if not self.has("time_stamp_rel_seq"):
             return None
@@ -67,7 +67,7 @@ class StoredRound(StoredColumns):
         return found
 
     def touch_durations(self, name: str) -> NDArray[np.timedelta64]:
-        """Return one time per touch, shape (T,), ``timedelta64``; IntegrityError for a touch without."""
+        """Return one time per touch, shape (T,), ``timedelta64``; IntegrityError for a missing time."""
         times = _as_timedelta(self.per_touch(name))
         self.require_each(name, ~np.isnat(times), None, _NO_TIME)
         return times
@@ -81,7 +81,7 @@ class StoredRound(StoredColumns):
 
         problem = "contact from {} s to {} s; expected an end not before the start"
         self.require_each(_CONTACT_START, ~np.isnan(start_s), touch, problem, start_s, end_s)
-        # False for an end of NaN, which is missing.
+        # The comparison is false for NaN, a missing end.
         self.require_each(_CONTACT_END, start_s <= end_s, touch, problem, start_s, end_s)
         return start_s, end_s
 
@@ -110,7 +110,7 @@ class StoredRound(StoredColumns):
     def pose_sequences(self, touch: int | None = None) -> PoseSequences:
         """Return the pose of the gel in each frame of each touch of a ``seq`` round, or of one; no padding.
 
-        Raises IntegrityError as :func:`poses`, and where a touch has fewer poses than frames.
+        Raises IntegrityError as :meth:`poses` does, and if a touch has fewer poses than frames.
         """
         positions = self.cut(f"{_POSE_SEQUENCE}.position", 3, touch)
         quaternions = self.cut(f"{_POSE_SEQUENCE}.quaternion", 4, touch)
@@ -151,14 +151,14 @@ class StoredRound(StoredColumns):
         return self.stored_plate_z_m()
 
     def name(self) -> str:
-        """Return the id as text; raises as :meth:`integer`."""
+        """Return the id as text; raises IntegrityError as :meth:`integer` does."""
         value = self.plain_value("id")
         return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
         """Return the class, -1 if it is unknown, as in `datasets`.
 
-        Raises IntegrityError where it is not one of the classes, if those are named.
+        Raises IntegrityError if ``names`` are given and the class is not one of them.
         """
         if self.plain_value("label") == -1:
             return -1
@@ -175,7 +175,7 @@ class StoredRound(StoredColumns):
     def read_info(self) -> dict[str, Any]:
         """Read the metadata of a round; InputError when the data set does not store it.
 
-        Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
+        Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
         """
         if not self.has_info():
             raise self.missing_column("info")
@@ -192,7 +192,7 @@ def _as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
     # Durations arrive as seconds in floats, too.
     nanoseconds = np.round(np.asarray(values, np.float64) * 1e9)
     unknown = ~np.isfinite(nanoseconds)
-    # What NaN becomes as an integer differs between processors.
+    # The integer that NaN becomes differs between processors.
     times = np.where(unknown, 0, nanoseconds).astype(np.int64).astype("timedelta64[ns]")
     times[unknown] = np.timedelta64("NaT", "ns")
     return times
@@ -222,7 +222,10 @@ def rows_of(blocks: Iterable[RowGroup]) -> Iterator[StoredRound]:
 
 
 def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
-    """Return T of the rows of some row groups, or of all, shape (rows,); no read if it is fixed."""
+    """Return the numbers of touches of some row groups, or of all, shape (rows,).
+
+    If the type of the column fixes the number, no row is read.
+    """
     types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
     name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
     if pa.types.is_fixed_size_list(types[name]):
@@ -233,9 +236,9 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
 
 
 def read_info(row: StoredColumns) -> dict[str, Any]:
-    """Read the metadata of a round that has them.
+    """Read the metadata of a round that has some.
 
-    Raises IntegrityError for a pose that is not one, or one name for a value and for a group of values.
+    Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
     """
     nested: dict[str, Any] = {}
     for name in row.group.names:
@@ -254,7 +257,7 @@ def read_info(row: StoredColumns) -> dict[str, Any]:
 
 
 def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
-    """Put poses in place of groups of a position and a quaternion."""
+    """Replace groups of a position and a quaternion by poses."""
     if not isinstance(value, dict):
         return value
     if value.keys() == {"position", "quaternion"}:
@@ -263,7 +266,7 @@ def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
 
 
 def _pose(row: StoredColumns, values: dict[str, Any], name: str) -> Any:
-    """Make the pose, or the poses where there is one per touch."""
+    """Make the pose, or the poses if there is one per touch."""
     try:
         position = np.asarray(values["position"], np.float64)
         quaternion = np.asarray(values["quaternion"], np.float64)
@@ -275,6 +278,6 @@ def _pose(row: StoredColumns, values: dict[str, Any], name: str) -> Any:
         found = f"position {position.shape} and quaternion {quaternion.shape}"
         raise row.damaged(name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
     wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
-    if wrong is not None:  # the metadata of a round are one thing: none of it can be given
+    if wrong is not None:  # one invalid pose makes the metadata of the round unreadable
         raise row.damaged(name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])
     return Poses(position, quaternion) if outer else rigid_transform(position, quaternion)

@@ -46,6 +46,7 @@ def draw_scene_sheet(records: Sequence[SceneRecord], spec: SceneSpec, per_row: i
         for record in records
     ]
     known = all(record.has_placements for record in records)
-    colours = "stars are orange" if known else "the data set does not store which objects are stars"
+    # These words are part of pictures whose bytes must not change.
+    colours = "stars are yellow" if known else "it is not stored which objects are stars"
     words = f"{with_count(len(records), 'scenes')} from above, the id of each below it; {colours}"
     return pictures.draw_by_class(tiles, per_row, title, words, px_per_mm)

@@ -52,7 +52,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     num_envs : int
         Number of environments.
     render_mode : "rgb_array", optional
-        Whether :meth:`render` gives pictures.
+        If given, :meth:`render` returns pictures.
     threads : int
         Number of threads that share a step.
     weights : str or path, optional
@@ -107,7 +107,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._make_spaces()
 
     def __getstate__(self) -> dict[str, Any]:
-        """Leave mapped meshes behind; a copy continues where this one is."""
+        """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
         return {**self.__dict__, "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -148,9 +148,10 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             Seed of all random numbers; the published environments give the same episodes for it.
         options : mapping, optional
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
-            ``initial_object_pose``: for each an array of its position (x, y), metres, and turn, radians, or
-            None. ``initial_sensor_target_pose``: for each an array of the position (x, y) of the first touch,
-            metres, or None. ``reset_mask``: which environments begin an episode, which can only be all.
+            ``initial_object_pose``: for each environment, an array of the position of the object (x, y),
+            metres, and its rotation, radians, or None. ``initial_sensor_target_pose``: for each environment,
+            an array of the position of the first touch (x, y), metres, or None. ``reset_mask``: which
+            environments begin an episode; all of them must.
 
         Returns
         -------
@@ -213,7 +214,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             raise InputError(
                 f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
             )
-        ways = self._checked_ways(action["action"])
+        moves = self._checked_moves(action["action"])
         episodes = self._episodes
         targets = self._task.targets(episodes.chosen, episodes.objects)
         score = self._task.score(predictions, targets)
@@ -228,7 +229,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         else:
             self._log.add(episodes.step, score.metrics)
             episodes.step += 1
-            costs = self._motion.aim(ways, episodes.sensors, episodes.targets)
+            costs = self._motion.aim(moves, episodes.sensors, episodes.targets)
             self._predicted = predictions, targets
         observation, info = self._touch()
         is_over = episodes.step >= self.config.step_limit
@@ -247,15 +248,15 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             loss = loss * weight
         return observation, costs - loss, *ends, info
 
-    def _checked_ways(self, action: Mapping[str, Any]) -> Float32:
+    def _checked_moves(self, action: Mapping[str, Any]) -> Float32:
         """Return the actions of a step, shape (n, 3)."""
         self._require_reset()
-        ways = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
-        if ways.shape != (self.num_envs, 3):
-            raise InputError(f"sensor_target_pos_rel has shape {ways.shape}; expected {(self.num_envs, 3)}")
-        if not np.isfinite(ways).all():  # infinite ways lead to NaN
+        moves = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
+        if moves.shape != (self.num_envs, 3):
+            raise InputError(f"sensor_target_pos_rel has shape {moves.shape}; expected {(self.num_envs, 3)}")
+        if not np.isfinite(moves).all():  # infinite moves lead to NaN
             raise ValueError("NaN values detected in sensor target position.")
-        return ways
+        return moves
 
     def _require_open(self) -> None:
         if self.closed:
@@ -312,7 +313,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         scenes = (EnvDrawing(self._pool, *each, cell_m, window_m) for each in places)
         return tuple(draw_environment(scene, view, i) for i, scene in enumerate(scenes))
 
-    def close(self, **options: Any) -> None:  # its own words: those of gymnasium are not valid reST
+    def close(self, **options: Any) -> None:  # gymnasium's docstring is not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
         super().close(**options)
 
@@ -322,7 +323,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     @property
     def sensor_pos_limits(self) -> tuple[Float64, Float64]:
-        """Lowest and highest position of the sensor, metres, between which its height is observed, too."""
+        """Lowest and highest position of the sensor, metres; also the range of its observed height."""
         return self._motion.low_m, self._motion.high_m
 
     @property

@@ -21,7 +21,7 @@ OPTICS = ("depth", "taxim", "cyclegan")
 
 
 def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
-    """Scale pictures (n, H, W, 3) to a size, pixels; those that have it stay as they are."""
+    """Scale pictures (n, H, W, 3) to a size, pixels; pictures of that size are returned unchanged."""
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
         return pictures
@@ -47,7 +47,7 @@ class Optics(ABC):
     def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
 
-        In the size asked for where the optics scale shades themselves, otherwise in that of the maps.
+        They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
         """
 
     def render(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
@@ -84,18 +84,20 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     InputError
         The optics are unknown, or weights are missing or do not fit.
     MissingExtraError
-        The packages that it needs are not installed.
+        A package that the optics need is not installed.
     """
     if name not in OPTICS:
         raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if name == "cyclegan":
-        # By name: it needs the extra `torch`.
+        # Imported by name, because it needs the extra `torch`.
         cyclegan: Optics = lazy("tactile_sim.learned.cyclegan_optics:CycleganOptics")(weights)
         return cyclegan
     if weights is not None:
-        raise InputError(f"weights were given, but the optics are {name!r}", next="--optics cyclegan")
+        raise InputError(
+            f"weights were given, but the optics are {name!r}", next="leave out weights, or use cyclegan"
+        )
     if name == "taxim":
-        # By name: its kernels import numba, which takes half a second.
+        # Imported by name, because its kernels import numba, which takes half a second.
         taxim: Optics = lazy("tactile_sim.taxim:TaximOptics")()
         return taxim
     return DepthOptics()

@@ -25,11 +25,11 @@ def cache_limit_bytes() -> int:
     return _limit_bytes(CACHE_LIMIT_VARIABLE, _CACHE_MIB)
 
 
-def _limit_bytes(variable: str, usual_mib: int) -> int:
-    named = os.environ.get(variable) or str(usual_mib)
+def _limit_bytes(variable: str, default_mib: int) -> int:
+    named = os.environ.get(variable) or str(default_mib)
     # Eleven digits of MiB are less than 2^63 bytes, the limit of Arrow and file systems.
     if not (named.isascii() and named.isdigit() and len(named) < 12):
-        raise InputError(f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {usual_mib}")
+        raise InputError(f"{variable} is {named[:40]!r}; expected an integer of MiB, such as {default_mib}")
     return int(named) << 20
 
 
@@ -43,7 +43,7 @@ def require_unpackable(size_bytes: int, what: str, file_bytes: int = 0) -> None:
         needed_mib = -(-size_bytes // (1 << 20))
         raise InputError(
             f"{what} unpacks to {size_bytes:,} bytes; expected at most {limit:,}; nothing was unpacked",
-            next=f"where it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}",
+            next=f"if it is meant to be that large, set {UNPACKED_VARIABLE}={needed_mib}",
         )
 
 

@@ -86,8 +86,7 @@ def _temporary_cache() -> Path:
     if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
         path = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
     warnings.warn(
-        f"no home folder is known: the cache is {str(path)!r}; next: let {CACHE_VARIABLE} "
-        "name another folder",
+        f"no home folder is known: the cache is {str(path)!r}; next: set {CACHE_VARIABLE} to another folder",
         RuntimeWarning,
         stacklevel=2,
     )
@@ -156,7 +155,7 @@ class DiskCache:
             _unwritable.add(path.parent)
             if self.warning:
                 problem = f"{str(path.parent)!r} cannot be written: {error.strerror or error}"
-                advice = f"make room there, or let {CACHE_VARIABLE} name another folder"
+                advice = f"make room there, or set {CACHE_VARIABLE} to another folder"
                 message = ToolkitError(self.warning.format(problem=problem), next=advice).message
                 warnings.warn(message, RuntimeWarning, stacklevel=2)
             return False
@@ -199,7 +198,7 @@ def cached_files() -> dict[str, list[tuple[float, int, Path]]]:
 
 
 def prune_cache(unused_days: float = 0.0) -> list[Path]:
-    """Remove cached files that have not been used for so many days, and return them.
+    """Remove cached files that have not been used for ``unused_days``, and return their paths.
 
     All of them can be made again. Open memory maps stay valid, and unfinished files are written again.
     """

@@ -1,6 +1,6 @@
 """The packages of the published environments, and whether they can run on this machine.
 
-They are imported when they are first asked for, with a way to render: they import OpenGL.
+They import OpenGL, so they are imported on first use, after a way to render was chosen.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 from tactile_toolkit.errors import InputError, MissingExtraError
 
 KEPT_AS = "tactile_mnist/"
-"""Prefix of the package's ids in gymnasium's registry where `tactile_envs` has the plain ones."""
+"""Prefix of the package's ids in gymnasium's registry, if `tactile_envs` has registered the plain ids."""
 
 
 def published_package(name: str) -> Any:
@@ -62,13 +62,13 @@ def require_drawing() -> None:
     platform = type(import_module("OpenGL.platform").PLATFORM).__name__
     if _without_screen() and platform == "GLXPlatform":
         raise InputError(
-            "OpenGL was imported before and draws on a screen only, which this machine does not have",
+            "OpenGL was imported earlier and can draw on a screen only, which this machine does not have",
             next="set PYOPENGL_PLATFORM=egl before anything is imported, or call env_assets.make first",
         )
 
 
 def _without_screen() -> bool:
-    # X11 and Wayland: with neither, pyglet and GLX have nothing to draw on.
+    # Without X11 and Wayland, pyglet and GLX have no screen to draw on.
     names = ("DISPLAY", "WAYLAND_DISPLAY")
     return sys.platform == "linux" and not any(os.environ.get(name) for name in names)
 

@@ -1,4 +1,4 @@
-"""WebDataset: tars in which each touch is an image and a JSON file of one name, read by their headers."""
+"""WebDataset: tars in which each touch is an image and a JSON file of the same name."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 _FOLDER = "webdataset"
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
-_MOST_TEXT_BYTES = 1 << 20  # of a file with fields; of a longer one nothing is read
+_MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
 def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, object]]]) -> bytes:
@@ -55,10 +55,12 @@ def find_webdataset(
 ) -> Iterator[FoundTouch]:
     """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
     if table is not None:
-        raise InputError("--table is about folders of images; a WebDataset has JSON files")
+        raise InputError(
+            "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
+        )
     known = dict[str, None]()
     for folder, name in _tars(home):
-        seen = set[str]()  # of one tar: many number their samples from 0 in each
+        seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
         for key, members in groupby(_members(folder, name), key=attrgetter("key")):
             item = _sample(folder, name, key, list(members), columns)
             if key in seen:
@@ -79,12 +81,12 @@ def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     if is_file and not names:
         return [source_of(place)]
     if not names:
-        raise InputError(f"{place!r} holds no tars (*.tar); compressed ones are unpacked first")
+        raise InputError(f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars")
     return [(home, name) for name in names]
 
 
 class _Member(NamedTuple):
-    """A file in a tar: its sample, ending, place and size, and the content where it is small text."""
+    """A file in a tar: its sample, ending, position and size, and its content if it is short text."""
 
     key: str
     ending: str
@@ -128,7 +130,7 @@ def _is_image(ending: str) -> bool:
 def _sample(
     folder: store.DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
 ) -> FoundTouch:
-    """Put the files of one key together."""
+    """Combine the files of one key to a touch."""
     problems: list[ItemError] = []
     named = store.problem_of_name(key)
     if named:
@@ -149,7 +151,7 @@ def _sample(
             except ItemError as error:
                 problems.append(error)
         elif not _is_image(member.ending):
-            # What is not Unicode is named where it is used.
+            # Text that is not Unicode is reported where it is used.
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
     image, problem = next(iter(images), _NO_FILE), next(iter(problems), None)
     return FoundTouch(key, folder.address(), name, image.start, image.size, values, problem)

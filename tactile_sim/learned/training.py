@@ -58,7 +58,7 @@ _SAMPLES = 4
 
 @dataclass(frozen=True)
 class Trained:
-    """A finished training: its folder, all steps, the steps of this run, and the last losses."""
+    """A finished training: its folder, the total number of steps, those of this run, and the last losses."""
 
     folder: str
     steps: int
@@ -94,11 +94,11 @@ def train(
         Train on one thread of the CPU: every run on one machine gives the same weights, interrupted or not.
         Refused on a GPU.
     resume : bool
-        Refuse to begin a training: there must be one to continue.
+        Raise an error if the folder holds no training to continue.
     compiled : bool
         Compile the generators first, for GPUs.
     on_progress : callable
-        Called with steps done and in all.
+        Called with the number of finished steps and the total.
 
     Returns
     -------
@@ -133,15 +133,13 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
             raise InputError(
                 f"split {split!r} of {pairs!r} holds no image with contact, so that nothing can be learned "
                 "from it",
-                next="a larger --count or a smaller --without-contact of `tactile-sim pairs`",
+                next="make pairs with a larger --count or a smaller --without-contact (`tactile-sim pairs`)",
             )
     if config.pretrain_steps:
         try:
             by_taxim(data)
         except MissingExtraError as error:
-            raise InputError(
-                f"{error}, or leave out the pairs of the first steps: pretrain_steps = 0"
-            ) from error
+            raise InputError(f"{error}, or train without paired first steps: pretrain_steps = 0") from error
 
 
 class _Settings(msgspec.Struct):
@@ -154,7 +152,7 @@ def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> 
     folder.require_folder()
     if folder.exists(_SETTINGS):
         there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
-        # As they would be read back: tuples become lists.
+        # Compared as they would be read back: tuples become lists.
         wanted = json.loads(json.dumps(settings))
         found = {**there.config, "pairs": there.pairs}
         for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
@@ -226,7 +224,7 @@ class _Run:
                 self.model.load_state(state, pools[self.process.rank])
         except torch.OutOfMemoryError:
             raise
-        except Exception as error:  # torch raises many kinds on files of other programs
+        except Exception as error:  # torch raises many types for files of other programs
             # Only the first sentence: torch goes on to recommend running the code of the file.
             problem = str(error).partition(".")[0] or type(error).__name__
             raise IntegrityError(
@@ -238,7 +236,7 @@ class _Run:
             raise SpecMismatchError(
                 f"{self.folder.address()!r} was trained by {with_count(len(pools), 'processes')}, and now "
                 f"there are {self.process.count}; nothing was changed",
-                next="as many processes as before",
+                next="start as many processes as before",
             )
         if self.process.rank == 0:
             # A kill may have come between the checkpoint and the files that follow from it.
@@ -299,7 +297,7 @@ class _Run:
             raise ToolkitError(
                 f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the loss diverged; the "
                 "last checkpoint stays",
-                next="a smaller learning rate in another folder",
+                next="train with a smaller learning rate in another folder",
             )
 
 

@@ -59,8 +59,8 @@ def build_site(
 
     ``overwrite`` replaces an existing gallery and nothing else. An existing folder is kept, not replaced.
 
-    Raises InputError where the folder holds something else, another run writes a gallery there, there is
-    nothing to show, or the site would be too large; StorageError where it cannot be written.
+    Raises InputError if the folder holds something else, another run writes a gallery there, there is
+    nothing to show, or the site would be too large; StorageError if it cannot be written.
     """
     path = site_folder(gallery, out, overwrite=overwrite)
     with store.named_failures(str(path)), _unfinished_folder(path) as folder:
@@ -106,7 +106,7 @@ def _write_items(
 ) -> list[GalleryItem]:
     """Make the items and write their files; return what the page filters and sorts by, in order."""
     shown: dict[int, GalleryItem] = {}
-    # Each with the number of its first item on the page.
+    # Each task with the number of its first item on the page.
     firsts = accumulate((task.size for task in gallery.tasks), initial=0)
     tasks = list(zip(firsts, gallery.tasks, strict=False))
     on_progress(0, gallery.size)
@@ -194,7 +194,7 @@ def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
         )
     if gallery.size > MOST_ITEMS:
         raise InputError(
-            f"the gallery would show {gallery.size:,} {many}; the most is {MOST_ITEMS:,}; nothing was "
+            f"the gallery would show {gallery.size:,} {many}; expected at most {MOST_ITEMS:,}; nothing was "
             "written",
             next="choose fewer with --limit, --split or --per-class",
         )
@@ -204,7 +204,7 @@ def site_folder(gallery: Gallery, out: str, *, overwrite: bool = False) -> Path:
 def _former_folders(path: Path, *, overwrite: bool) -> list[Path]:
     """Return the folders of files of an existing gallery in ``path``, complete or not.
 
-    Raises InputError where ``path`` holds anything else, or a gallery that must not be overwritten.
+    Raises InputError if ``path`` holds anything else, or a gallery that must not be overwritten.
     """
     former: list[Path] = []
     for entry in sorted(path.iterdir()):

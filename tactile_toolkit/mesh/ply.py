@@ -33,7 +33,7 @@ _CORNERS = ("vertex_indices", "vertex_index")
 
 @dataclass(frozen=True, slots=True)
 class _Property:
-    """A property of an element: its type, and the type of its length where it is a list."""
+    """A property of an element: its type, and the type of its length if it is a list."""
 
     name: str
     kind: np.dtype[np.generic]
@@ -110,10 +110,10 @@ def _ply_elements(lines: Sequence[Sequence[str]], order: str, is_text: bool) -> 
 
 
 def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[Int64, AnyArray]], int]:
-    """Return for each property of an element the length of each row and all values; and the end position."""
+    """Return for each property of an element the length of each row, all values, and the end position."""
     if not element.rows or not element.properties:
         return {}, at
-    # All lists are assumed to be as long as those of the first row, which is nearly always true.
+    # First try whether all lists are as long as those of the first row, which is nearly always true.
     fields: list[tuple[str, np.dtype[np.generic]] | tuple[str, np.dtype[np.generic], tuple[int]]] = []
     end = at
     for number, each in enumerate(element.properties):

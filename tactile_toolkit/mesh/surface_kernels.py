@@ -13,9 +13,10 @@ from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, su
 
 @compiled
 def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, Int64]:
-    """Return whether a level plane divides triangles into two halves, and what remains to be examined.
+    """Return whether a level plane divides triangles into two halves, and what remains to be checked.
 
-    These are the triangles that do not face away from the plane, and the edges in it of those above, (N, 2).
+    To check are the numbers of triangles that do not face away from the plane, shape (M,), and the edges in
+    the plane of triangles above it, shape (N, 2).
     """
     odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
     reaches, odds, count = False, 0, 0
@@ -49,7 +50,7 @@ def passages(
     doubtful, count = np.empty((6 * pairs.shape[1], 3)), 0
     for pair in range(pairs.shape[1]):
         one, other = pairs[0, pair], pairs[1, pair]
-        # Within 8 degrees of opposite; a fold and a thin edge have this angle, and differ by the gap.
+        # The normals are opposite within 8 degrees, as at folds and at thin edges, which differ by their gap.
         opposed = dot(row(normal, one), row(normal, other)) < -0.99
         for target, passing in ((one, other), (other, one)):
             for k in range(3):
@@ -120,7 +121,7 @@ def _across(u: Vector, along: Vector) -> Vector:
 
 @compiled
 def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float64:
-    """Return twice the areas of triangles that reach above a bed and face down by more than a sine."""
+    """Return twice the areas of triangles above a bed that face down by an angle of more than this sine."""
     doubled, count = np.empty(len(faces)), 0
     for face in range(len(faces)):
         a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])

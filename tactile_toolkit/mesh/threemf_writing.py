@@ -46,7 +46,7 @@ class BuildItem:
 
 
 def write_build(items: Sequence[BuildItem]) -> bytes:
-    """Pack objects, in the order in which slicers list them."""
+    """Return the bytes of a 3MF file with objects, in the order in which slicers list them."""
     build = ""
     for number, item in enumerate(items, 1):
         x, y, z = (f"{value:.9g}" for value in item.offset_mm)

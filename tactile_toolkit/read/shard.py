@@ -92,7 +92,7 @@ class Shard:
     def metadata(self) -> parquet.FileMetaData:
         """The Parquet footer: row groups, columns, schema; read again if it was evicted.
 
-        Raises IntegrityError where the file has none, or differs from the manifest in size.
+        Raises IntegrityError if the file has none, or differs from the manifest in size.
         """
         return self._footer[0]
 
@@ -108,7 +108,7 @@ class Shard:
 
     @cached_property
     def class_names(self) -> tuple[str, ...] | None:
-        """Class names that `datasets` stored, if any; IntegrityError where they cannot be read."""
+        """Class names that `datasets` stored, if any; IntegrityError if they cannot be read."""
         return class_names(self.schema, None, self.path)
 
     @cached_property
@@ -141,7 +141,7 @@ class Shard:
             return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
 
     def column(self, name: str) -> pa.Array:
-        """Read one column of all rows as an Arrow array, by dotted name; KeyError when it is not there."""
+        """Read one column of all rows as an Arrow array, by dotted name; KeyError if it does not exist."""
         return RowGroup(self.read(columns=[name]), self.path).arrow(name)
 
     def locate(self, row: int) -> tuple[RowGroup, int]:
@@ -363,7 +363,7 @@ class Shard:
         From now on, a file that replaces this one is refused.
         """
         with self.stored() as stream:
-            # A Parquet file ends with the length of its footer and four letters.
+            # A Parquet file ends with the length of its footer and the letters PAR1.
             size_bytes = stream.seek(-8, io.SEEK_END) + 8
             footer_bytes = int.from_bytes(stream.read(4), "little")
             stream.seek(-8 - footer_bytes, io.SEEK_END)

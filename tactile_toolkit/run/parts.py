@@ -19,8 +19,8 @@ _PART = re.compile(r"(?:(?P<index>\d{1,9})|auto)(?:/(?P<count>\d{1,9}))?")
 class Part:
     """Every ``count``-th shard from number ``index`` on.
 
-    Any number of parts may run at once, on any machines that see the folder; two equal ones write the same.
-    When all have ended, a run with ``finish`` completes the data set.
+    Any number of parts may run at once, on any machines that share the folder; two runs of the same part
+    write the same files. When all parts have ended, a run with ``finish`` completes the data set.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ class Part:
         raise InputError(
             f"--part {self.index}/{self.count}: there is no part {self.index} of {self.count}; expected "
             f"{expected}; nothing was made",
-            next="number the jobs of the array so",
+            next="number the jobs of the array in this range",
         )
 
     def of(self, tasks: Sequence[T]) -> Sequence[T]:

@@ -163,7 +163,7 @@ class FsspecFolder(DataFolder):
         found = self.info("")
         if found is not None and found["type"] == "file":
             raise InputError(
-                f"{self.root!r} is a file, a folder was expected", next="choose another path (--out or OUT)"
+                f"{self.root!r} is a file; expected a folder", next="choose another path (--out or OUT)"
             )
         if found is None and self.problem():
             raise self._no_bucket()

@@ -46,10 +46,10 @@ class LocalFolder(DataFolder):
     is_local: ClassVar[bool] = True
 
     def local_path(self, path: str) -> Path:
-        """Return where a file is written, moved or removed.
+        """Return the path of a file that may be written, moved or removed.
 
-        Raises InputError where the file, or a folder on the way to it, is a symbolic link: what that leads to
-        does not belong to this folder, which may be reached through a link itself.
+        Raises InputError if the file, or a folder between it and this folder, is a symbolic link: the target
+        of a link does not belong to this folder. The folder itself may be reached through a link.
         """
         found, root = Path(self.address(path)), Path(self.root)
         for step in (found, *found.parents):
@@ -58,21 +58,21 @@ class LocalFolder(DataFolder):
             if step.is_symlink():
                 raise InputError(
                     f"{str(step)!r} is a symbolic link; nothing is written, moved or removed through a link",
-                    next="put what it leads to in its place, or choose another folder (--out or OUT)",
+                    next="replace the link by a copy of its target, or choose another folder (--out or OUT)",
                 )
         return found
 
     def problem(self) -> str:
-        """Return why nothing can be in the folder; empty where something can."""
+        """Return why the folder cannot hold files, or ``""`` if it can."""
         found = self.info("")
         if found is None:
             return f"{self.root!r} does not exist"
         if found["type"] == "directory":
             return ""
-        return f"{self.root!r} is a file, a folder was expected"
+        return f"{self.root!r} is a file; expected a folder"
 
     def info(self, path: str) -> Mapping[str, Any] | None:
-        """Return type and size of a file or folder, and what changes with it; None where there is none."""
+        """Return type, size, time and inode of a file or folder; None if it does not exist."""
         with readable(self.address(path)):
             try:
                 found = Path(self.address(path)).stat()
@@ -86,7 +86,7 @@ class LocalFolder(DataFolder):
         return {"type": kind, "size": found.st_size, "mtime": found.st_mtime_ns, "inode": found.st_ino}
 
     def entries(self, folder: str = "") -> dict[str, int | None]:
-        """List names directly in a sub-folder, sorted, with sizes in bytes, None for what is not a file."""
+        """List the names in a sub-folder, sorted, with sizes in bytes; None for anything but a file."""
         path = self.address(folder)
         sizes: dict[str, int | None] = {}
         with (
@@ -125,9 +125,9 @@ class LocalFolder(DataFolder):
             raise IntegrityError(f"cannot read {self.address(path)!r}: {error.strerror or error}") from error
 
     def write(self, path: str, fill: Callable[[IO[bytes]], T]) -> T:
-        """Write a file in pieces, which appears when all is written, or never; return what ``fill`` returns.
+        """Write a file in pieces; it appears when it is complete, or never. Return the result of ``fill``.
 
-        ``fill`` is called again where a run that finished a data set here has removed the temporary file.
+        ``fill`` is called again if a run that finished a data set here has removed the temporary file.
         """
         return self._write(path, fill, Path.replace)
 
@@ -138,7 +138,7 @@ class LocalFolder(DataFolder):
             with named_failures(self.address(path)):
                 return write_file(target, fill, draft, publish=publish)
         finally:
-            with contextlib.suppress(OSError):  # something else is in it
+            with contextlib.suppress(OSError):  # the folder is not empty
                 draft.parent.rmdir()
 
     def write_bytes(self, path: str, content: bytes) -> None:
@@ -150,7 +150,7 @@ class LocalFolder(DataFolder):
 
         def link(temporary: Path, target: Path) -> None:
             try:
-                # The one step that is all or nothing on network file systems too.
+                # Making a link is atomic on network file systems, too.
                 os.link(temporary, target)
             except OSError:
                 if not target.exists():
@@ -168,7 +168,7 @@ class LocalFolder(DataFolder):
         self.write(path, copy)
 
     def download(self, path: str, target: Path) -> None:
-        """Copy a file to a local one; FileNotFoundError where there is none."""
+        """Copy a file to a local one; FileNotFoundError if there is none."""
         target.parent.mkdir(parents=True, exist_ok=True)
         shutil.copyfile(self.address(path), target)
 
@@ -186,12 +186,12 @@ class LocalFolder(DataFolder):
             self.local_path(path).unlink(missing_ok=True)
 
     def remove_empty(self, folder: str) -> None:
-        """Remove a sub-folder when nothing is left in it."""
+        """Remove a sub-folder if it is empty."""
         with contextlib.suppress(OSError):
             Path(self.address(folder)).rmdir()
 
     def remove_tree(self, folder: str, is_ours: Callable[[str], object]) -> None:
-        """Remove the files in a sub-folder whose paths are ours, and folders that are empty then.
+        """Remove the files in a sub-folder whose paths are ours, and folders that become empty.
 
         Raises InputError for a link to a folder, whose content is not ours.
         """
@@ -209,7 +209,7 @@ class LocalFolder(DataFolder):
         self.remove_tree(PENDING_FOLDER, re.compile(f"{PENDING_FOLDER}/{TEMPORARY}").fullmatch)
 
     def require_folder(self) -> None:
-        """Create the folder, and prove that it can be written to; InputError for a file in its place."""
+        """Create the folder, and check that it can be written to; InputError for a file in its place."""
         with named_failures(self.root):
             problem = self.problem()
             if problem and self.exists():
@@ -219,7 +219,7 @@ class LocalFolder(DataFolder):
                 pass
 
     def refresh(self, folder: str) -> None:
-        """Make a network file system drop what it cached of a sub-folder: its time changes."""
+        """Change the time of a sub-folder, so that a network file system drops its cached listing."""
         with contextlib.suppress(OSError):
             os.utime(self.local_path(folder))
 
@@ -227,7 +227,7 @@ class LocalFolder(DataFolder):
     def locked(
         self, *, shared: bool = False, patience_s: float | None = None, is_patient: bool = False
     ) -> Iterator[None]:
-        """Hold the folder, and the data set that is to take its place, against other runs."""
+        """Lock the folder, and the data set in ``.next/`` that will replace it, against other runs."""
         home = Path(self.root)
         if home.name == NEXT_FOLDER:
             home = home.parent
@@ -238,7 +238,7 @@ class LocalFolder(DataFolder):
                         locked(home, shared=shared, patience_s=patience_s, is_patient=is_patient)
                     )
                     break
-                except FileNotFoundError:  # a run that failed has removed it, empty as it was
+                except FileNotFoundError:  # a failed run has removed the empty folder
                     with named_failures(str(home)):
                         make_folder(home)
             yield

@@ -1,4 +1,4 @@
-"""The folder that an address stands for."""
+"""Opening data set folders by their address."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tactile_toolkit.system import working_folder
 def open_folder(address: str) -> DataFolder:
     """Return the data set folder at a path or any fsspec address; it need not exist.
 
-    Raises InputError for an address that names no bucket, is of the web, or may hold a key.
+    Raises InputError for a web address, and for one that names no bucket or may hold a key.
     """
     place = normalize_uri(address)
     if is_remote(address):
         return FsspecFolder(place)
     path = expanded(place)
-    if not path.is_absolute():  # only then the working folder counts, which may have been deleted
+    if not path.is_absolute():  # only then is the working folder needed, which may have been deleted
         path = working_folder() / path
     return LocalFolder(str(path))
 
@@ -37,12 +37,12 @@ def split_uri(address: str) -> tuple[DataFolder, str]:
 
 
 def local_folder_path(address: str) -> Path:
-    """Return the path of a folder, which need not be there; InputError where it is a file or not local."""
+    """Return the path of a folder, which need not exist; InputError if it is a file or not local."""
     folder = open_folder(address)
     path = Path(folder.root)
     if folder.is_local and not path.is_file():
         return path
     found = "is not a local folder"
     if folder.is_local:
-        found = "is a file, a folder was expected"
-    raise InputError(f"{address!r} {found}; nothing was changed", next="a local folder as --out")
+        found = "is a file; expected a folder"
+    raise InputError(f"{address!r} {found}; nothing was changed", next="give a local folder as --out")

@@ -1,4 +1,4 @@
-"""What a data set folder is to hold: one task for each shard, and the specification that they follow from."""
+"""The plan of a data set folder: one task for each shard, and the specification that they follow from."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tactile_toolkit.store.task import AnyTask
 
 @dataclass(frozen=True)
 class BuildPlan:
-    """What a folder is to hold: one task for each shard, and the specification that they follow from.
+    """The plan of a folder: one task for each shard, and the specification that they follow from.
 
     Parameters
     ----------
@@ -31,21 +31,21 @@ class BuildPlan:
     split_order : tuple of str
         Canonical order of the splits of this kind.
     tasks : tuple of ShardTask
-        One per shard of the splits asked for.
+        One for each shard of the requested splits.
     style : ParquetStyle
         Layout of the shards.
     report_file : str or None
-        Path of the merged report, where shards have one.
+        Path of the merged report, if shards have reports.
     extra_dirs : tuple of str
         Sub-folders or files next to the rows that belong to the data set, such as the ``files`` of tasks.
     files_of : callable
         Takes the folder and the record of a finished shard, and returns the checksum of each of its ``files``
         by path.
     libraries : tuple of str
-        Distributions whose versions decide bytes.
+        Distributions whose versions can change the bytes of shards.
     write_files : callable
-        Writes files that follow from all rows, such as an index, once those are there; takes the folder and
-        the manifest, returns the checksum of each by path.
+        Writes files that follow from all rows, such as an index, after all shards; takes the folder and the
+        manifest, and returns the checksum of each file by path.
     """
 
     kind: str
@@ -64,7 +64,7 @@ class BuildPlan:
     )
 
     def __post_init__(self) -> None:
-        # As in a manifest: in JSON, tuples are lists.
+        # Stored as in a manifest: in JSON, tuples are lists.
         text = json.dumps(self.spec, ensure_ascii=False)
         object.__setattr__(self, "spec", json.loads(text))
         try:
@@ -79,10 +79,10 @@ class BuildPlan:
             first = splits.setdefault(shard.split.casefold(), shard.split)
             if first != shard.split or not shard.can_be_read_back:
                 raise InputError(
-                    f"shard {shard} cannot be named so that it is found again; expected a split of letters, "
-                    "digits and underscores that differs from others not in case alone, and an index below "
-                    "the count; nothing was changed",
-                    next="rename it",
+                    f"the file of shard {shard} would not be found again; expected a split of letters, "
+                    "digits and underscores that does not differ from another only in case, and an index below the "
+                    "count; nothing was changed",
+                    next="rename the split",
                 )
 
     def new_manifest(self) -> Manifest:

@@ -43,7 +43,7 @@ def read_report(folder: DataFolder, path: str, columns: Sequence[str] | None = N
 
 
 def merge_reports(folder: DataFolder, path: str, manifest: Manifest) -> str | None:
-    """Write one report over all shards of the manifest and return its checksum; None where none has rows.
+    """Write one report over all shards of the manifest and return its checksum; None if no shard has one.
 
     Rows of shards from an earlier run are copied from its report. The order is that of the manifest, so the
     bytes do not depend on the order of the work. A report of the same shards is not rewritten. Raises
@@ -82,7 +82,7 @@ def _tables(
     for record in records:
         content = next(contents) if record.shard in pending else None
         table = None
-        # It may be gone: another run of the same job has just merged it.
+        # The content may be missing, if another run of the same job has just merged it.
         if content is not None and sha256_hex(content) == record.report_sha256:
             with contextlib.suppress(IntegrityError), named_damage(record.shard.report_path):
                 table = open_checked(io.BytesIO(content)).read(use_threads=False)

@@ -208,7 +208,7 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused("does not exist", where=tmp_path / "nothing")
     refused("letters, digits", split="a/b")
     refused("no tars", layout="webdataset")
-    refused("--table is about folders of images", layout="webdataset", table="index.csv")
+    refused("--table applies to folders of images", layout="webdataset", table="index.csv")
     refused("no column names the images", realtouch.ImportColumns(image=None))
     refused("one CSV file; found none", where=home / "pictures" / "0.jpg")
     with pytest.raises(InputError, match="6 pose columns"):

@@ -102,7 +102,7 @@ def test_another_folder_is_refused_even_with_overwrite(tmp_path):
         ):
             build(tmp_path / "mine", overwrite=overwrite)
     (tmp_path / "file").write_text("x")
-    with pytest.raises(InputError, match="is a file, a folder was expected; nothing was changed"):
+    with pytest.raises(InputError, match="is a file; expected a folder; nothing was changed"):
         build(tmp_path / "file", overwrite=True)
     assert entries(tmp_path) == ["file", "mine"]
     assert (tmp_path / "mine" / "thesis.txt").read_text() == "years of work"
@@ -258,7 +258,9 @@ def test_a_place_that_cannot_be_written_is_named(tmp_path):
 def test_nothing_and_too_much_are_refused(tmp_path, monkeypatch):
     with pytest.raises(InputError, match="there is no toy to show"):
         build(tmp_path / "site", toy_gallery(0))
-    with pytest.raises(InputError, match=r"would show 20,001 toys; the most is 20,000; nothing was written"):
+    with pytest.raises(
+        InputError, match=r"would show 20,001 toys; expected at most 20,000; nothing was written"
+    ):
         build(tmp_path / "site", toy_gallery(MOST_ITEMS + 1, portion=MOST_ITEMS + 1))
     monkeypatch.setattr(site_module, "MOST_BYTES", len(asset(THREE)) + 3_100_000)
     made: list[int] = []

@@ -37,7 +37,7 @@ def test_a_shard_has_one_name(name):
     [ShardName("a-b", 0, 1), ShardName("a b", 0, 1), ShardName("train", 2, 2), ShardName("train", 0, 10**12)],
 )
 def test_what_could_not_be_read_back_is_refused_while_planning(shard):
-    with pytest.raises(InputError, match=f"shard {shard} cannot be named so that it is found again"):
+    with pytest.raises(InputError, match=f"the file of shard {shard} would not be found again"):
         replace(toy_plan(), tasks=(ToyTask(shard, (0,)),))
 
 

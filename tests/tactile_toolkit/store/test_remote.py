@@ -194,7 +194,7 @@ def test_no_bucket_is_ever_made(s3, act):
 
 def test_a_file_in_the_place_of_the_folder_is_refused(folder, bucket):
     folder.write_bytes("data/a", b"1")
-    with pytest.raises(InputError, match="is a file, a folder was expected"):
+    with pytest.raises(InputError, match="is a file; expected a folder"):
         open_folder(f"{folder.root}/data/a").require_folder()
 
 
