@@ -80,8 +80,8 @@ class BuildPlan:
             if first != shard.split or not shard.can_be_read_back:
                 raise InputError(
                     f"the file of shard {shard} would not be found again; expected a split of letters, "
-                    "digits and underscores that does not differ from another only in case, and an index below the "
-                    "count; nothing was changed",
+                    "digits and underscores that does not differ from another only in case, and an index "
+                    "below the count; nothing was changed",
                     next="rename the split",
                 )
 

@@ -78,7 +78,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
         ("block", ("--sensor-noise", "calibrated"), "'depth' have no noise"),
         ("block", ("--weights", "none.npz"), "weights were given"),
-        ("block", ("--out", "touch.tif"), "expected a picture that ends with .png, .jpg, .jpeg"),
+        ("block", ("--out", "touch.tif"), "expected a name that ends with .png, .jpg, .jpeg"),
         ("none", (), "No such file"),
     ],
 )
