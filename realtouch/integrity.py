@@ -63,7 +63,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
 
 
 def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | None:
-    """Return the names of the classes as the first file that states any does; None where none does."""
+    """Return the names of the classes as the first file that states any does; None if none does."""
     return next((shard.class_names for shard in shards if shard.class_names is not None), None)
 
 

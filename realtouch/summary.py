@@ -49,7 +49,7 @@ class Summary:
     fps : float or None
         Frames per second of the first clip.
     gel_ids : dict of str to int
-        Rounds of each gel; empty where it is unknown.
+        Rounds of each gel; empty if it is unknown.
     """
 
     kind: str

@@ -137,7 +137,7 @@ def _item(
 
 
 def _millimetres(height_m: float) -> float | None:
-    """Return a height for the page; None where it is not known, as of a touch with a damaged pose."""
+    """Return a height for the page; None if it is not known, as of a touch with a damaged pose."""
     return None if math.isnan(height_m) else height_m * mesh.MM_PER_M
 
 

@@ -277,7 +277,7 @@ KINDS: dict[str, type[Proportions]] = {kind.name: kind for kind in TOOLKIT_KINDS
 
 
 def kind_named(name: str) -> type[Proportions]:
-    """Return a kind of shape by its name; InputError where it is unknown."""
+    """Return a kind of shape by its name; InputError if it is unknown."""
     if name not in KINDS:
         raise InputError(
             f"unknown shape {name!r}; expected one of {', '.join(KINDS)}, or one registered with "

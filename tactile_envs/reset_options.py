@@ -18,7 +18,7 @@ _OPTIONS = (_NUMBERS, _POSES, _PLACES, _RESET_MASK)
 
 @dataclass(frozen=True)
 class ResetOptions:
-    """Options of a reset, one value for each environment; None where it is drawn.
+    """Options of a reset, one value for each environment; None if it is drawn.
 
     ``numbers`` are those of the meshes, ``poses`` position (x, y), metres, and turn, radians, of the objects,
     ``places`` the positions (x, y) of the first touches, metres.

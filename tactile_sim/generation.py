@@ -78,7 +78,7 @@ class TouchGenerator(generation.RowGenerator):
 
     @classmethod
     def of(cls, source: Name | Place, spec: GenerateSpec) -> TouchGenerator:
-        """Open the source; InputError where it holds no solids, or not the objects of a given plan."""
+        """Open the source; InputError if it holds no solids, or not the objects of a given plan."""
         make_optics(spec.optics, spec.weights)  # missing packages are reported before anything is written
         place = open_place(source).require_complete()
         splits = {split: open_split(place, split) for split in place.splits}

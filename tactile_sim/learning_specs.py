@@ -210,7 +210,7 @@ class TrainConfig:
         return cls(**(held | dict(given)))
 
     def crop_px(self, size_px: tuple[int, int]) -> tuple[int, int]:
-        """Return width and height of the crops, multiples of 4; InputError where they are too small."""
+        """Return width and height of the crops, multiples of 4; InputError if they are too small."""
         width, height = (int(self.crop * side) // 4 * 4 for side in size_px)
         if min(width, height) < _LEAST_CROP_PX:
             raise InputError(

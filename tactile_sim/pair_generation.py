@@ -193,7 +193,7 @@ def _draw(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[
         raise InputError(
             f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
             f"{highest}; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was written",
-            next="a smaller --count, or another --without-contact or --min-height-mm",
+            next="give a smaller --count, or another --without-contact or --min-height-mm",
         )
     pools = {
         flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()

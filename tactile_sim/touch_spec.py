@@ -133,7 +133,7 @@ class TouchPlan:
             raise InputError(
                 f"the plan of touches has positions {self.positions!r}, and its given touches are {held}; "
                 "expected positions 'given' and a TouchTable, or neither",
-                next="--positions given --touches-from FILE",
+                next="give --positions given --touches-from FILE",
             )
         if given is not None:
             object.__setattr__(self, "touches", given.longest)
@@ -233,12 +233,12 @@ class GenerateSpec:
         object.__setattr__(self, "noise", _checked_noise(self.noise, "noise"))
         if self.noise is not None and self.optics == "depth":
             raise InputError(
-                "the optics 'depth' have no noise: it is that of a camera's images", next="--optics taxim"
+                "the optics 'depth' have no noise: it is that of a camera's images", next="add --optics taxim"
             )
 
     @property
     def chosen(self) -> dict[str, Any]:
-        """Restrictions to some of the objects, by name; empty where all are touched."""
+        """Restrictions to some of the objects, by name; empty if all are touched."""
         named = {"ids": self.ids, "labels": self.labels, "per_class": self.per_class}
         return {name: value for name, value in named.items() if value is not None}
 

@@ -183,7 +183,7 @@ def first_rows(source: Source, limit: int | None) -> dict[str, list[RowChoice]]:
 
 
 def require_limit(limit: int | None, name: str = "limit") -> int | None:
-    """Return a limit; InputError where it is below 1."""
+    """Return a limit; InputError if it is below 1."""
     if limit is None:
         return None
     if limit < 1:

@@ -105,7 +105,7 @@ def _no_contact(source: Source, height_m: float) -> InputError:
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
-        next="a smaller --min-height-mm, or fewer filters",
+        next="give a smaller --min-height-mm, or fewer filters",
     )
 
 

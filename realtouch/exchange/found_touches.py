@@ -173,7 +173,7 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 
 
 def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the columns and lines of a table; InputError where it cannot be read."""
+    """Return the columns and lines of a table; InputError if it cannot be read."""
     with open_source(folder, name) as stream:
         content = stream.read()
     return table_lines(content, folder.address(name))
@@ -199,7 +199,7 @@ class ImportFormat:
 
     ``find`` takes a folder, the columns and the path of a table, and yields the touches there. ``contents``
     reads their images. ``sizes_seen`` is from how many of them the size of all follows, if these agree.
-    ``describe`` states how the images are converted; empty where they are taken as they are.
+    ``describe`` states how the images are converted; empty if they are taken as they are.
     """
 
     find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[FoundTouch]]

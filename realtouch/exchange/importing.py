@@ -127,7 +127,7 @@ def _plan(
     split: str | None,
     layout: str,
 ) -> store.BuildPlan:
-    """Divide the touches into splits, rounds and shards. InputError where nothing can be imported."""
+    """Divide the touches into splits, rounds and shards. InputError if nothing can be imported."""
     names = classes or _class_names(items, columns.label)
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")

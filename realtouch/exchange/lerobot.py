@@ -107,7 +107,7 @@ class _PackEpisodes:
     def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
-        Raises IntegrityError where a round was left out, or lengths were not as stated.
+        Raises IntegrityError if a round was left out, or lengths were not as stated.
         """
         rows = rows.combine_chunks()
         firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)

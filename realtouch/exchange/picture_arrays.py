@@ -81,7 +81,7 @@ class PictureArray:
         return np.ascontiguousarray(found)
 
     def described(self) -> str:
-        """Return what is done to the pictures; empty where they are taken as they are."""
+        """Return what is done to the pictures; empty if they are taken as they are."""
         words = ["channels first"] * (self._channel_axis == 1) + ["one channel"] * (self.shape[3] == 1)
         if self.array.dtype != np.uint8:
             top = self.divisor * _MOST_LEVEL
@@ -89,7 +89,7 @@ class PictureArray:
         return ", ".join(words)
 
     def _lossless(self) -> float:
-        """Return what all values are multiples of; InputError where 8 bits would lose some."""
+        """Return what all values are multiples of; InputError if 8 bits would lose some."""
         dtype, step = self.array.dtype, self.array.chunks[0]
         tolerance = _LEAST_TOLERANCE
         if dtype.kind == "f":

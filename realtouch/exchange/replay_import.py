@@ -26,7 +26,7 @@ _ENDS_SHOWN = 8
 
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:
-    """Return what is done to the pictures of a buffer; empty where they are taken as they are."""
+    """Return what is done to the pictures of a buffer; empty if they are taken as they are."""
     return _pictures(items[0]).described()
 
 

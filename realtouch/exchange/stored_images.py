@@ -58,7 +58,7 @@ def as_jpeg(image: bytes) -> bytes:
 
 
 def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
-    """Return the pixels of an image; IntegrityError where it is damaged between its header and its end."""
+    """Return the pixels of an image; IntegrityError if it is damaged between its header and its end."""
     try:
         return decode_image(image, out)
     except ValueError as error:
@@ -69,7 +69,7 @@ def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
 
 
 def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
-    """Return the median of some images as JPEG: the gel at rest; InputError where they differ in size.
+    """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
 
     Raises IntegrityError, with the name, for one that cannot be decoded.
     """

@@ -101,7 +101,7 @@ class ZarrGroup:
         return f"{self.path}/{path}".strip("/")
 
     def read(self, path: str, most: int = _MOST_METADATA_BYTES) -> bytes | None:
-        """Return a file of the group, of ``most`` bytes at most; None where there is none."""
+        """Return a file of the group, of ``most`` bytes at most; None if there is none."""
         try:
             with self._open(path) as stream:
                 found = stream.read(most + 1)

@@ -232,7 +232,7 @@ class _Selected:
             raise InputError(
                 f"{pairs!r} holds {len(rows)} images of one kind, {int(contact.sum())} with contact, of "
                 f"{kinds} objects; expected at least {_LEAST}, with and without contact, of several objects",
-                next="a larger --count or another --without-contact of `tactile-sim pairs`",
+                next="make pairs with a larger --count or another --without-contact (`tactile-sim pairs`)",
             )
         return cls(
             domain.images(rows),

@@ -18,7 +18,7 @@ def chosen_device(name: str) -> str:
     if name not in ("auto", "cpu", "cuda"):
         raise InputError(f"device is {name!r}; expected auto, cpu or cuda")
     if name == "cuda" and not available:
-        raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="--device cpu")
+        raise InputError("device is 'cuda', but PyTorch finds no GPU here", next="use --device cpu")
     if name == "cpu" or not available:
         return "cpu"
     return "cuda"
@@ -46,7 +46,7 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
     chosen = chosen_device(device)
     if deterministic and chosen != "cpu":
         raise InputError(
-            "deterministic training runs on the CPU", next="--device cpu, or leave out --deterministic"
+            "deterministic training runs on the CPU", next="use --device cpu, or leave out --deterministic"
         )
     if chosen == "cuda":
         chosen = f"cuda:{int(os.environ.get('LOCAL_RANK', '0'))}"

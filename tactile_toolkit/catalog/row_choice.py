@@ -21,7 +21,7 @@ def open_splits(
     """Open one split of a data set, or all of them; those without rows are left out.
 
     ``load`` opens a split; ``item_nouns`` says in messages what the rows are, such as ``"digits"``. Raises
-    InputError where the split does not exist or is empty, IntegrityError where it is not finished.
+    InputError if the split does not exist or is empty, IntegrityError if it is not finished.
     """
     place.require_complete(split)
     chosen = place.chosen_splits(split)

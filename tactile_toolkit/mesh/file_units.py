@@ -29,7 +29,7 @@ def require_unit(unit: str | None) -> None:
 
 
 def refuse_unit(unit: str | None, name: str) -> None:
-    """Raise InputError where a unit is given for something that is not a mesh file."""
+    """Raise InputError if a unit is given for something that is not a mesh file."""
     if unit is not None:
         raise InputError(f"--unit is for mesh files, and {name!r} is not one; data sets are in metres")
 

@@ -29,7 +29,7 @@ _MESH_TYPES: dict[str, read.Expected] = {
 
 
 def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
-    """Raise InputError where the data set ``name`` lacks a column of the published mesh layout.
+    """Raise InputError if the data set ``name`` lacks a column of the published mesh layout.
 
     ``made_by`` is the command that writes such data sets, for the message.
     """

@@ -302,7 +302,7 @@ def read_build(data: bytes) -> Build:
     """Read the objects that a file places on the plate.
 
     Raises InputError, ValueError, KeyError, zipfile.BadZipFile or xml.parsers.expat.ExpatError where the
-    archive, the model or a number in it is damaged; InputError where it needs an unsupported feature, or
+    archive, the model or a number in it is damaged; InputError if it needs an unsupported feature, or
     exceeds the limit when unpacked.
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:

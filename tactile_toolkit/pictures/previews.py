@@ -21,7 +21,7 @@ D = TypeVar("D", bound=read.RecordDataset[Any])
 class MeshPreviews(Generic[D]):
     """A data set to draw: its splits with the chosen rows, and its specification.
 
-    Raises InputError where a split or id does not exist, a split is empty, or the data have another kind.
+    Raises InputError if a split or id does not exist, a split is empty, or the data have another kind.
     """
 
     def __init__(

@@ -179,7 +179,7 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
 
 
 def _walked(folder: store.DataFolder) -> list[str]:
-    """List the files in a folder and some levels below; InputError where there are too many folders."""
+    """List the files in a folder and some levels below; InputError if there are too many folders."""
     files: list[str] = []
     waiting = [("", 0)]
     for count, (inside, depth) in enumerate(waiting):

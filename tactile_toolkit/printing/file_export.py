@@ -113,7 +113,7 @@ def content_of(path: Path) -> bytes | None:
 
 
 def _before(folder: Path, product: Product[R]) -> set[Path]:
-    """Return the existing files of a product; InputError where one of its folders is a link."""
+    """Return the existing files of a product; InputError if one of its folders is a link."""
     places = [store.LocalFolder(str(folder)).local_path(pattern) for pattern in product.patterns]
     return {path for place in places for path in place.parent.glob(place.name)}
 
@@ -190,7 +190,7 @@ def export(
     if others:
         raise InputError(
             f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
-            next="--overwrite to replace them, or another --out",
+            next="add --overwrite to replace them, or choose another --out",
         )
     if not dry_run:
         run([each for each in products if found.get(each.name, ("",))[0] != "kept"], True, False)

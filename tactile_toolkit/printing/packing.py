@@ -152,7 +152,7 @@ def arrange(
     The objects of a plate are centred unless they would reach into an unusable corner. Equal input gives
     equal layouts.
 
-    Raises InputError where an object is larger than a plate, or the scale is not positive.
+    Raises InputError if an object is larger than a plate, or the scale is not positive.
     """
     require_scale(scale)
     pieces, failures = [], []
@@ -177,7 +177,8 @@ def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
         raise InputError(
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
             f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
-            next=f"a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale, or other --ids",
+            next=f"give a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale or other "
+            "--ids",
         )
     box = verdict.manifold.bounding_box()
     return PlacedObject(item, outline, float(box[5] - box[2]), verdict.volume_mm3)

@@ -39,7 +39,7 @@ class Row:
         return self.group.flat(name)[self.index]
 
     def required(self, name: str) -> Any:
-        """Return a plain field as :meth:`value` does; IntegrityError where it is null."""
+        """Return a plain field as :meth:`value` does; IntegrityError if it is null."""
         value = self.value(name)
         # Nulls of numbers become NaN in numpy.
         missing = value is None or (isinstance(value, (float, np.floating)) and value != value)
@@ -48,7 +48,7 @@ class Row:
         return value
 
     def integer(self, name: str) -> int:
-        """Return a plain field as an int; IntegrityError where it is null or not an integer, such as 1.5."""
+        """Return a plain field as an int; IntegrityError if it is null or not an integer, such as 1.5."""
         value = self.value(name)
         if isinstance(value, np.signedinteger):
             return int(value)

@@ -85,7 +85,7 @@ class RayRunner:
     def run(self, function: Callable[[T], R], tasks: Iterable[T]) -> Iterator[R]:
         """Yield results as they finish.
 
-        Raises InputError where no cluster answers or a node has other versions, ToolkitError when one task's
+        Raises InputError if no cluster answers or a node has other versions, ToolkitError when one task's
         worker died ``attempts`` times.
         """
         waiting = deque((task, 1) for task in tasks)

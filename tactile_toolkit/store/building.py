@@ -100,7 +100,7 @@ def build(
     ------
     InputError
         The folder holds another data set (SpecMismatchError) or other files, another run is at work in it or
-        has replaced the set, every item was left out (IntegrityError where all are damaged), a file to be
+        has replaced the set, every item was left out (IntegrityError if all are damaged), a file to be
         written is a symbolic link, or the disk is full (StorageError). Finished shards stay.
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.

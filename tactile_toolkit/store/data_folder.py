@@ -39,7 +39,7 @@ class DataFolder(Protocol):
     folder, with slashes; nothing is written or removed through symbolic links in it. A file appears under its
     name complete or not at all. Pickles as its address alone, so tasks carry it to other processes and
     machines. Methods raise StorageError where a file system refuses, RemoteError where a store refuses or
-    does not answer, and InputError where the package of a store is not installed.
+    does not answer, and InputError if the package of a store is not installed.
     """
 
     root: str
@@ -64,7 +64,7 @@ class DataFolder(Protocol):
 
     @abstractmethod
     def problem(self) -> str:
-        """Return why nothing can be in the folder; empty where something can."""
+        """Return why the folder cannot hold files, or ``""`` if it can."""
 
     def missing_message(self, what: str) -> str:
         """State what is wrong with a folder in which something was not found: it, or what was looked for."""
@@ -72,14 +72,14 @@ class DataFolder(Protocol):
 
     @abstractmethod
     def info(self, path: str) -> Mapping[str, Any] | None:
-        """Return type and size of a file or folder, and what changes with it; None where there is none."""
+        """Return type and size of a file or folder, and values that change with it; None if there is none."""
 
     def exists(self, path: str = "") -> bool:
         """Return whether a file (or, without an argument, the folder) exists."""
         return self.info(path) is not None
 
     def version(self, path: str) -> tuple[object, ...] | None:
-        """Return what changes whenever a file is replaced; None where there is none."""
+        """Return a value that changes whenever a file is replaced; None if there is no file."""
         found = self.info(path)
         if found is None:
             return None

@@ -43,14 +43,14 @@ class FsspecFolder(DataFolder):
         return str(self._client._strip_protocol(self.address(path))).rstrip("/")
 
     def problem(self) -> str:
-        """Return why nothing can be in the folder; empty where something can."""
+        """Return why the folder cannot hold files, or ``""`` if it can."""
         bucket = self._key().partition("/")[0]
         if has_buckets(self.root) and self._info(bucket, "") is None:
             return f"the bucket {bucket!r} of {self.root!r} does not exist"
         return ""
 
     def info(self, path: str) -> Mapping[str, Any] | None:
-        """Return type and size of a file or folder, and what changes with it; None where there is none."""
+        """Return type and size of a file or folder, and values that change with it; None if there is none."""
         return self._info(self._key(path), path)
 
     def _info(self, key: str, path: str) -> Mapping[str, Any] | None:
@@ -158,7 +158,7 @@ class FsspecFolder(DataFolder):
         """Do nothing: an unfinished file is not in the store."""
 
     def require_folder(self) -> None:
-        """Raise InputError where a file stands in its place or the bucket does not exist."""
+        """Raise InputError if a file stands in its place or the bucket does not exist."""
         self._require_writable("")
         found = self.info("")
         if found is not None and found["type"] == "file":

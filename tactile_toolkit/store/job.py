@@ -287,5 +287,5 @@ def _reject_unexpected_files(folder: DataFolder, plan: BuildPlan) -> None:
             raise InputError(
                 f"{folder.address(f'{DATA_FOLDER}/{name}')!r} is not a file of this data set; nothing was "
                 "changed",
-                next="remove it, or move it away",
+                next="move it to another folder",
             )

@@ -72,7 +72,7 @@ class RunOptions:
             raise InputError(
                 "--overwrite was given with --part or --finish: each part would remove what the others made; "
                 "nothing was changed",
-                next="remove the folder first, or choose another one (--out or OUT)",
+                next="leave out --overwrite and choose another folder (--out or OUT)",
             )
 
     @property

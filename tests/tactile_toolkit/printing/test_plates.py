@@ -165,7 +165,7 @@ def test_objects_move_from_where_they_are_stored_to_their_place() -> None:
         (box(10, 80.1), SMALL, "it needs 10.0 x 80.1 mm"),
         (box(10, 90), SMALL, "it needs 10.0 x 90.0 mm"),
         (box(90, 10), PlateSpec(100, 80), "the plate has 100 x 80 mm less 7 mm at each edge"),
-        (box(10, 70), PlateSpec(100, 80), "next: a larger --plate, a smaller --margin-mm or --scale"),
+        (box(10, 70), PlateSpec(100, 80), "next: give a larger --plate, a smaller --margin-mm or --scale"),
     ],
 )
 def test_what_is_larger_than_the_plate_is_named(

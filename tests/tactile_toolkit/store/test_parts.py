@@ -117,7 +117,7 @@ def test_parts_of_other_sets_are_refused(tmp_path):
         with pytest.raises(SpecMismatchError, match="seed is 1 there, 2 was asked for"):
             make(tmp_path / "set", other, **mode)
     for mode in ({"part": Part(1, 4)}, {"finish": True}):
-        with pytest.raises(InputError, match=r"--overwrite was given with --part.*remove the folder first"):
+        with pytest.raises(InputError, match=r"--overwrite was given with --part.*choose another folder"):
             make(tmp_path / "set", **mode, overwrite=True)
     assert folder_bytes(tmp_path / "set") == before
     make(tmp_path / "libraries", replace(plan, libraries=("numpy",)), part=Part(0, 4))
