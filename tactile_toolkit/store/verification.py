@@ -233,7 +233,7 @@ def _unlisted(
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
         if not (path in listed or is_begun or is_hidden(name)):
-            findings.append(Finding(path, f"is not listed in {where}; next: remove it"))
+            findings.append(Finding(path, f"is not listed in {where}; next: move it to another folder"))
     return findings
 
 

@@ -137,7 +137,10 @@ def test_a_copy_of_a_published_set_is_shown_and_verified(server, root, tmp_path)
     damaged = call(server, tmp_path, "mnist3d", "verify", out)
     assert damaged.code == 3
     lines = damaged.err.splitlines()
-    assert lines[0] == "damaged: data/mine.parquet: is not listed in .download.json; next: remove it"
+    assert (
+        lines[0] == "damaged: data/mine.parquet: is not listed in .download.json; "
+        "next: move it to another folder"
+    )
     assert lines[1] == "damaged: data/holdout-00000-of-00001.parquet: is missing"
     assert lines[2].startswith("damaged: data/test-00000-of-00001.parquet: sha256 ")
     assert f"next: download {BARE} there again; only damaged files are fetched" in lines[3]

@@ -308,9 +308,11 @@ def test_a_stray_file_among_the_shards_is_named_by_all_who_meet_it(tmp_path, nam
     (finding,) = verify(folder, SCHEMA).findings
     assert (finding.file, finding.problem) == (
         f"data/{name}",
-        "is not listed in manifest.json; next: remove it",
+        "is not listed in manifest.json; next: move it to another folder",
     )
-    with pytest.raises(InputError, match=rf"data/{name}' is not a file of this data set.*next: remove it"):
+    with pytest.raises(
+        InputError, match=rf"data/{name}' is not a file of this data set.*next: move it to another folder"
+    ):
         build(folder, toy_plan())
     assert folder_bytes(tmp_path) == before
 

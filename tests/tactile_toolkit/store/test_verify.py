@@ -49,7 +49,7 @@ def test_shards_that_a_manifest_lacks_are_named(folder):
 
 def test_strange_files_are_named_once_the_set_is_complete(folder):
     folder.write_bytes("data/strange.bin", b"x")
-    stray = ("data/strange.bin", "is not listed in manifest.json; next: remove it")
+    stray = ("data/strange.bin", "is not listed in manifest.json; next: move it to another folder")
     assert problems(folder) == [stray]
     edited(folder, lambda values: values.update(complete=False))
     interrupted = ("manifest.json", "not finished: 6 of 6 shards; the same command continues")
@@ -145,7 +145,7 @@ def test_a_copy_is_compared_with_all_that_the_hub_said(tmp_path):
         "images/cut": "has 4 bytes, expected 7",
         "images/flipped": f"sha256 is {flipped}, expected {digest}",
         "images/gone": "is missing",
-        "data/strange.bin": "is not listed in .download.json; next: remove it",
+        "data/strange.bin": "is not listed in .download.json; next: move it to another folder",
     }
 
 
