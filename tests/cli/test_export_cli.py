@@ -270,7 +270,7 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     assert command_line.call("starstruck", "verify", out) == 0
     assert command_line.call("starstruck", "info", out) == 0
     wrench = tmp_path / "wrench"
-    assert command_line.call("env-assets", "wrench", "--size", "13", "--out", wrench, "-q") == 0
+    assert command_line.call("env-assets", "wrench", "--out", wrench, "-q") == 0
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0

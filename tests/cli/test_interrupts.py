@@ -90,7 +90,7 @@ def commands() -> dict[str, str]:
 @pytest.mark.parametrize("command", commands())
 def test_ctrl_c_while_a_command_starts_ends_it_without_a_traceback(command, module):
     done = subprocess.run(
-        [sys.executable, "-c", STARTED, commands()[command], "info", module],
+        [sys.executable, "-c", STARTED, commands()[command], "verify", module],
         cwd=ROOT,
         capture_output=True,
         text=True,

@@ -129,13 +129,19 @@ def test_what_cannot_be_is_refused() -> None:
         SceneTensors(SCENES)[6]
 
 
-@pytest.mark.parametrize("room", ["mnist3d", "starstruck_gen"])
-def test_without_torch_the_extra_is_named(room: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    ("dataset", "tensors"),
+    [
+        ("mnist3d.digit_dataset", "mnist3d.digit_tensors"),
+        ("starstruck_gen.scene_dataset", "starstruck_gen.scene_tensors"),
+    ],
+)
+def test_without_torch_the_extra_is_named(dataset: str, tensors: str, tmp_path: Path) -> None:
     (tmp_path / "torch.py").write_text("raise ImportError('no torch')")
     code = (
-        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {room}, {room}.loader\n"
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r})\nimport {dataset}\n"
         "assert 'torch' not in sys.modules\n"
-        f"try:\n    import {room}.torch\n"
+        f"try:\n    import {tensors}\n"
         "except Exception as error:\n    print(type(error).__name__, error)"
     )
     said = printed_by(code)

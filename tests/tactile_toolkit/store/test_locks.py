@@ -189,7 +189,7 @@ def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clo
     lock = cache_folder() / LOCKS / shard.digest[:2]
     lock.parent.mkdir(parents=True)
     with held(lock):
-        with pytest.warns(RuntimeWarning, match=r"which was stopped, holds .*locks.*not waited for any more"):
+        with pytest.warns(RuntimeWarning, match=r"which was stopped, holds .*locks.*stops waiting for it"):
             assert shard.block(0, 0).table["id"].to_pylist() == [0, 1, 2]
         assert shard.block(1, 0).table["id"].to_pylist() == [3, 4]
     assert 60 <= clock.now_s < 61, "for the second group of rows it was not waited"
