@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import pyarrow as pa
+import pyarrow.compute as pc
+
 from mnist3d.digit_dataset import DigitDataset, DigitRecord
 from mnist3d.digit_rows import REPORT_FILE, DigitRow
 from mnist3d.kind import KIND
@@ -27,9 +30,6 @@ def plan_gallery(
     has_report = folder is not None and folder.exists(REPORT_FILE)
 
     def known(rows: DigitDataset, split: str) -> list[Mapping[str, Any] | None]:
-        import pyarrow as pa
-        import pyarrow.compute as pc
-
         if folder is None or not has_report:
             return [None] * len(rows)
         report = store.read_report(folder, REPORT_FILE)

@@ -20,6 +20,7 @@ from itertools import product
 from typing import IO, Any, Self
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
@@ -44,8 +45,6 @@ def _deflated(data: bytes, size: int) -> bytes:
 
 
 def _zstd(data: bytes, size: int) -> bytes:
-    import pyarrow as pa
-
     return bytes(pa.Codec("zstd").decompress(data, size))
 
 

@@ -10,6 +10,7 @@ from itertools import accumulate, chain, pairwise
 from typing import Any, Unpack
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_toolkit import catalog, read, store
 from tactile_toolkit.array_types import Int64
@@ -29,8 +30,6 @@ def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> sto
 
 def _take_rows(source: read.Shard, _shard: store.ShardName, rows: Int64) -> store.ShardContent:
     """Return some rows of a shard, by their positions in order."""
-    import pyarrow as pa
-
     groups = enumerate(_in_parts(rows, source.group_starts))
     tables = [source.read(groups=[index]).take(rows) for index, rows in groups]
     return store.ShardContent(pa.concat_tables(tables).combine_chunks())

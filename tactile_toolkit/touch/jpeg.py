@@ -8,15 +8,13 @@ from __future__ import annotations
 
 import io
 from contextlib import suppress
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 import simplejpeg
+from PIL import Image
 
 from tactile_toolkit.array_types import UInt8
-
-if TYPE_CHECKING:
-    from PIL.Image import Image as PillowImage
 
 MAX_IMAGE_PIXELS = 1 << 24
 """Largest image that is decoded (4096 x 4096); a sensor's has 76,800 pixels."""
@@ -121,9 +119,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     return out
 
 
-def _open_image(data: memoryview | bytes) -> PillowImage:
-    from PIL import Image
-
+def _open_image(data: memoryview | bytes) -> Image.Image:
     # Without a list of formats, Pillow would try all its 43 decoders.
     return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])
 
@@ -143,8 +139,6 @@ def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -
 
     ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
     """
-    from PIL import Image
-
     stream = io.BytesIO()
     if kind == "png":
         # Pillow's default level, written out so that other releases write the same bytes.
@@ -160,8 +154,6 @@ def resized(pixels: UInt8, width: int, height: int) -> UInt8:
     When it shrinks, each pixel is the mean of the area it covers. When it grows, pixels are interpolated
     bilinearly.
     """
-    from PIL import Image
-
     image = Image.fromarray(pixels)
     smaller = width <= image.width and height <= image.height
     method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
