@@ -218,7 +218,7 @@ def _check_rounds(
     return rounds, touches
 
 
-def check_folder(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
+def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Finding]:
     """List the problems of a folder before it is uploaded; decodes no picture."""
     found = verify(folder.address(), quick=True, workers=workers).findings
     return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))

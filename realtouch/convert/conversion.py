@@ -246,7 +246,7 @@ def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collect
     )
 
 
-def table_of(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
+def table_of_columns(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
     """Return the columns of a schema as a table; columns that are not given hold nulls."""
     unknown = [None] * len(columns["id"])
     return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
@@ -261,7 +261,7 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
     return digests
 
 
-def file_stem(round_id: str) -> str:
+def stem_of_id(round_id: str) -> str:
     """Return the stem of a file name for a round: its id, if that is plain.
 
     Whatever is not a letter, a digit, ``-`` or ``_`` is escaped as in addresses, ``a.b`` as ``a%2Eb``, so
@@ -277,9 +277,9 @@ def file_stem(round_id: str) -> str:
 
 
 def id_of_stem(stem: str) -> str:
-    """Return the id from which :func:`file_stem` made a name; other names are returned unchanged."""
+    """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
     round_id = unquote(stem)
-    return round_id if file_stem(round_id) == stem else stem
+    return round_id if stem_of_id(round_id) == stem else stem
 
 
 def _escaped(found: re.Match[bytes]) -> bytes:

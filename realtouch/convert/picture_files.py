@@ -18,10 +18,10 @@ from realtouch.convert.conversion import (
     Made,
     RowChoice,
     Source,
-    file_stem,
     first_rows,
     marked_repetitions,
-    table_of,
+    stem_of_id,
+    table_of_columns,
     write_changed,
 )
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
@@ -139,7 +139,7 @@ class WritePictures:
 
         A row with a damaged touch is left out with all of its pictures.
         """
-        name = file_stem(str(row.plain_value("id")))
+        name = stem_of_id(str(row.plain_value("id")))
         shown = list(shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
@@ -153,7 +153,7 @@ class WritePictures:
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
-        return table_of(self.schema(None), columns), files
+        return table_of_columns(self.schema(None), columns), files
 
     def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""

@@ -13,7 +13,7 @@ from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made, file_stem, id_of_stem, with_files, write_changed
+from realtouch.convert.conversion import Made, id_of_stem, stem_of_id, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.found_touches import (
     FoundTouch,
@@ -43,7 +43,7 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]
     backgrounds: list[str] = []
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
-        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{file_stem(name)}/{_FRAMES}"
+        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{stem_of_id(name)}/{_FRAMES}"
         found = {f"{home}/{touch:010d}.jpg": as_jpeg(image["bytes"]) for _, touch, image in touches}
         background = f"{home}/{_BACKGROUND}"
         files |= {**found, background: background_of(list(found.values()), list(found))}

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of
+from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
 from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
@@ -100,7 +100,7 @@ class Episodes:
                 "timestamp": (np.arange(count) / self.fps).astype(np.float32),
                 "frame_index": np.arange(count),
             }
-            tables.append(table_of(schema, columns))
+            tables.append(table_of_columns(schema, columns))
         return pa.concat_tables(tables), {}
 
     def _episodes(

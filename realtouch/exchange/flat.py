@@ -19,10 +19,10 @@ from realtouch.convert.conversion import (
     Source,
     WriteFiles,
     checksums,
-    file_stem,
     marked_repetitions,
     schema_of,
-    table_of,
+    stem_of_id,
+    table_of_columns,
     with_files,
 )
 from realtouch.convert.touch_pictures import columns_of_touches, shown_touches
@@ -150,6 +150,6 @@ class _Touches:
             with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                 require_intact(images[-1])
         columns["id"] = [touch_id(name, each.touch) for each in shown]
-        stem = file_stem(name)
+        stem = stem_of_id(name)
         columns[IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
-        return table_of(self.schema(row.group.table.schema), columns), {}
+        return table_of_columns(self.schema(row.group.table.schema), columns), {}

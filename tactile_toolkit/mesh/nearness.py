@@ -23,7 +23,7 @@ import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.compiled import compiled
-from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, sub
+from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row_of, sub
 
 Solid: TypeAlias = tuple[Float64, Int64, Float64, Float64, Int64]
 """The result of :func:`_surface`."""
@@ -245,7 +245,11 @@ def _surface(points: Float64, faces: Int64) -> Solid:
     begun = np.zeros(len(points) + 1, np.int64)
     following = (1, 2, 0)
     for face in range(len(faces)):
-        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        a, b, c = (
+            row_of(points, faces[face, 0]),
+            row_of(points, faces[face, 1]),
+            row_of(points, faces[face, 2]),
+        )
         doubled = cross(sub(c, a), sub(b, a))
         unit = normalized(doubled)
         for k in range(3):
@@ -255,7 +259,7 @@ def _surface(points: Float64, faces: Int64) -> Solid:
                 at_corner[faces[face, k], axis] += doubled[axis]
     for corner in range(len(points)):
         begun[corner + 1] += begun[corner]
-        unit = normalized(row(at_corner, corner))
+        unit = normalized(row_of(at_corner, corner))
         for axis in range(3):
             at_corner[corner, axis] = unit[axis]
     # The half-edges so far that leave each corner, and their ends.
@@ -281,9 +285,9 @@ def _boxes(solid: Solid, reach: float) -> tuple[Float64, Float64]:
     points, faces, inward, at_corner, twin = solid
     low, high = np.full((len(faces), 9), np.inf), np.full((len(faces), 9), -np.inf)
     for face in range(len(faces)):
-        own = row(inward, face)
+        own = row_of(inward, face)
         for k in range(3):
-            corner, beyond = faces[face, k], row(inward, twin[3 * face + k] // 3)
+            corner, beyond = faces[face, k], row_of(inward, twin[3 * face + k] // 3)
             # The intersection of the tangents at its ends completes the hull of the arc between the two,
             # except the ends of arcs beyond 90 degrees, which no segment at a notch has: it enters both
             # sides.
@@ -309,14 +313,14 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
     for k in range(3):
         corner = faces[one, k]
         is_joined |= corner == faces[other, 0] or corner == faces[other, 1] or corner == faces[other, 2]
-    if is_joined and dot(row(inward, one), row(inward, other)) > -_FACED:
+    if is_joined and dot(row_of(inward, one), row_of(inward, other)) > -_FACED:
         return best
     # Part of each must lie in front of the other.
     for here, there in ((one, other), (other, one)):
-        into, base = row(inward, here), row(points, faces[here, 0])
+        into, base = row_of(inward, here), row_of(points, faces[here, 0])
         least, most = np.inf, -np.inf
         for k in range(3):
-            depth = dot(sub(row(points, faces[there, k]), base), into)
+            depth = dot(sub(row_of(points, faces[there, k]), base), into)
             least, most = min(least, depth), max(most, depth)
         if most <= _LEVEL or least >= best:
             return best
@@ -334,21 +338,21 @@ def _between(solid: Solid, one: int, other: int, best: float) -> float:
 def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least perpendicular distance from a corner of a triangle to the inside of the other."""
     points, faces, inward, at_corner, _ = solid
-    into, base = row(inward, other), row(points, faces[other, 0])
-    opposed = -dot(row(inward, one), into)
+    into, base = row_of(inward, other), row_of(points, faces[other, 0])
+    opposed = -dot(row_of(inward, one), into)
     for k in range(3):
-        point = row(points, faces[one, k])
+        point = row_of(points, faces[one, k])
         depth = dot(sub(point, base), into)
-        round_into = row(at_corner, faces[one, k])
+        round_into = row_of(at_corner, faces[one, k])
         cosine = opposed
-        if dot(round_into, row(inward, one)) >= _ROUND_CORNER:
+        if dot(round_into, row_of(inward, one)) >= _ROUND_CORNER:
             cosine = -dot(round_into, into)
         # The ball that touches both is wider than the segment where that is oblique.
         width = 2 * depth / (1 + cosine)
         inside = depth > 0 and cosine >= FACING and width < best
         for start in range(3):
-            corner = row(points, faces[other, start])
-            along = sub(row(points, faces[other, (start + 1) % 3]), corner)
+            corner = row_of(points, faces[other, start])
+            along = sub(row_of(points, faces[other, (start + 1) % 3]), corner)
             side = dot(cross(along, into), sub(point, corner))
             inside = inside and side >= -1e-9 * dot(along, along)
         if inside:
@@ -360,9 +364,9 @@ def _from_corners(solid: Solid, one: int, other: int, best: float) -> float:
 def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
     """Return the least distance between two half-edges that face each other."""
     points, faces, _, _, _ = solid
-    p, q = row(points, faces[one // 3, one % 3]), row(points, faces[other // 3, other % 3])
-    u = sub(row(points, faces[one // 3, (one + 1) % 3]), p)
-    v = sub(row(points, faces[other // 3, (other + 1) % 3]), q)
+    p, q = row_of(points, faces[one // 3, one % 3]), row_of(points, faces[other // 3, other % 3])
+    u = sub(row_of(points, faces[one // 3, (one + 1) % 3]), p)
+    v = sub(row_of(points, faces[other // 3, (other + 1) % 3]), q)
     r = sub(p, q)
     uu, vv, uv, ur, vr = dot(u, u), dot(v, v), dot(u, v), dot(u, r), dot(v, r)
     slant = uu * vv - uv * uv
@@ -383,12 +387,12 @@ def _between_edges(solid: Solid, one: int, other: int, best: float) -> float:
 def _cosine_in(solid: Solid, half: int, way: Vector) -> float:
     """Return the cosine between a direction at an edge and the inward normal; 1 at a notch."""
     points, faces, inward, _, twin = solid
-    start, end = row(points, faces[half // 3, half % 3]), row(points, faces[half // 3, (half + 1) % 3])
+    start, end = row_of(points, faces[half // 3, half % 3]), row_of(points, faces[half // 3, (half + 1) % 3])
     along = normalized(sub(end, start))
     most, least, nearest = -1.0, 1.0, -1.0
-    ours, theirs = row(inward, half // 3), row(inward, twin[half] // 3)
+    ours, theirs = row_of(inward, half // 3), row_of(inward, twin[half] // 3)
     for side, turned in ((half, 1.0), (twin[half], -1.0)):
-        into = row(inward, side // 3)
+        into = row_of(inward, side // 3)
         cosine = dot(into, way)
         most, least = max(most, cosine), min(least, cosine)
         # Away from the edge along the surface.

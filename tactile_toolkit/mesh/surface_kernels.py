@@ -8,7 +8,7 @@ import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.compiled import compiled
-from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row, sub
+from tactile_toolkit.mesh.vectors import Vector, cross, dot, normalized, row_of, sub
 
 
 @compiled
@@ -21,7 +21,11 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
     odd, edges = np.empty(len(faces), np.int64), np.empty((3 * len(faces), 2), np.int64)
     reaches, odds, count = False, 0, 0
     for face in range(len(faces)):
-        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        a, b, c = (
+            row_of(points, faces[face, 0]),
+            row_of(points, faces[face, 1]),
+            row_of(points, faces[face, 2]),
+        )
         least, most = min(a[2], b[2], c[2]), max(a[2], b[2], c[2])
         # The triangle crosses the plane, or lies in it.
         if (least < level < most) or least == most == level:
@@ -51,10 +55,12 @@ def passages(
     for pair in range(pairs.shape[1]):
         one, other = pairs[0, pair], pairs[1, pair]
         # The normals are opposite within 8 degrees, as at folds and at thin edges, which differ by their gap.
-        opposed = dot(row(normal, one), row(normal, other)) < -0.99
+        opposed = dot(row_of(normal, one), row_of(normal, other)) < -0.99
         for target, passing in ((one, other), (other, one)):
             for k in range(3):
-                found, place = _passage(points, triangles, row(normal, target), target, passing, k, tolerance)
+                found, place = _passage(
+                    points, triangles, row_of(normal, target), target, passing, k, tolerance
+                )
                 if opposed and _is_fold(points, triangles, target, passing, k, tolerance):
                     found = 2
                 if found:
@@ -71,8 +77,8 @@ def _passage(
 ) -> tuple[int, Vector]:
     """Return whether an edge passes through a target: 0 for no, 1 for perhaps, 2 for yes; and where."""
     start, end = triangles[passing, k], triangles[passing, (k + 1) % 3]
-    p, q = row(points, start), row(points, end)
-    base = row(points, triangles[target, 0])
+    p, q = row_of(points, start), row_of(points, end)
+    base = row_of(points, triangles[target, 0])
     at_p, at_q = dot(sub(p, base), into), dot(sub(q, base), into)
     if min(at_p, at_q) > tolerance or max(at_p, at_q) < -tolerance:
         return 0, p
@@ -83,8 +89,8 @@ def _passage(
         corner = triangles[target, side]
         if corner in (start, end):
             return 0, p
-        here = row(points, corner)
-        along = sub(row(points, triangles[target, (side + 1) % 3]), here)
+        here = row_of(points, corner)
+        along = sub(row_of(points, triangles[target, (side + 1) % 3]), here)
         inward = cross(into, along)
         inside = min(inside, dot(sub(place, here), inward) / math.sqrt(dot(along, along)))
     through = min(at_p, at_q) < -tolerance and max(at_p, at_q) > tolerance
@@ -95,16 +101,16 @@ def _passage(
 def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, tolerance: float) -> bool:
     """Return whether triangles that share edge k of the first are folded onto each other."""
     start, end = triangles[one, k], triangles[one, (k + 1) % 3]
-    apex, far, shared = row(points, triangles[one, (k + 2) % 3]), row(points, start), 0
+    apex, far, shared = row_of(points, triangles[one, (k + 2) % 3]), row_of(points, start), 0
     for corner in triangles[other]:
         if corner in (start, end):
             shared += 1
         else:
-            far = row(points, corner)
+            far = row_of(points, corner)
     if shared != 2:
         return False
-    p = row(points, start)
-    along = normalized(sub(row(points, end), p))
+    p = row_of(points, start)
+    along = normalized(sub(row_of(points, end), p))
     first, second = _across(sub(apex, p), along), _across(sub(far, p), along)
     between = sub(normalized(first), normalized(second))
     # Distance of the shorter one from the longer.
@@ -124,7 +130,11 @@ def leaning_out(points: Float64, faces: Int64, bed: float, sine: float) -> Float
     """Return twice the areas of triangles above a bed that face down by an angle of more than this sine."""
     doubled, count = np.empty(len(faces)), 0
     for face in range(len(faces)):
-        a, b, c = row(points, faces[face, 0]), row(points, faces[face, 1]), row(points, faces[face, 2])
+        a, b, c = (
+            row_of(points, faces[face, 0]),
+            row_of(points, faces[face, 1]),
+            row_of(points, faces[face, 2]),
+        )
         normal = cross(sub(b, a), sub(c, a))
         size = math.sqrt(dot(normal, normal))
         if normal[2] < 0 and normal[2] < -sine * size and max(a[2], b[2], c[2]) > bed:

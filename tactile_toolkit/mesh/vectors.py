@@ -16,7 +16,7 @@ Vector: TypeAlias = tuple[float, float, float]
 
 
 @compiled
-def row(array: Float64, place: int) -> Vector:
+def row_of(array: Float64, place: int) -> Vector:
     """Return a row of an array, shape (N, 3)."""
     return array[place, 0], array[place, 1], array[place, 2]
 

@@ -11,7 +11,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.convert.conversion import file_stem, id_of_stem
+from realtouch.convert.conversion import id_of_stem, stem_of_id
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.store import problem_of_name, sha256_hex
 from tests.realtouch import factories
@@ -146,7 +146,7 @@ def test_ids_that_are_no_file_names_are_escaped(name: str, single_rows: list[dic
     inside = tmp_path / "deep" / "in" / "here"
     manifest = realtouch.frames(source, inside)
     assert manifest.split_table()["train"]["rows"] == 15
-    stem = file_stem(name)
+    stem = stem_of_id(name)
     assert not problem_of_name(stem)
     assert "/" not in stem
     folders = {path.name for path in (inside / "images" / "train").iterdir()}
@@ -162,7 +162,7 @@ def test_ids_that_are_no_file_names_are_escaped(name: str, single_rows: list[dic
 def test_names_of_files_are_those_of_one_id() -> None:
     names = ["a", "A", "a.b", "a%2Eb", "a%b", "con", "Con", "%63on", "%"]
     longer = ["", "x" * 101, "x" * 102, "\u00e9" * 20, "e\u0301" * 20]
-    stems = list(map(file_stem, [*names, *longer]))
+    stems = list(map(stem_of_id, [*names, *longer]))
     assert len(set(stems)) == len(stems)
     assert stems[0] == "a"
     assert not any(map(problem_of_name, stems))

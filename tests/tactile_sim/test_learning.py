@@ -201,7 +201,7 @@ def test_a_finished_training_stays_and_others_are_refused(pairs, trained, source
     with monkeypatch.context() as without:
         without.setattr("tactile_sim.taxim.find_spec", lambda _: None)
         tactile_sim.taxim.taxim_package.cache_clear()
-        with pytest.raises(InputError, match=r"'taxim'.*not installed.*or leave out.*pretrain_steps = 0"):
+        with pytest.raises(InputError, match=r"'taxim'.*not installed.*or train without.*pretrain_steps = 0"):
             train(pairs, tmp_path / "new", CONFIG)
     if not torch.cuda.is_available():
         with pytest.raises(InputError, match="finds no GPU"):
