@@ -93,8 +93,8 @@ def merge_sets(
         values, counts = np.unique(ids, return_counts=True)
         if (counts > 1).any():
             raise InputError(
-                f"id {values[counts > 1][0]} stands twice in {listed} ({(counts > 1).sum():,} such "
-                "ids); expected each once",
+                f"{listed} have {(counts > 1).sum():,} ids in common, the first is {values[counts > 1][0]}; "
+                "expected different ids",
                 next="`split` with --ids takes rows out of a data set",
             )
     return _build(kind, sources, None, MERGE, {}, out, run)

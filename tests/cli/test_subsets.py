@@ -67,7 +67,7 @@ def test_parts_are_data_sets_and_together_what_was_divided(kind, tmp_path, capsy
     assert _rows(tmp_path / "copy") == _rows(two)
     capsys.readouterr()
     assert call(kind, "merge", one, folder, "--out", tmp_path / "twice", *ALONE) == 2
-    assert " stands twice in " in capsys.readouterr().err
+    assert " in common, the first is " in capsys.readouterr().err
     assert not (tmp_path / "twice").exists()
 
 
