@@ -5,42 +5,41 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import pi
-from typing import Any
+from typing import Any, TypeVar
 
-from tactile_sim import Sensor
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real
+from tactile_sim import Sensor, SensorNoise
+from tactile_sim.sensor_noise import checked_noise
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import did_you_mean
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
-"""Sensors, and the part of an id that names them."""
+"""Simulated sensors, and the part of an id that names them."""
+
+DIRECT = "direct"
+"""The sensor that shows recorded images as they are."""
 
 GELSIGHT_M = (0.032, 0.028)
 """Width and depth of the housing of the sensor, metres (tactile-mnist 0.13.0, GELSIGHT_MINI_OUTER_SIZE)."""
 
+C = TypeVar("C", bound="EpisodeConfig")
 
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
 
-@dataclass(frozen=True, slots=True)
-class Config:
-    """Settings of an episode; names, units and defaults are those of ``TactilePerceptionConfig``.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EpisodeConfig:
+    """Settings of every episode; names, units and defaults are those of `tactile-mnist` 0.13.0.
 
     Attributes
     ----------
     step_limit : int
         Touches of an episode after the first one.
     sensor_type : "depth", "taxim" or "cycle_gan"
-        How the images of observations are made.
+        How the images of observations are made; "direct" shows recorded images as they are.
     sensor_output_size : tuple of int
         Width and height of the images, pixels.
-    perturb_object_pose : bool
-        Whether objects slip after each touch, by ``translation_perturbation_scale`` (metres) and
-        ``rotation_perturbation_scale`` (radians), in their own frame.
-    randomize_initial_object_pose : bool
-        Whether objects begin anywhere in the cell, rotated by at most ``max_initial_angle_perturbation``
-        (radians) and ``object_placement_margin`` (metres) from its edge.
     randomize_initial_sensor_pose : bool
         Whether the first touch is at a random place in the cell or in its middle.
     linear_velocity, linear_acceleration, transfer_timedelta_s : float
@@ -51,23 +50,12 @@ class Config:
         Whether an episode ends by termination or truncation; ``time_step`` is observed with the first only.
     cell_size, cell_padding : tuple of float
         Width and depth of the plate, and distance that the sensor keeps from its edge, metres.
-    snap_touch_positions : int, optional
-        Number of random places, of which the sensor goes to the nearest instead of its target.
-    depth_in_info : bool
-        Whether to give ``info["depth"]``, metres, float32, which takes as much memory as an image. The
-        published environments have no such setting, and always give it.
     """
 
     step_limit: int = integer(16, 1)
-    sensor_type: str = choice("taxim", tuple(SENSORS))
+    sensor_type: str = choice("taxim", (*SENSORS, DIRECT))
     sensor_output_size: tuple[int, int] = (320, 240)
-    perturb_object_pose: bool = True
-    translation_perturbation_scale: float = real(1e-3, 0)
-    rotation_perturbation_scale: float = real(5e-2, 0)
-    randomize_initial_object_pose: bool = True
-    max_initial_angle_perturbation: float = real(pi)
-    object_placement_margin: float = real(0.01)
-    randomize_initial_sensor_pose: bool = True
+    randomize_initial_sensor_pose: bool = switch(True)
     linear_velocity: float = real(0.2)
     linear_acceleration: float = real(4.0, above=0)
     transfer_timedelta_s: float = real(0.2)
@@ -75,8 +63,6 @@ class Config:
     timeout_behavior: str = choice("terminate", ("terminate", "truncate"))
     cell_size: tuple[float, float] = real(CELL_M, many=2)
     cell_padding: tuple[float, float] = real(_PADDING_M, many=2)
-    snap_touch_positions: int | None = integer(None, 1, optional=True)
-    depth_in_info: bool = False
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensor_output_size", Sensor(self.sensor_output_size).size_px)
@@ -90,22 +76,99 @@ class Config:
                 f"cell_size, {self.cell_size!r}"
             )
 
-    @property
-    def longest_way_m(self) -> float:
-        """Greatest distance from one touch to the next, metres."""
+    def longest_way(self, velocity: float, acceleration: float) -> float:
+        """Return the greatest distance from one touch to the next; units as those of the velocity."""
         half_s = self.transfer_timedelta_s / 2
-        ramp_s = min(self.linear_velocity / self.linear_acceleration, half_s)
-        return (half_s - ramp_s) * self.linear_velocity + 0.5 * self.linear_acceleration * ramp_s**2
+        ramp_s = min(velocity / acceleration, half_s)
+        return (half_s - ramp_s) * velocity + 0.5 * acceleration * ramp_s**2
 
 
-def configured(config: Config, changes: Mapping[str, Any]) -> Config:
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Config(EpisodeConfig):
+    """Settings of episodes with simulated touches; those of ``TactilePerceptionConfig``.
+
+    Attributes
+    ----------
+    perturb_object_pose : bool
+        Whether objects slip after each touch, by ``translation_perturbation_scale`` (metres) and
+        ``rotation_perturbation_scale`` (radians), in their own frame.
+    randomize_initial_object_pose : bool
+        Whether objects begin anywhere in the cell, rotated by at most ``max_initial_angle_perturbation``
+        (radians) and ``object_placement_margin`` (metres) from its edge.
+    smallest_dimension_up : bool
+        Whether each object lies on its broadest side.
+    allow_sensor_rotation : bool
+        Whether actions turn the sensor, by at most ``max_tilt_angle`` (radians) from upright.
+    angular_velocity, angular_acceleration : float
+        How far the sensor turns from touch to touch: radians, seconds.
+    penetration_depth_reduction_std : float
+        Standard deviation of how much higher than it is the sensor is observed, metres.
+    max_platform_penetration : float, optional
+        How deep the plate presses into the gel at most, metres.
+    sensor_noise : tactile_sim.SensorNoise, optional
+        Noise of a real sensor on the images.
+    real_base_depth_dataset : str, optional
+        Data set of real touches; their images without contact are the background of all depth maps.
+    snap_touch_positions : int, optional
+        Number of random places, of which the sensor goes to the nearest instead of its target.
+    depth_in_info : bool
+        Whether to give ``info["depth"]``, metres, float32, which takes as much memory as an image. The
+        published environments have no such setting, and always give it.
+    """
+
+    perturb_object_pose: bool = switch(True)
+    translation_perturbation_scale: float = real(1e-3, 0)
+    rotation_perturbation_scale: float = real(5e-2, 0)
+    randomize_initial_object_pose: bool = switch(True)
+    max_initial_angle_perturbation: float = real(pi)
+    object_placement_margin: float = real(0.01)
+    smallest_dimension_up: bool = switch(False)
+    allow_sensor_rotation: bool = switch(True)
+    angular_velocity: float = real(pi / 2)
+    angular_acceleration: float = real(10 * pi, above=0)
+    max_tilt_angle: float = real(pi / 4, 0, pi / 4)
+    penetration_depth_reduction_std: float = real(0.0, 0)
+    max_platform_penetration: float | None = real(None, 0, optional=True)
+    sensor_noise: SensorNoise | None = None
+    real_base_depth_dataset: str | None = None
+    snap_touch_positions: int | None = integer(None, 1, optional=True)
+    depth_in_info: bool = switch(False)
+
+    def __post_init__(self) -> None:
+        EpisodeConfig.__post_init__(self)
+        noise = checked_noise(self.sensor_noise, "sensor_noise of the environment")
+        object.__setattr__(self, "sensor_noise", noise)
+        if self.sensor_type == DIRECT:
+            raise InputError(
+                f"sensor_type of the environment is {DIRECT!r}; expected one of {', '.join(SENSORS)}",
+                next="choose an id with RealSnap, which shows recorded images",
+            )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RecordedConfig(EpisodeConfig):
+    """Settings of episodes with recorded touches; those of ``TactileRealSnapConfig``.
+
+    Attributes
+    ----------
+    recalibrate_sensor_z : bool
+        Whether heights of a round count from its lowest touch, which met the plate.
+    approx_truncation_probability : float
+        About how probable it is that an episode ends before its last step, because no touch is left.
+    """
+
+    sensor_type: str = choice(DIRECT, (*SENSORS, DIRECT))
+    recalibrate_sensor_z: bool = switch(True)
+    approx_truncation_probability: float = real(0.1, above=0, below=1)
+
+
+def configured(config: C, changes: Mapping[str, Any]) -> C:
     """Return a configuration with changed settings; InputError for an unknown one."""
-    known = [field.name for field in fields(Config)]
+    known = [field.name for field in fields(config)]
     for name in changes:
         if name not in known:
             raise InputError(
-                f"no setting {name!r} in `config` of a native environment{did_you_mean(name, known)}",
-                next=f"choose one of {', '.join(known)}, or make the published environment with "
-                "`env_assets.make`, which takes all of its settings",
+                f"no setting {name!r} in `config` of this environment{did_you_mean(name, known)}",
+                next=f"choose one of {', '.join(known)}",
             )
     return replace(config, **changes)

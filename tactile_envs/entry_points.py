@@ -7,15 +7,22 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
-from tactile_envs.config import configured
+from tactile_envs.config import Config, RecordedConfig, configured
 from tactile_envs.ids import IDS, EnvSpec
+from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, store
+from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 
 with needs_extra("native environments", "ap-gym", "native"):
+    from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
+    from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.single_environment import TactileEnv
+    from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
 
 
 PUBLISHED = "published"
@@ -71,15 +78,29 @@ def make_vector(
     InputError
         The id or a setting does not exist; meshes or weights are missing or do not fit.
     """
+    for count_of, count in (("num_envs", num_envs), ("threads", threads)):
+        checked_integer(count, count_of, 1)
     spec = IDS[name]
     settings = configured(spec.config, config or {})
+    if isinstance(settings, RecordedConfig):
+        raise InputError(f"{name!r} is not implemented yet")
     records = _records(spec, assets, unit)
     where = f"{spec.assets!r}, split {spec.split!r},"
     kind = KINDS.get(spec.assets) if assets is None else None
     require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
-    return TactileVectorEnv(
-        spec, settings, records, num_envs, render_mode=render_mode, threads=threads, weights=weights
-    )
+    camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
+    scene = MeshScene(settings, records, num_envs, threads, camera)
+    task = _task(spec, settings, scene.pool, len(records.label_names))
+    return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
+
+
+def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: int) -> Task:
+    """Return the task of an environment; InputError if all its answers are equal."""
+    if spec.task == "classification":
+        return Classification(pool.measure("label").astype(np.int64), classes)
+    if spec.task == "volume":
+        return Volume(pool.measure("volume_m3"))
+    return ObjectPose(pool, config, of_mass=spec.frame == "mass")
 
 
 def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Any:

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping, Sequence
-from pathlib import Path
+from collections.abc import Mapping
 from typing import Any
 
 import ap_gym
@@ -14,23 +13,17 @@ from ap_gym.loss_fn import WeightedLossFn
 from gymnasium.vector.utils import batch_space
 
 from realtouch import Poses
-from tactile_envs.camera import Camera
-from tactile_envs.config import Config
-from tactile_envs.drawing import EnvDrawing, PredictionView, draw_environment
+from tactile_envs.config import EpisodeConfig
+from tactile_envs.drawing import PredictionView, draw_environment
 from tactile_envs.episode_log import EpisodeLog
-from tactile_envs.episode_state import EpisodeState
-from tactile_envs.ids import EnvSpec
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.motion import Motion
-from tactile_envs.reset_options import ResetOptions
-from tactile_envs.tasks import make_task
-from tactile_envs.toucher import Toucher
+from tactile_envs.reset_options import EVERY, ResetOptions, Rows
+from tactile_envs.scene import Action, Scene
+from tactile_envs.tasks import Score, Task
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
 Observation = dict[str, AnyArray]
 
-_NO_DRIFT = np.zeros(3)
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 _CLOSED = "the environment was closed; next: make another one"
 
@@ -38,29 +31,23 @@ _CLOSED = "the environment was closed; next: make another one"
 class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[misc]
     """Touch objects that lie in cells, one touch a step, and predict something about them.
 
-    All episodes have the same length and begin together. After the last touch of an episode, the next step is
-    the first touch of another, whatever its action (``AutoresetMode.NEXT_STEP``).
+    After the last touch of an episode, the next step of its environment is the first touch of another,
+    whatever its action (``AutoresetMode.NEXT_STEP``).
 
     Parameters
     ----------
-    spec : EnvSpec
-        Task and meshes.
-    config : Config
-        Settings.
-    records : sequence
-        Meshes with ``id``, ``label``, ``vertices_m`` and ``faces``, and ``label_names`` of the data set.
-    num_envs : int
-        Number of environments.
+    scene : Scene
+        What is touched, in how many environments.
+    task : Task
+        What is predicted.
+    sparse : bool
+        Whether predictions count at the end of an episode only.
     render_mode : "rgb_array", optional
         If given, :meth:`render` returns pictures.
-    threads : int
-        Number of threads that share a step.
-    weights : str or path, optional
-        Weights of the generator of the sensor ``"cycle_gan"``.
 
     Attributes
     ----------
-    config : Config
+    config : EpisodeConfig
         Settings.
     """
 
@@ -71,66 +58,34 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     }
 
     def __init__(
-        self,
-        spec: EnvSpec,
-        config: Config,
-        records: Sequence[Any],
-        num_envs: int,
-        *,
-        render_mode: str | None = None,
-        threads: int = 1,
-        weights: str | Path | None = None,
+        self, scene: Scene, task: Task, *, sparse: bool = False, render_mode: str | None = None
     ) -> None:
         if render_mode not in (None, "rgb_array"):
-            raise InputError(
-                f"render_mode is {render_mode!r}; expected None or 'rgb_array'",
-                next="watch the published environment, made with env_assets.make, in a window",
-            )
-        for name, number in (("num_envs", num_envs), ("threads", threads)):
-            if not isinstance(number, (int, np.integer)) or number < 1:
-                raise InputError(f"{name} is {number!r}; expected an integer from 1 on")
-        self.config, self.num_envs, self.render_mode = config, num_envs, render_mode
-        self.metadata = {**type(self).metadata, "render_fps": 1 / config.transfer_timedelta_s}
-        self._records, self._pool = records, MeshPool.of(records)
-        self._task = make_task(spec, config, self._pool, len(records.label_names))  # type: ignore[attr-defined]
-        self._is_sparse = spec.sparse
-        self._camera = Camera(config.sensor_type, config.sensor_output_size, weights)
-        self._toucher = Toucher(self._camera.depth_size, num_envs, threads)
-        self._motion = Motion.of(config)
-        self._episodes = EpisodeState(num_envs)
-        self._log = EpisodeLog(num_envs, config.step_limit)
-        self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
-        self._upright.flags.writeable = False  # shared by the poses of all steps
-        self._felt: Float32 = np.zeros(0, np.float32)
+            raise InputError(f"render_mode is {render_mode!r}; expected None or 'rgb_array'")
+        self.config: EpisodeConfig = scene.config
+        self.num_envs, self.render_mode = scene.num_envs, render_mode
+        self.metadata = {**type(self).metadata, "render_fps": 1 / self.config.transfer_timedelta_s}
+        self._scene, self._task, self._is_sparse = scene, task, sparse
+        self._log = EpisodeLog(self.num_envs, self.config.step_limit)
+        self._steps = np.zeros(self.num_envs, np.int64)
+        self._is_over = np.zeros(self.num_envs, np.bool_)
+        self._observation: Observation = {}
         self._predicted: tuple[AnyArray, AnyArray] | None = None
         self._registration: Any = None
         self._make_spaces()
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
-        return {**self.__dict__, "_pool": None}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state)
-        self._pool = MeshPool.of(self._records)
-
     def _make_spaces(self) -> None:
-        config, dtype = self.config, np.float32
-        corner = np.ones(3, dtype)
-        width, height = config.sensor_output_size
-        action = gym.spaces.Dict({"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)})
-        seen: dict[str, gym.Space[Any]] = {
-            "sensor_pos": gym.spaces.Box(-corner, corner),
-            "sensor_img": ap_gym.ImageSpace(width, height, self._camera.channels, dtype=dtype),
-        }
-        if config.timeout_behavior == "terminate":
-            seen["time_step"] = gym.spaces.Box(-np.ones((), dtype), np.ones((), dtype))
+        action = gym.spaces.Dict(dict(self._scene.action_parts))
+        seen = dict(self._scene.observation_parts)
+        if self.config.timeout_behavior == "terminate":
+            one = np.ones((), np.float32)
+            seen["time_step"] = gym.spaces.Box(-one, one)
         self.single_action_space = ap_gym.ActivePerceptionActionSpace(action, self._task.prediction_space)
         self.single_observation_space = gym.spaces.Dict(seen)
         self.single_prediction_target_space = self._task.target_space
         self.loss_fn = self._task.loss_fn
         if self._is_sparse:
-            weight = gym.spaces.Box(0, 1, shape=(), dtype=dtype)
+            weight = gym.spaces.Box(0, 1, shape=(), dtype=np.float32)
             target = {"target": self._task.target_space, "weight": weight}
             self.single_prediction_target_space = gym.spaces.Dict(target)
             self.loss_fn = WeightedLossFn(self._task.loss_fn)
@@ -150,8 +105,9 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
             ``initial_object_pose``: for each environment, an array of the position of the object (x, y),
             metres, and its rotation, radians, or None. ``initial_sensor_target_pose``: for each environment,
-            an array of the position of the first touch (x, y), metres, or None. ``reset_mask``: which
-            environments begin an episode; all of them must.
+            an array of the position of the first touch (x, y), metres, or None. ``reset_mask``: True for
+            each environment that begins an episode, all by default; the others stay where they are, and give
+            the observation of their last touch.
 
         Returns
         -------
@@ -167,24 +123,42 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         """
         self._require_open()
         given = ResetOptions.of(options or {}, self.num_envs)
+        if given.rows is not EVERY:
+            self._require_reset()
         super().reset(seed=seed)
-        episodes = self._episodes
-        for i, number in enumerate(given.numbers):
-            if number is None:
-                number = int(self.np_random.integers(0, len(self._pool)))
-            if not 0 <= number < len(self._pool):
-                raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
-            episodes.upcoming[i] = number
-        self._begin(given.poses)
-        for i, place in enumerate(given.places):
-            if place is not None:
-                episodes.targets[i, :2] = place
-        return self._touch()
+        self._scene.discard_upcoming(given.rows)
+        self._begin(given.rows, given)
+        return self._touched(given.rows)
 
-    def _begin(self, poses: Sequence[Float64 | None] | None = None) -> None:
-        self._episodes.begin(self.config, self._pool, self.np_random, poses)
-        self._episodes.aim_at_start(self.config, self._motion, self.np_random)
-        self._predicted = None
+    def _begin(self, rows: Rows, options: ResetOptions) -> None:
+        self._scene.begin(rows, self.np_random, options)
+        self._steps[rows], self._is_over[rows] = 0, False
+        if rows is EVERY:
+            self._predicted = None
+
+    def _touched(self, rows: Rows) -> tuple[Observation, dict[str, Any]]:
+        """Touch in some environments; return the observation of all, and the info of those."""
+        readings = self._scene.touch(rows, self.np_random, is_first=not self._steps[rows].any())
+        seen, info = dict(readings.observation), dict(readings.info)
+        if rows is not EVERY:
+            seen = {name: self._observation[name].copy() for name in seen}
+            for name, values in readings.observation.items():
+                seen[name][rows] = values
+            info = self._masked(rows, info)
+        if self.config.timeout_behavior == "terminate":
+            seen["time_step"] = (self._steps / self.config.step_limit * 2 - 1).astype(np.float32)
+        self._observation = seen
+        return seen, info
+
+    def _masked(self, rows: Rows, info: dict[str, AnyArray]) -> dict[str, Any]:
+        """Give the infos of some environments to all, and masks as of gymnasium; the rest is 0."""
+        found: dict[str, Any] = {}
+        is_given = np.zeros(self.num_envs, np.bool_)
+        is_given[rows] = True
+        for name, values in info.items():
+            found[name] = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
+            found[name][rows], found[f"_{name}"] = values, is_given
+        return found
 
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
         """Take one touch in every environment.
@@ -209,85 +183,71 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was not reset yet, or was closed.
         """
         self._require_open()
+        self._require_reset()
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
             raise InputError(
                 f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
             )
-        moves = self._checked_moves(action["action"])
-        episodes = self._episodes
-        targets = self._task.targets(episodes.chosen, episodes.objects)
+        moves = self._scene.checked_action(action["action"])
+        targets = self._task.targets(self._scene.numbers, self._scene.places)
         score = self._task.score(predictions, targets)
         if np.isnan(score.loss).any():
             raise InputError(
                 "predictions hold NaN, or infinite values that have no loss: nothing was done",
                 next="look at the learning rate, and at what the network is given",
             )
-        costs = np.zeros(self.num_envs, np.float32)
-        if episodes.step >= self.config.step_limit:
-            self._begin()
-        else:
-            self._log.add(episodes.step, score.metrics)
-            episodes.step += 1
-            costs = self._motion.aim(moves, episodes.sensors, episodes.targets)
-            self._predicted = predictions, targets
-        observation, info = self._touch()
-        is_over = episodes.step >= self.config.step_limit
-        if is_over:
-            info["stats"] = self._log.stats()
+        costs = self._advance(moves, score)
+        self._predicted = predictions, targets
+        observation, info = self._touched(EVERY)
+        terminated, truncated = self._ends()
+        self._is_over = terminated | truncated
+        if self._is_over.any():
+            info["stats"] = self._log.stats(self._steps, self._is_over)
         info["base_reward"] = costs
         info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
         loss = score.loss
-        over, never = np.full(self.num_envs, is_over), np.zeros(self.num_envs, np.bool_)
-        ends = (over, never)
-        if self.config.timeout_behavior == "truncate":
-            ends = (never, over)
         if self._is_sparse:
-            weight = ends[0].astype(np.float32)
+            weight = terminated.astype(np.float32)
             info["prediction"]["target"] = {"target": targets, "weight": weight}
             loss = loss * weight
-        return observation, costs - loss, *ends, info
+        return observation, costs - loss, terminated, truncated, info
 
-    def _checked_moves(self, action: Mapping[str, Any]) -> Float32:
-        """Return the actions of a step, shape (n, 3)."""
-        self._require_reset()
-        moves = np.ascontiguousarray(action["sensor_target_pos_rel"], np.float32)
-        if moves.shape != (self.num_envs, 3):
-            raise InputError(f"sensor_target_pos_rel has shape {moves.shape}; expected {(self.num_envs, 3)}")
-        if not np.isfinite(moves).all():  # infinite moves lead to NaN
-            raise ValueError("NaN values detected in sensor target position.")
-        return moves
+    def _advance(self, moves: Action, score: Score) -> Float32:
+        """Aim the sensors, or begin the next episode where one is over; return what the actions cost."""
+        is_active = ~self._is_over
+        over, rows = np.flatnonzero(self._is_over), np.flatnonzero(is_active)
+        if len(over) == self.num_envs:
+            self._begin(EVERY, ResetOptions.drawn(self.num_envs))
+            return np.zeros(self.num_envs, np.float32)
+        self._log.add(self._steps, is_active, score.metrics)
+        if not len(over):
+            self._steps += 1
+            return self._scene.aim(moves, EVERY)
+        self._begin(over, ResetOptions.drawn(self.num_envs))
+        self._steps[rows] += 1
+        costs = self._scene.aim(moves, rows)
+        costs[over] = 0.0
+        return costs
+
+    def _ends(self) -> tuple[Bool, Bool]:
+        """Return which episodes are terminated, and which are truncated."""
+        is_last, never = self._steps >= self.config.step_limit, np.zeros(self.num_envs, np.bool_)
+        terminated, truncated = is_last, never
+        if self.config.timeout_behavior == "truncate":
+            terminated, truncated = never, is_last
+        exhausted = self._scene.is_exhausted
+        if exhausted is not None:
+            truncated = truncated | (exhausted & ~terminated)
+        return terminated, truncated
 
     def _require_open(self) -> None:
         if self.closed:
             raise gym.error.ClosedEnvironmentError(_CLOSED)
 
     def _require_reset(self) -> None:
-        if self._episodes.chosen[0] < 0:
+        if not self._observation:
             raise gym.error.ResetNeeded(_NOT_RESET)
-
-    def _touch(self) -> tuple[Observation, dict[str, Any]]:
-        """Touch at the targets, and let the objects slip."""
-        config, episodes = self.config, self._episodes
-        episodes.move_to_targets(config, self._motion, self.np_random)
-        drift = _NO_DRIFT
-        if config.perturb_object_pose:
-            # One draw for all, as published.
-            slip_m = self.np_random.normal(scale=config.translation_perturbation_scale, size=2)
-            drift = np.array([*slip_m, self.np_random.normal(scale=config.rotation_perturbation_scale)])
-        has_depth = config.depth_in_info or self._camera.sees_depth
-        touches = self._toucher.touch(self._pool, episodes, self._motion, drift, with_depth=has_depth)
-        self._felt = self._camera.pictures(touches.images, touches.depths_m, touches.is_bare)
-        observation = {"sensor_pos": touches.positions, "sensor_img": self._felt}
-        if config.timeout_behavior == "terminate":
-            progress = np.float32(episodes.step / config.step_limit * 2 - 1)
-            observation["time_step"] = np.full(self.num_envs, progress)
-        poses = np.tile(np.eye(4), (self.num_envs, 1, 1))
-        poses[:, :3, 3] = episodes.sensors
-        info: dict[str, Any] = {"sensor_pose": poses}
-        if config.depth_in_info:
-            info["depth"] = touches.depths_m
-        return observation, info
 
     def render(self) -> tuple[UInt8, ...] | None:
         """Draw each environment, (240, 336, 3) uint8; None without a render mode.
@@ -301,17 +261,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         view = PredictionView()
         if self._predicted is not None:
             view = self._task.view(*self._predicted)
-        cell_m, window_m, episodes = self.config.cell_size, self._toucher.window_m, self._episodes
-        places = zip(
-            episodes.chosen.tolist(),
-            episodes.objects,
-            episodes.sensors,
-            episodes.targets,
-            self._felt,
-            strict=True,
-        )
-        scenes = (EnvDrawing(self._pool, *each, cell_m, window_m) for each in places)
-        return tuple(draw_environment(scene, view, i) for i, scene in enumerate(scenes))
+        scenes = (self._scene.drawing(row) for row in range(self.num_envs))
+        return tuple(draw_environment(scene, view, row) for row, scene in enumerate(scenes))
 
     def close(self, **options: Any) -> None:  # gymnasium's docstring is not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
@@ -319,37 +270,32 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""
-        self._toucher.close()
+        self._scene.close()
 
     @property
     def sensor_pos_limits(self) -> tuple[Float64, Float64]:
         """Lowest and highest position of the sensor, metres; also the range of its observed height."""
-        return self._motion.low_m, self._motion.high_m
+        return self._scene.position_limits_m
 
     @property
     def current_data_points(self) -> tuple[Any, ...]:
         """Records of the objects that lie in the cells."""
-        return tuple(self._records[int(number)] for number in self._episodes.chosen)
+        return self._scene.data_points
 
     @property
     def current_data_point_indices(self) -> Int64:
         """Numbers of these records in their data set, shape (n,)."""
-        return self._episodes.chosen.copy()
+        return self._scene.numbers.copy()
 
     @property
     def current_object_poses_platform_frame(self) -> Poses:
         """Poses of the objects, metres."""
-        foot_m = self._pool.measure("foot_m")[self._episodes.chosen]
-        objects = self._episodes.objects
-        half = objects[:, 2] / 2
-        quaternion = np.zeros((self.num_envs, 4))
-        quaternion[:, 2], quaternion[:, 3] = np.sin(half), np.cos(half)
-        return Poses(np.column_stack([objects[:, :2], -foot_m]), quaternion)
+        return self._scene.object_poses
 
     @property
     def current_sensor_target_poses_platform_frame(self) -> Poses:
         """Targets of the sensors, metres."""
-        return Poses(self._episodes.targets.copy(), self._upright)
+        return self._scene.target_poses
 
     @property
     def spec(self) -> Any:

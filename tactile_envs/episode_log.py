@@ -7,48 +7,70 @@ from typing import Any
 
 import numpy as np
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float32
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 
 
 class EpisodeLog:
-    """Metrics of the steps of environments whose episodes begin and end together.
+    """Metrics of the steps of some environments.
 
     Gives means, last values and curves, like the log wrappers of ap-gym 0.7.1.
     """
 
     def __init__(self, num_envs: int, step_limit: int) -> None:
-        self._num_envs = num_envs
+        self._rows = np.arange(num_envs)
         self._step_limit = step_limit
         self._values: dict[str, Float32] = {}
 
-    def add(self, step: int, metrics: Mapping[str, AnyArray]) -> None:
-        """Add the metrics of a step, counted from 0, an array (n,) each."""
+    def add(self, steps: Int64, is_active: Bool, metrics: Mapping[str, AnyArray]) -> None:
+        """Add the metrics of a step, an array (n,) each.
+
+        ``steps``, shape (n,), are the numbers of the steps, from 0 on; those that are not active are left
+        out.
+        """
+        rows, at = self._rows[is_active], steps[is_active]
         for name, values in metrics.items():
             if name not in self._values:
-                self._values[name] = np.empty((self._step_limit, self._num_envs), np.float32)
-            self._values[name][step] = values
+                self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
+            self._values[name][at, rows] = values[is_active]
 
-    def stats(self) -> dict[str, Any]:
-        """Return ``info["stats"]`` of a finished episode."""
-        done = np.ones(self._num_envs, np.bool_)
+    def stats(self, lengths: Int64, is_over: Bool) -> dict[str, Any]:
+        """Return ``info["stats"]`` when some episodes are over.
+
+        ``lengths``, shape (n,), are the steps of the episodes so far, 1 at least where ``is_over``. Values of
+        environments whose episode is not over are NaN, and their masks False; so are steps of curves after
+        the end of a shorter episode.
+        """
         scalar: dict[str, Any] = {}
         vector: dict[str, Any] = {}
+        longest = int(lengths[is_over].max())
         for name, values in self._values.items():
-            for kind, reduced in (("avg", values.mean(axis=0)), ("final", values[-1].copy())):
-                scalar[f"{kind}_{name}"], scalar[f"_{kind}_{name}"] = reduced, done
-            vector[name], vector[f"_{name}"] = values.T.copy(), done
+            means, last = np.full((2, len(lengths)), np.nan, np.float32)
+            curves = np.full((len(lengths), longest), np.nan, np.float32)
+            for length in np.unique(lengths[is_over]):
+                rows = self._rows[is_over & (lengths == length)]
+                taken = values[:length, rows]
+                means[rows], last[rows] = taken.mean(axis=0), taken[-1]
+                curves[rows, :length] = taken.T
+            for kind, reduced in (("avg", means), ("final", last)):
+                scalar[f"{kind}_{name}"], scalar[f"_{kind}_{name}"] = reduced, is_over
+            vector[name], vector[f"_{name}"] = curves, is_over
         if "accuracy" in self._values:
-            scalar.update(_turning_points(self._values["accuracy"] > 0))
-        return {"scalar": scalar, "_scalar": done, "vector": vector, "_vector": done}
+            is_taken = np.arange(self._step_limit)[:, None] < lengths
+            scalar.update(_turning_points(self._values["accuracy"] > 0, is_taken))
+        return {"scalar": scalar, "_scalar": is_over, "vector": vector, "_vector": is_over}
 
 
-def _turning_points(is_right: Bool) -> dict[str, Any]:
-    """Return the first right step and the last wrong step, and which environments have one."""
-    ever, always = is_right.any(axis=0), is_right.all(axis=0)
-    last_wrong = len(is_right) - 1 - np.argmin(is_right[::-1], axis=0)
+def _turning_points(is_right: Bool, is_taken: Bool) -> dict[str, Any]:
+    """Return the first right step and the last wrong step, and which environments have one.
+
+    Both arrays have shape (steps, n); those of episodes that go on count too, as in ap-gym.
+    """
+    right, wrong = is_right & is_taken, ~is_right & is_taken
+    ever, ever_wrong = right.any(axis=0), wrong.any(axis=0)
+    last_wrong = len(wrong) - 1 - np.argmax(wrong[::-1], axis=0)
     return {
-        "first_correct": np.where(ever, np.argmax(is_right, axis=0), -1).astype(np.int32),
+        "first_correct": np.where(ever, np.argmax(right, axis=0), -1).astype(np.int32),
         "_first_correct": ever,
-        "last_incorrect": np.where(always, -1, last_wrong).astype(np.int32),
-        "_last_incorrect": ~always,
+        "last_incorrect": np.where(ever_wrong, last_wrong, -1).astype(np.int32),
+        "_last_incorrect": ever_wrong,
     }

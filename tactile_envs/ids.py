@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from importlib.util import find_spec
 from math import pi
-from typing import Literal
+from typing import Literal, NamedTuple
 
-from tactile_envs.config import GELSIGHT_M, SENSORS, Config
+from tactile_envs.config import DIRECT, GELSIGHT_M, SENSORS, Config, RecordedConfig
+from tactile_sim import SensorNoise
 
 Task = Literal["classification", "volume", "pose"]
 Frame = Literal["model", "mass"]
 
 # tactile-mnist 0.13.0: compute_touch_window_size(256, 16).
 _SNAP = {"": None, "Snap": 23}
+# The sensor of recorded touches whose image is rendered from its estimated depth, or shown as it is.
+_RECORDED = {"": DIRECT, "-Taxim": "taxim", "-CycleGAN": "cycle_gan", "-Depth": "depth"}
 _MAKE_ONE = "tactile_envs.entry_points:make_one"
+
+REAL_TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-320x240"
+"""The published touches with one image each, 256 a round."""
+
+# tactile-mnist 0.13.0: DR_PENETRATION_DEPTH_REDUCTION_STD, DR_MAX_PLATFORM_PENETRATION.
+_DR_REDUCTION_M, _DR_PLATFORM_M = 0.00065, 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,27 +38,48 @@ class EnvSpec:
     task: Task
     assets: str
     split: str
-    config: Config
+    config: Config | RecordedConfig
     frame: Frame = "model"
     sparse: bool = False
 
 
-def _families() -> Iterator[tuple[str, EnvSpec, tuple[str, ...], tuple[str, ...]]]:
-    """Yield beginning, environment, sensors and splits of ids; settings as in the registration of 0.13.0."""
-    every, two = tuple(SENSORS), ("taxim", "depth")
+class _Family(NamedTuple):
+    """Ids that differ in sensor, split, noise and sparseness; ``name`` is how they begin."""
+
+    name: str
+    spec: EnvSpec
+    sensors: Mapping[str, str]
+    splits: tuple[str, ...]
+    base_depth: str | None = None
+
+
+def _families() -> Iterator[_Family]:
+    """Yield the families of ids; settings as in the registration of 0.13.0."""
+    every = {part: sensor for sensor, part in SENSORS.items()}
+    two = {part: sensor for part, sensor in every.items() if sensor != "cycle_gan"}
     splits = ("-train", "-test", "")
-    square = Config(sensor_output_size=(64, 64))
+    square = Config(sensor_output_size=(64, 64), allow_sensor_rotation=False)
     for snap, count in _SNAP.items():
         digits = replace(square, snap_touch_positions=count)
         upright = replace(digits, max_initial_angle_perturbation=pi / 8)
-        yield f"TactileMNIST{snap}", EnvSpec("classification", "mnist3d", "", upright), every, splits
-        yield f"TactileMNISTVolume{snap}", EnvSpec("volume", "mnist3d", "", digits), every, splits
+        touched = EnvSpec("classification", "mnist3d", "", upright)
+        volume = EnvSpec("volume", "mnist3d", "", digits)
         centre = EnvSpec("pose", "mnist3d", "", digits, "mass")
-        yield f"TactileMNISTCenterOfMass{snap}", centre, two, splits
+        yield _Family(f"TactileMNIST{snap}", touched, every, splits, REAL_TOUCHES)
+        yield _Family(f"TactileMNISTVolume{snap}", volume, every, splits, REAL_TOUCHES)
+        yield _Family(f"TactileMNISTCenterOfMass{snap}", centre, two, splits, REAL_TOUCHES)
+    recorded = RecordedConfig(sensor_output_size=(64, 64))
+    yield _Family(
+        "TactileMNISTRealSnap", EnvSpec("classification", "mnist3d", "", recorded), _RECORDED, splits
+    )
+    yield _Family("TactileMNISTVolumeRealSnap", EnvSpec("volume", "mnist3d", "", recorded), _RECORDED, splits)
     long = replace(square, step_limit=32)
     still = replace(long, randomize_initial_object_pose=False, perturb_object_pose=False)
-    yield "Starstruck", EnvSpec("classification", "starstruck", "", still), two, splits
-    yield "Minecraft", EnvSpec("classification", "minecraft", "", long), two, ("",)
+    yield _Family("Starstruck", EnvSpec("classification", "starstruck", "", still), two, splits)
+    tilted = replace(long, allow_sensor_rotation=True, smallest_dimension_up=True)
+    yield _Family("ABCVolume", EnvSpec("volume", "abc", "", tilted), every, splits)
+    yield _Family("ABCCenterOfMass", EnvSpec("pose", "abc", "", tilted, "mass"), two, splits)
+    yield _Family("Minecraft", EnvSpec("classification", "minecraft", "", long), two, ("",))
     padding_m = (0.005 + GELSIGHT_M[0] / 2, 0.005 + GELSIGHT_M[1] / 2)
     for name, assets, side_m in (
         ("Toolbox", "wrench", 0.3),
@@ -57,24 +87,45 @@ def _families() -> Iterator[tuple[str, EnvSpec, tuple[str, ...], tuple[str, ...]
         ("MinecraftPose", "minecraft", 0.2),
     ):
         plate = replace(long, cell_size=(side_m, side_m), cell_padding=padding_m)
-        yield name, EnvSpec("pose", assets, "", plate), two, ("",)
+        yield _Family(name, EnvSpec("pose", assets, "", plate), two, ("",))
+
+
+def _randomized(config: Config, base_depth: str | None) -> Config:
+    """Return a configuration with the noise of the ids with ``-DR``."""
+    platform_m: float | None = _DR_PLATFORM_M
+    if config.allow_sensor_rotation:
+        platform_m = None
+    noise: SensorNoise | None = SensorNoise.calibrated()
+    if config.sensor_type == "depth":  # the noise is of images
+        noise = None
+    return replace(
+        config,
+        sensor_noise=noise,
+        penetration_depth_reduction_std=_DR_REDUCTION_M,
+        max_platform_penetration=platform_m,
+        real_base_depth_dataset=base_depth,
+    )
 
 
 def _ids() -> dict[str, EnvSpec]:
     found = {}
-    for name, content, sensors, splits in _families():
-        for sensor in sensors:
-            for split in splits:
-                config = replace(content.config, sensor_type=sensor)
-                each = replace(content, config=config, split=split[1:] or "train")
-                begin = f"{name}{SENSORS[sensor]}{split}"
-                found[f"{begin}-v0"] = each
-                found[f"{begin}-sparse-v0"] = replace(each, sparse=True)
+    for family in _families():
+        for part, sensor in family.sensors.items():
+            plain = replace(family.spec.config, sensor_type=sensor)
+            forms: dict[str, Config | RecordedConfig] = {"": plain}
+            if isinstance(plain, Config):
+                forms["-DR"] = _randomized(plain, family.base_depth)
+            for form, config in forms.items():
+                for split in family.splits:
+                    each = replace(family.spec, config=config, split=split[1:] or "train")
+                    begin = f"{family.name}{part}{form}{split}"
+                    found[f"{begin}-v0"] = each
+                    found[f"{begin}-sparse-v0"] = replace(each, sparse=True)
     return found
 
 
 IDS: dict[str, EnvSpec] = _ids()
-"""Ids of `tactile-mnist` 0.13.0 that run natively, and their environments."""
+"""Ids of `tactile-mnist` 0.13.0, and their environments."""
 
 
 def register() -> None:

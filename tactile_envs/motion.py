@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 
-from tactile_envs.config import Config
+from tactile_envs.config import EpisodeConfig
 from tactile_envs.episode_kernels import aim
 from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.errors import InputError
 
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
@@ -31,11 +33,12 @@ class Motion:
     numbers: Float64
 
     @classmethod
-    def of(cls, config: Config) -> Self:
+    def of(cls, config: EpisodeConfig) -> Self:
         """Return the motion of a configuration."""
         reach_m = np.array(config.cell_size) / 2 - np.array(config.cell_padding)
         low_m, high_m = np.array([*-reach_m, 0.0]), np.array([*reach_m, _TOP_M])
-        costs = [config.longest_way_m, config.action_regularization]
+        longest_m = config.longest_way(config.linear_velocity, config.linear_acceleration)
+        costs = [longest_m, config.action_regularization]
         return cls(low_m, high_m, np.concatenate([low_m, high_m, costs]))
 
     def random_places(self, rng: np.random.Generator, *shape: int) -> Float64:
@@ -47,3 +50,16 @@ class Motion:
         costs = np.zeros(len(ways), np.float32)
         aim(ways, self.numbers, sensors, targets, costs)
         return costs
+
+
+def require_move(action: Mapping[str, Any], name: str, num_envs: int) -> Float32:
+    """Return a part of an action, shape (num_envs, 3).
+
+    InputError for another shape; ValueError if it is not finite, as of the published environment.
+    """
+    moves = np.ascontiguousarray(action[name], np.float32)
+    if moves.shape != (num_envs, 3):
+        raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
+    if not np.isfinite(moves).all():  # infinite moves lead to NaN
+        raise ValueError(f"NaN values detected in {name}.")
+    return moves

@@ -17,7 +17,6 @@ from scipy.special import ndtri, softmax
 from tactile_envs.config import Config
 from tactile_envs.drawing import PredictionView
 from tactile_envs.episode_kernels import classify, spread_of_turned
-from tactile_envs.ids import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
@@ -31,22 +30,16 @@ class Score:
     metrics: dict[str, AnyArray]
 
 
-def make_task(spec: EnvSpec, config: Config, pool: MeshPool, classes: int) -> Task:
-    """Return the task of an environment; InputError if all its answers are equal."""
-    if spec.task == "classification":
-        return Classification(pool, classes)
-    if spec.task == "volume":
-        return Volume(pool)
-    return ObjectPose(pool, config, of_mass=spec.frame == "mass")
-
-
 class Classification:
-    """Class of an object: cross-entropy of the logits, normalised by chance level."""
+    """Class of an object: cross-entropy of the logits, normalised by chance level.
 
-    def __init__(self, pool: MeshPool, classes: int) -> None:
+    ``labels``, shape (n,), are the classes of all objects.
+    """
+
+    def __init__(self, labels: Int64, classes: int) -> None:
         if classes < 2:
             raise InputError("the meshes are of one class; expected at least two", next="give more meshes")
-        self._labels = pool.measure("label").astype(np.int64)
+        self._labels = labels
         self.prediction_space = ap_gym.LogitSpace(-np.inf, np.inf, shape=(classes,))
         self.target_space = gym.spaces.Discrete(classes)
         self.loss_fn = ap_gym.CrossEntropyLossFn(num_classes=classes).normalized
@@ -94,16 +87,21 @@ class _Regression:
 
 
 class Volume(_Regression):
-    """Volume of an object, in standard deviations from the mean of all objects."""
+    """Volume of an object, in standard deviations from the mean of all objects.
 
-    def __init__(self, pool: MeshPool) -> None:
-        volumes_m3 = pool.measure("volume_m3")
+    ``volumes_m3``, shape (n,), are those of all objects. ``which``, if given, are the numbers of the objects
+    that are touched, by the number of what touches them.
+    """
+
+    def __init__(self, volumes_m3: Float64, which: Int64 | None = None) -> None:
         self._mean_m3, self._std_m3 = float(volumes_m3.mean()), float(volumes_m3.std())
         if not self._std_m3:
             raise InputError("the meshes are of one volume; expected at least two", next="give more meshes")
         self._most_m3 = float(volumes_m3.max())
         low, high = ((bound - self._mean_m3) / self._std_m3 for bound in (volumes_m3.min(), volumes_m3.max()))
         super().__init__(gym.spaces.Box(low, high, shape=(1,)), 1.0)
+        if which is not None:
+            volumes_m3 = volumes_m3[which]
         self._normalized = ((volumes_m3.astype(np.float32) - self._mean_m3) / self._std_m3)[:, None]
 
     def targets(self, chosen: Int64, objects: Float64) -> Float32:

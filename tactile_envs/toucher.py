@@ -8,12 +8,11 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from tactile_envs.episode_state import EpisodeState
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
 from tactile_envs.touch_kernels import PADDING, touch
 from tactile_sim import center_view
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
 _PARTS_A_THREAD = 8
 
@@ -46,16 +45,14 @@ class Toucher:
     """
 
     def __init__(self, size_px: tuple[int, int], num_envs: int, threads: int) -> None:
-        self._shape = (num_envs, *size_px[::-1])
+        self._image_shape = size_px[::-1]
         view = center_view(*size_px)
         self.window_m = view.window_m
         middle = [size / 2 - 0.5 - at for size, at in zip(size_px, view.sample_px, strict=True)]
         self._window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
-        # Touches of objects take ten times as long as others: threads take small parts in turns.
-        parts = np.array_split(range(num_envs), max(1, (threads > 1) * threads * _PARTS_A_THREAD))
-        self._parts = [slice(part[0], part[-1] + 1) for part in parts if len(part)]
+        self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
         room = (size_px[1], size_px[0] + PADDING)
-        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, len(self._parts)))]
+        self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
         self._threads: ThreadPoolExecutor | None = None
 
     def __getstate__(self) -> dict[str, Any]:
@@ -63,25 +60,40 @@ class Toucher:
         return {**self.__dict__, "_threads": None}
 
     def touch(
-        self, pool: MeshPool, episodes: EpisodeState, motion: Motion, drift: Float64, *, with_depth: bool
+        self,
+        pool: MeshPool,
+        numbers: Int64,
+        sensors: Float64,
+        objects: Float64,
+        motion: Motion,
+        drift: Float64,
+        *,
+        with_depth: bool,
     ) -> SensorReadings:
-        """Bring the sensors down where they are; then let the objects slip by ``drift``, as of the kernel."""
-        count = self._shape[0]
+        """Bring sensors (n, 3) down on objects (n, 3) of the meshes ``numbers``, (n,).
+
+        The heights of the sensors are written, and the objects slip by ``drift``, as of the kernel.
+        """
+        count = len(numbers)
+        shape = (count, *self._image_shape)
         depth_shape: Sequence[int] = (0, 0, 0)
         if with_depth:
-            depth_shape = self._shape
+            depth_shape = shape
         touches = SensorReadings(
-            np.empty(self._shape, np.float32),
+            np.empty(shape, np.float32),
             np.empty(depth_shape, np.float32),
             np.empty((count, 3), np.float32),
             np.empty(count, np.bool_),
         )
-        read = (self._window, motion.numbers, drift, pool.arrays, episodes.chosen)
-        parts = iter(self._parts)  # shared by the threads: taking the next is one step for all of them
+        read = (self._window, motion.numbers, drift, pool.arrays, numbers)
+        # Touches of objects take ten times as long as others: threads take small parts in turns.
+        size = -(-count // self._most_parts)
+        # Shared by the threads: taking the next is one step for all of them.
+        parts = iter(range(0, count, size))
 
         def run(room: Float32) -> None:
-            for part in parts:
-                touch(part.start, part.stop, *read, episodes.sensors, episodes.objects, room, *touches)
+            for begin in parts:
+                touch(begin, min(begin + size, count), *read, sensors, objects, room, *touches)
 
         helpers = []
         if len(self._rooms) > 1:

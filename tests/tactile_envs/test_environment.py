@@ -137,7 +137,7 @@ def test_a_copy_continues_where_the_first_is(assets, copied, threads):
     for action in actions[:5]:
         env.step(action)
     other = copied(env)
-    assert env.__getstate__()["_pool"] is None
+    assert env._scene.__getstate__()["_pool"] is None
     for action in actions[5:]:
         (one, reward, *_), (found, again, *_) = env.step(action), other.step(action)
         assert all((one[name] == found[name]).all() for name in one)
@@ -286,12 +286,41 @@ def test_what_cannot_be_is_named(assets, options, words):
                 env.reset(options={name: [place, None]})
     with pytest.raises(InputError, match="option 'datapoint' is unknown; expected datapoint_idx, "):
         env.reset(options={"datapoint": [0, 1]})
-    with pytest.raises(InputError, match="'reset_mask' leaves environments out"):
-        env.reset(options={"reset_mask": np.array([True, False])})
-    env.reset(options={"reset_mask": np.array([True, True])})
+    for mask in ([True], [False, False], [1, 0], "10"):
+        with pytest.raises(InputError, match="'reset_mask' is"):
+            env.reset(options={"reset_mask": mask})
     action["action"]["sensor_target_pos_rel"] = np.zeros((3, 3), np.float32)
     with pytest.raises(InputError, match="shape"):
         env.step(action)
+
+
+def test_a_mask_resets_some_environments_alone(assets):
+    """The others observe their last touch, keep their episode, and end at another time."""
+    env = make_vector(DEPTH, num_envs=3, assets=assets, config={"step_limit": 4})
+    before, _ = env.reset(seed=0)
+    for _ in range(2):
+        before, *_ = env.step(env.action_space.sample())
+    mask = np.array([False, True, False])
+    poses = env.current_object_poses_platform_frame.matrix
+    after, info = env.reset(options={"reset_mask": mask})
+    for name in ("sensor_pos", "sensor_img"):
+        np.testing.assert_array_equal(after[name][~mask], before[name][~mask], name)
+    np.testing.assert_array_equal(after["time_step"], [0.0, -1.0, 0.0])
+    np.testing.assert_array_equal(env.current_object_poses_platform_frame.matrix[~mask], poses[~mask])
+    np.testing.assert_array_equal(info["_sensor_pose"], mask)
+    assert not info["sensor_pose"][~mask].any()
+    ends, lengths = [], []
+    for _ in range(5):
+        *_, terminated, truncated, info = env.step(env.action_space.sample())
+        assert not truncated.any()
+        ends.append(terminated.tolist())
+        if terminated.any():
+            stats = info["stats"]
+            np.testing.assert_array_equal(stats["_scalar"], terminated)
+            np.testing.assert_array_equal(np.isnan(stats["scalar"]["avg_accuracy"]), ~terminated)
+            lengths.append(stats["vector"]["accuracy"].shape)
+    assert ends == [[False] * 3, (~mask).tolist(), [False] * 3, mask.tolist(), [False] * 3]
+    assert lengths == [(3, 4), (3, 4)]
 
 
 def test_a_size_of_pictures_has_one_spelling_and_is_checked_with_the_settings():
@@ -374,7 +403,7 @@ def test_a_picture_shows_where_an_object_is_thought_to_point(assets):
 def test_a_picture_shows_the_object_lit_and_the_sensor_framed(assets):
     env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets), render_mode="rgb_array")
     env.reset(seed=0)
-    cell_m, (width_m, height_m) = 0.12, env.unwrapped._toucher.window_m
+    cell_m, (width_m, height_m) = 0.12, env.unwrapped._scene.drawing(0).window_m
     for picture in env.render():
         cell = picture[:, :240].astype(int)
         grey = (cell.max(axis=2) == cell.min(axis=2)) & (cell[..., 0] < 250)

@@ -1,0 +1,235 @@
+"""Simulated touches: objects of a pool of meshes in cells, pressed by an upright sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import ap_gym
+import gymnasium as gym
+import numpy as np
+
+from realtouch import Poses
+from tactile_envs.camera import Camera
+from tactile_envs.config import Config
+from tactile_envs.drawing import EnvDrawing
+from tactile_envs.episode_kernels import place
+from tactile_envs.mesh_pool import MeshPool
+from tactile_envs.motion import Motion, require_move
+from tactile_envs.reset_options import EVERY, ResetOptions, Rows
+from tactile_envs.scene import Action, Readings
+from tactile_envs.toucher import Toucher
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64
+from tactile_toolkit.errors import InputError
+
+_NO_DRIFT = np.zeros(3)
+
+
+class MeshScene:
+    """Objects in cells, touched by sensors that stay upright; a :class:`tactile_envs.scene.Scene`.
+
+    Random numbers are drawn as by the published environment, in its order.
+
+    Parameters
+    ----------
+    config : Config
+        Settings.
+    records : sequence
+        Meshes with ``id``, ``label``, ``vertices_m`` and ``faces``, and ``label_names`` of the data set.
+    num_envs : int
+        Number of cells.
+    threads : int
+        Number of threads that share a touch.
+    camera : Camera
+        Renders the images.
+    """
+
+    def __init__(
+        self, config: Config, records: Sequence[Any], num_envs: int, threads: int, camera: Camera
+    ) -> None:
+        self.config, self.num_envs = config, num_envs
+        self._records, self._pool = records, MeshPool.of(records)
+        self._camera = camera
+        self._toucher = Toucher(camera.depth_size, num_envs, threads)
+        self._motion = Motion.of(config)
+        self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
+        self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
+        self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
+        self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
+        self._upright.flags.writeable = False  # shared by the poses of all steps
+        corner = np.ones(3, np.float32)
+        width, height = config.sensor_output_size
+        image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
+        self.action_parts: dict[str, gym.Space[Any]] = {
+            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
+        }
+        self.observation_parts: dict[str, gym.Space[Any]] = {
+            "sensor_pos": gym.spaces.Box(-corner, corner),
+            "sensor_img": image,
+        }
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
+        return {**self.__dict__, "_pool": None}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__.update(state)
+        self._pool = MeshPool.of(self._records)
+
+    @property
+    def pool(self) -> MeshPool:
+        """The meshes."""
+        return self._pool
+
+    def begin(self, rows: Rows, rng: np.random.Generator, options: ResetOptions) -> None:
+        """Put the next objects into some cells, and aim at the places of their first touches."""
+        chosen = np.arange(self.num_envs)[rows].tolist()
+        for row in chosen:
+            number = options.numbers[row]
+            if number is None and self._upcoming[row] < 0:
+                number = int(rng.integers(0, len(self._pool)))
+            if number is not None:
+                if not 0 <= number < len(self._pool):
+                    raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
+                self._upcoming[row] = number
+        self._place_objects(rows, chosen, rng, options.poses)
+        self._aim_at_start(rows, rng)
+        for row in chosen:
+            given = options.places[row]
+            if given is not None:
+                self._targets[row, :2] = given
+
+    def discard_upcoming(self, rows: Rows) -> None:
+        """Forget which objects come next in some cells, as a reset does."""
+        self._upcoming[rows] = -1
+
+    def _place_objects(
+        self, rows: Rows, chosen: Sequence[int], rng: np.random.Generator, poses: Sequence[Float64 | None]
+    ) -> None:
+        config = self.config
+        self.numbers[rows] = self._upcoming[rows]
+        drawn = np.full((self.num_envs, 3), 0.5)
+        for row in chosen:
+            self._upcoming[row] = rng.integers(0, len(self._pool))
+            if poses[row] is None and config.randomize_initial_object_pose:
+                drawn[row] = rng.random(3)
+        placed = np.zeros((len(chosen), 3))
+        if config.randomize_initial_object_pose:
+            most_rad = config.max_initial_angle_perturbation
+            room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
+            pool = self._pool
+            place(self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed)
+        self.places[rows] = placed
+        for row in chosen:
+            pose = poses[row]
+            if pose is not None:
+                self.places[row] = pose
+
+    def _aim_at_start(self, rows: Rows, rng: np.random.Generator) -> None:
+        """Send sensors to the places of their first touches."""
+        self._targets[rows] = 0.0
+        if self.config.randomize_initial_sensor_pose:
+            # Drawn for all cells, and in single precision, as published.
+            places = self._motion.random_places(rng, self.num_envs)
+            self._targets[rows, :2] = np.asarray(places[rows], np.float32)
+
+    def checked_action(self, action: Action) -> Action:
+        """Return the arrays of an action; InputError or ValueError if it cannot be used."""
+        return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
+
+    def aim(self, action: Action, rows: Rows) -> Float32:
+        """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
+        targets = self._targets.copy()
+        costs = self._motion.aim(action["sensor_target_pos_rel"], self._sensors, targets)
+        self._targets[rows] = targets[rows]
+        return costs
+
+    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
+        """Touch in some cells, and let their objects slip."""
+        config = self.config
+        self._move_to_targets(rows, rng, is_first)
+        drift = _NO_DRIFT
+        if config.perturb_object_pose:
+            # One draw for all, as published.
+            slip_m = rng.normal(scale=config.translation_perturbation_scale, size=2)
+            drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
+        has_depth = config.depth_in_info or self._camera.sees_depth
+        sensors, places = self._sensors[rows], self.places[rows]
+        touches = self._toucher.touch(
+            self._pool, self.numbers[rows], sensors, places, self._motion, drift, with_depth=has_depth
+        )
+        self._sensors[rows], self.places[rows] = sensors, places
+        images = self._camera.pictures(touches.images, touches.depths_m, touches.is_bare)
+        self._keep(rows, images)
+        poses: AnyArray = np.tile(np.eye(4), (len(sensors), 1, 1))
+        poses[:, :3, 3] = sensors
+        info: dict[str, AnyArray] = {"sensor_pose": poses}
+        if config.depth_in_info:
+            info["depth"] = touches.depths_m
+        return Readings({"sensor_pos": touches.positions, "sensor_img": images}, info)
+
+    def _keep(self, rows: Rows, images: Float32) -> None:
+        """Keep the last images for pictures."""
+        if rows is EVERY:
+            self._felt = images
+            return
+        self._felt = self._felt.copy()
+        self._felt[rows] = images
+
+    def _move_to_targets(self, rows: Rows, rng: np.random.Generator, is_first: bool) -> None:
+        """Move sensors to their targets, or to the nearest of some random places."""
+        self._sensors[rows] = self._targets[rows]
+        if self.config.snap_touch_positions is None:
+            return
+        places = self._motion.random_places(rng, self.num_envs, self.config.snap_touch_positions)
+        nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
+        snapped = places[np.arange(self.num_envs), nearest]
+        if is_first:  # in single precision, as published
+            snapped = snapped.astype(np.float32).astype(np.float64)
+        self._sensors[rows, :2] = snapped[rows]
+
+    @property
+    def is_exhausted(self) -> Bool | None:
+        """None: there always is another touch."""
+        return None
+
+    @property
+    def data_points(self) -> tuple[Any, ...]:
+        """Records of the objects that lie in the cells."""
+        return tuple(self._records[int(number)] for number in self.numbers)
+
+    @property
+    def object_poses(self) -> Poses:
+        """Poses of the objects, metres, cell frame."""
+        foot_m = self._pool.measure("foot_m")[self.numbers]
+        half = self.places[:, 2] / 2
+        quaternion = np.zeros((self.num_envs, 4))
+        quaternion[:, 2], quaternion[:, 3] = np.sin(half), np.cos(half)
+        return Poses(np.column_stack([self.places[:, :2], -foot_m]), quaternion)
+
+    @property
+    def target_poses(self) -> Poses:
+        """Where the sensors were sent, metres, cell frame."""
+        return Poses(self._targets.copy(), self._upright)
+
+    @property
+    def position_limits_m(self) -> tuple[Float64, Float64]:
+        """Lowest and highest position of sensors, shape (3,) each, metres."""
+        return self._motion.low_m, self._motion.high_m
+
+    def drawing(self, row: int) -> EnvDrawing:
+        """Return what a picture of one cell shows: the object where the next touch finds it."""
+        return EnvDrawing(
+            self._pool,
+            int(self.numbers[row]),
+            self.places[row],
+            self._sensors[row],
+            self._targets[row],
+            self._felt[row],
+            self.config.cell_size,
+            self._toucher.window_m,
+        )
+
+    def close(self) -> None:
+        """End the threads."""
+        self._toucher.close()
