@@ -24,12 +24,12 @@ class DigitRecord(mesh.SolidRecord):
     @property
     def writer(self) -> int:
         """Number of the writer in the source, -1 if it is unknown."""
-        return self._row.integer("writer") if self._row.has("writer") else NO_WRITER
+        return self.row.integer("writer") if self.row.has("writer") else NO_WRITER
 
     @property
     def source(self) -> str:
         """Name of the source of the digit; empty if it is unknown."""
-        return str(self._row.required("source")) if self._row.has("source") else ""
+        return str(self.row.required("source")) if self.row.has("source") else ""
 
     def __repr__(self) -> str:
         return (

@@ -32,32 +32,32 @@ class TouchRound(Record):
     """
 
     __slots__ = ()
-    _row: StoredRound
+    row: StoredRound
 
     @property
     def id(self) -> str:
         """Name of the round, such as ``2023-09-28_15-50-43_7-0``."""
-        return self._row.name()
+        return self.row.name()
 
     @property
     def label(self) -> int:
         """Class of the object; the digit, 0 to 9, in the MNIST sets."""
-        return self._once("label", self._row.label_value)
+        return self._once("label", self.row.label_value)
 
     @property
     def object_id(self) -> int:
         """Id of the touched mesh in its data set of meshes."""
-        return self._once("object_id", lambda: self._row.integer("object_id"))
+        return self._once("object_id", lambda: self.row.integer("object_id"))
 
     @property
     def info(self) -> dict[str, Any]:
         """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
-        return dict(self._once("info", lambda: self._row.read_info()))
+        return dict(self._once("info", lambda: self.row.read_info()))
 
     @property
     def pos_in_cell_m(self) -> Floating:
         """Intended positions, shape (T, 2), metres, cell frame; a read-only view."""
-        return self._row.intended_positions()
+        return self.row.intended_positions()
 
     @property
     def pos_in_cell(self) -> Floating:
@@ -67,11 +67,11 @@ class TouchRound(Record):
     @property
     def touch_count(self) -> int:
         """T, the number of touches."""
-        return self._row.touch_total()
+        return self.row.touch_total()
 
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
-        row = self._row
+        row = self.row
         table = flat_row(row)
         chosen = take_touches(table, touches, self.touch_count)
         return type(self)(StoredRound(RowGroup(chosen, row.path, row.number), 0))
@@ -96,24 +96,24 @@ class TouchRound(Record):
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
         touches = evenly_spaced(self.touch_count, MOST_TILES)
-        pictures = [(f"{touch}", partial(self._contact_image, touch)) for touch in touches]
+        pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def _tile_html(self) -> str:
         words = [*self.label_words(), f"{self.touch_count} touches"]
-        return touch_html(self._contact_image(self.touch_count // 2), ", ".join(words))
+        return touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:
         """Return the label for people; nothing of a data set without labels."""
         label = self.describe_field("label", "label {}".format)
         return list(filter(None, [label]))
 
-    def _contact_image(self, touch: int) -> UInt8:
+    def contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         raise NotImplementedError
 
-    def _picture_size(self, touch: int) -> tuple[int, int]:
+    def picture_size(self, touch: int) -> tuple[int, int]:
         """Return width and height of the picture, or of the frames, of one touch; decodes nothing."""
         raise NotImplementedError
 
@@ -126,22 +126,24 @@ class TouchSingleRound(TouchRound):
     @property
     def gel_pose_cell_frame(self) -> Poses:
         """Pose of the gel at contact, T poses; their arrays are views."""
-        return self._once("gel_pose_cell_frame", lambda: self._row.poses())
+        return self._once("gel_pose_cell_frame", lambda: self.row.poses())
 
     @property
     def sensor_image(self) -> SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
 
         def images() -> SensorImages:
-            self._row.entries_of("sensor_image")  # refuses a round with more or less than T images
-            return SensorImages(self._row)
+            self.row.entries_of("sensor_image")  # refuses a round with more or less than T images
+            return SensorImages(self.row)
 
         return self._once("sensor_image", images)
 
-    def _contact_image(self, touch: int) -> UInt8:
+    def contact_image(self, touch: int) -> UInt8:
+        """As :meth:`TouchRound.contact_image`."""
         return self.sensor_image[touch]
 
-    def _picture_size(self, touch: int) -> tuple[int, int]:
+    def picture_size(self, touch: int) -> tuple[int, int]:
+        """As :meth:`TouchRound.picture_size`."""
         return self.sensor_image.size(touch)[::-1]
 
 
@@ -153,37 +155,39 @@ class TouchSeqRound(TouchRound):
     @property
     def video_length_frames(self) -> Int64:
         """Number of frames of each clip, shape (T,), int64."""
-        return self._row.clip_lengths()
+        return self.row.clip_lengths()
 
     @property
     def gel_pose_cell_frame_seq(self) -> PoseSequences:
         """Pose of the gel in each frame: T sequences of N_i poses; their arrays are views."""
-        return self._once("gel_pose_cell_frame_seq", lambda: self._row.pose_sequences())
+        return self._once("gel_pose_cell_frame_seq", lambda: self.row.pose_sequences())
 
     @property
     def time_stamp_rel_seq(self) -> tuple[NDArray[np.timedelta64], ...]:
         """Time stamp of each frame: T arrays of ``timedelta64``, shapes (N_i,)."""
-        return self._once("time_stamp_rel_seq", lambda: self._row.frame_times())
+        return self._once("time_stamp_rel_seq", lambda: self.row.frame_times())
 
     @property
     def touch_start_time_rel(self) -> NDArray[np.timedelta64]:
         """Time of first registered contact, shape (T,), ``timedelta64``."""
-        return self._row.touch_durations("touch_start_time_rel")
+        return self.row.touch_durations("touch_start_time_rel")
 
     @property
     def touch_end_time_rel(self) -> NDArray[np.timedelta64]:
         """Time of last registered contact, shape (T,), ``timedelta64``."""
-        return self._row.touch_durations("touch_end_time_rel")
+        return self.row.touch_durations("touch_end_time_rel")
 
     @property
     def sensor_video(self) -> SensorClips:
         """Clips, T of them, opened on demand."""
-        return self._once("sensor_video", lambda: SensorClips(self._row))
+        return self._once("sensor_video", lambda: SensorClips(self.row))
 
-    def _contact_image(self, touch: int) -> UInt8:
+    def contact_image(self, touch: int) -> UInt8:
+        """As :meth:`TouchRound.contact_image`."""
         return self.sensor_video[touch].contact_frame("contact_end")
 
-    def _picture_size(self, touch: int) -> tuple[int, int]:
+    def picture_size(self, touch: int) -> tuple[int, int]:
+        """As :meth:`TouchRound.picture_size`."""
         return self.sensor_video[touch].size[::-1]
 
     def contact_frames(
@@ -214,7 +218,7 @@ class TouchSeqRound(TouchRound):
 
             in_parallel(decode, len(clips), cores)
         else:
-            decode_frames(clips, range(len(clips)), contact_frames_of(self._row, chosen), pixels, cores)
+            decode_frames(clips, range(len(clips)), contact_frames_of(self.row, chosen), pixels, cores)
         return pixels
 
     def contact_windows(
@@ -236,7 +240,7 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = positions(touches, len(clips))
-        windows = [contact_windows(self._row, touch)[0] for touch in wanted.tolist()]
+        windows = [contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]

@@ -67,12 +67,12 @@ class SensorImages(Sequence[UInt8]):
     Safe to share between threads and to pickle.
     """
 
-    __slots__ = ("_blobs", "_count", "_row", "_start")
+    __slots__ = ("_blobs", "_count", "_start", "row")
 
     def __init__(self, row: StoredRound) -> None:
         column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
-        self._row = row
+        self.row = row
         self._blobs: BytesColumn = column.values
         self._start, self._count = start, stop - start
 
@@ -119,7 +119,7 @@ class SensorImages(Sequence[UInt8]):
         first, size = [*touches, 0][0], (0, 0)
         if self._count:
             size = self.size(first)
-        with self._row.naming("sensor_image", first):
+        with self.row.naming("sensor_image", first):
             pixels = room_for(len(touches), size, out)
         self.decode_into(pixels, touches, threads=threads)
         return pixels
@@ -133,20 +133,20 @@ class SensorImages(Sequence[UInt8]):
         place = checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
-            raise self._row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
+            raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
         return blob
 
     def size(self, touch: int = 0) -> tuple[int, int]:
         """Return height and width of one image from its header."""
-        with self._row.naming("sensor_image", touch):
+        with self.row.naming("sensor_image", touch):
             return image_size(self.encoded(touch))
 
     def _decode(self, touch: int, out: UInt8 | None = None) -> UInt8:
-        with self._row.naming("sensor_image", touch):
+        with self.row.naming("sensor_image", touch):
             return decode_image(self.encoded(touch), out)
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (SensorImages, (self._row,))
+        return (SensorImages, (self.row,))
 
     def __repr__(self) -> str:
         return f"SensorImages({self._count} touches)"

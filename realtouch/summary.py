@@ -99,7 +99,7 @@ def summarise(dataset: AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        image_size=first.round._picture_size(first.touch_index),
+        image_size=first.round.picture_size(first.touch_index),
     )
     if dataset.kind == "seq":
         found = replace(found, clip_frames=_clip_frames(touches), fps=first.clip.fps)
@@ -124,7 +124,7 @@ def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
     rows = dataset.row_numbers[touches.round_positions].tolist()
     shown = set(zip(rows, touches.touch_indices.tolist(), strict=True))
     lengths = [
-        record._row.clip_length(touch)
+        record.row.clip_length(touch)
         for row, record in dataset.rounds_without_media()
         for touch in range(record.touch_count)
         if (row, touch) in shown
@@ -192,7 +192,7 @@ def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
     different = len(set().union(*objects))
     labels: dict[str, list[int]] = {split: [] for split in _ROUNDS}
     labels |= {split: data.labels.tolist() for split, data in splits.items()}
-    size = next(data[0] for data in splits.values() if len(data))._picture_size(0)
+    size = next(data[0] for data in splits.values() if len(data)).picture_size(0)
     replaced, ends = _gel_replacements(gels, counts)
     reach = f"at most {1e3 * max(reaches_m):.1f} mm from the middle"
     counted = [

@@ -74,7 +74,7 @@ class Touch:
     @property
     def pos_in_cell_m(self) -> Floating:
         """Intended position, shape (2,), metres, cell frame."""
-        position: Floating = self.round._row.intended_positions(self._index_in_row)[0]
+        position: Floating = self.round.row.intended_positions(self._index_in_row)[0]
         return position
 
     @property
@@ -83,7 +83,7 @@ class Touch:
 
         Reads this touch only, and opens no clip where the times of its frames are stored.
         """
-        row, touch = self.round._row, self._index_in_row
+        row, touch = self.round.row, self._index_in_row
         if isinstance(self.round, TouchSingleRound):
             return row.poses(touch)[0]
         (frame,) = contact_frames_of(row, "contact_end", touch)
@@ -92,7 +92,7 @@ class Touch:
     @property
     def image(self) -> UInt8:
         """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
-        return self.round._contact_image(self._index_in_row)
+        return self.round.contact_image(self._index_in_row)
 
     @property
     def clip(self) -> TouchClip:
@@ -104,7 +104,7 @@ class Touch:
             The data set holds images.
         """
         if not isinstance(self.round, TouchSeqRound):
-            raise self.round._row.missing_column("sensor_video")
+            raise self.round.row.missing_column("sensor_video")
         return self.round.sensor_video[self._index_in_row]
 
     def _alone(self) -> Touch:
@@ -117,7 +117,7 @@ class Touch:
             return NotImplemented
         if hash(self) != hash(other):  # the number in the round, and the round's id
             return False
-        mine, theirs = self.round._row, other.round._row
+        mine, theirs = self.round.row, other.round.row
         if mine.group is theirs.group and mine.index == theirs.index:
             return self._index_in_row == other._index_in_row
         return self._alone().round == other._alone().round

@@ -157,7 +157,7 @@ def _stored_content(
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
     shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
-    sizes = (_or_none(record._picture_size, 0) for record in _first_rounds(facts, kind))
+    sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
     left_out = {} if manifest is None else manifest.split_table()
     return _Content(

@@ -61,10 +61,10 @@ class TouchClip(Sequence[UInt8]):
         than the round states; names file, row and touch.
     """
 
-    __slots__ = ("_avi", "_row", "data", "touch")
+    __slots__ = ("_avi", "data", "row", "touch")
 
     def __init__(self, row: StoredRound, touch: int) -> None:
-        self._row, self.touch = row, touch
+        self.row, self.touch = row, touch
         self.data = row.stored_clip(touch)
         stated = row.clip_length(touch)
         try:
@@ -110,7 +110,7 @@ class TouchClip(Sequence[UInt8]):
             A frame is damaged, or they exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
         wanted = positions(index, len(self)).tolist()
-        with self._row.naming("sensor_video", self.touch):
+        with self.row.naming("sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
@@ -137,7 +137,7 @@ class TouchClip(Sequence[UInt8]):
     def size(self) -> tuple[int, int]:
         """Height and width of a frame, pixels."""
         data = self.encoded(0)
-        with self._row.naming("sensor_video", self.touch):
+        with self.row.naming("sensor_video", self.touch):
             return image_size(data)
 
     @property
@@ -171,7 +171,7 @@ class TouchClip(Sequence[UInt8]):
         try:
             return self._avi.frame(number)
         except ValueError as error:
-            raise self._row.damaged("sensor_video", str(error), self.touch) from error
+            raise self.row.damaged("sensor_video", str(error), self.touch) from error
 
     def decode_into(self, out: UInt8, frame: int) -> None:
         """Decode one frame into an array of its size.
@@ -191,18 +191,18 @@ class TouchClip(Sequence[UInt8]):
 
         Those stored with the round; the file's own clock in data sets without them.
         """
-        times = self._row.stamps_s(self.touch)
+        times = self.row.stamps_s(self.touch)
         return self.media_times_s if times is None else times[0]
 
     @property
     def poses(self) -> Poses:
         """Pose of the gel in each frame, N poses, metres, cell frame."""
-        return self._row.pose_sequences(self.touch)[0]
+        return self.row.pose_sequences(self.touch)[0]
 
     @property
     def contact_window(self) -> slice:
         """Frames from first to last registered contact; see :func:`realtouch.contact.contact_window`."""
-        return contact_windows(self._row, self.touch)[0]
+        return contact_windows(self.row, self.touch)[0]
 
     def contact_index(self, method: str = "contact_end") -> int:
         """Choose the frame that shows the contact.
@@ -226,7 +226,7 @@ class TouchClip(Sequence[UInt8]):
         chosen = require_method(method)
         if chosen == "best":
             return best_of(self.frames())[0]
-        return contact_frames_of(self._row, chosen, self.touch)[0]
+        return contact_frames_of(self.row, chosen, self.touch)[0]
 
     def contact_frame(self, method: str = "contact_end") -> UInt8:
         """Decode the frame that shows the contact, (H, W, 3) uint8; see :meth:`contact_index`."""
@@ -248,10 +248,10 @@ class TouchClip(Sequence[UInt8]):
         try:
             return decode_image(self._avi.frame(frame), out)
         except ValueError as error:
-            raise self._row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
+            raise self.row.damaged("sensor_video", f"frame {frame}: {error}", self.touch) from error
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (TouchClip, (self._row, self.touch))
+        return (TouchClip, (self.row, self.touch))
 
     def __repr__(self) -> str:
         return f"TouchClip(touch {self.touch}, {len(self)} frames)"

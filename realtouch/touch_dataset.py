@@ -67,8 +67,8 @@ class TouchDataset(read.RecordDataset[R]):
         """Return the flat view: every touch of every round, in order, with random access."""
         return Touches(self)
 
-    def _row(self, number: int) -> StoredRound:
-        return StoredRound(*self._table.locate(number))
+    def _row_at(self, number: int) -> StoredRound:
+        return StoredRound(*self.table.locate(number))
 
     @property
     def touch_counts(self) -> Int64:
@@ -77,7 +77,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     @property
     def _stored_counts(self) -> Int64:
-        return self._table.per_shard("touches", lambda source: [stored_touch_counts(source)])
+        return self.table.per_shard("touches", lambda source: [stored_touch_counts(source)])
 
     @property
     def touch_starts(self) -> Int64:
@@ -123,7 +123,7 @@ class TouchDataset(read.RecordDataset[R]):
             rule = ContactHeight.of(read.column_types(source.schema))
             return [known(row, rule) for row in stored_rows([source], columns)]
 
-        values = self._table.per_shard(key, of_source)
+        values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
             raise IntegrityError(
                 f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
@@ -133,7 +133,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     def contact_rules(self) -> list[ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self._table.shards]
+        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self.table.shards]
         of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
 
@@ -143,7 +143,7 @@ class TouchDataset(read.RecordDataset[R]):
         # In stored order, so that each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
         media = MEDIA_COLUMN[self.kind]
-        for source in self._table.shards:
+        for source in self.table.shards:
             columns, start = [name for name in source.schema.names if name != media], number
             for block in read.all_blocks([source], columns):
                 rows = RowsWithoutMedia(block, source, number - start)
@@ -152,7 +152,8 @@ class TouchDataset(read.RecordDataset[R]):
                         yield number + row, self.record_class(StoredRound(rows, row))
                 number += len(block.table)
 
-    def _each(self) -> Iterator[tuple[int, R]]:
+    def each_record(self) -> Iterator[tuple[int, R]]:
+        """Yield position and round, in the fastest order; images and clips are not read."""
         places: dict[int, list[int]] = {}
         for place, row in enumerate(self.row_numbers.tolist()):
             places.setdefault(row, []).append(place)
@@ -221,7 +222,7 @@ class TouchStream(read.Stream[read.Shard]):
 
     def __iter__(self) -> Iterator[TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
-        blocks = (block for shard, index in self._row_groups() for block in shard.blocks(index))
+        blocks = (block for shard, index in self.row_groups() for block in shard.blocks(index))
         return map(_DATASETS[self.kind].record_class, rows_of(blocks))
 
     def __repr__(self) -> str:

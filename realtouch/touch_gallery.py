@@ -113,9 +113,9 @@ def _item(
     if heights_m is not None:
         heights = np.nan_to_num(heights_m, nan=-np.inf)
         cover = max(touches, key=lambda touch: heights[touch.touch_index])
-    info = record.info if record._row.has_info() else {}
+    info = record.info if record.row.has_info() else {}
     gel = info.get("gel_id")
-    touched = f"{record.object_id}" if record._row.has("object_id") else ""
+    touched = f"{record.object_id}" if record.row.has("object_id") else ""
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))

@@ -70,7 +70,7 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
 
 def draw_grid(record: TouchRound, most: int) -> UInt8:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
-    row, heights_m = record._row, None
+    row, heights_m = record.row, None
     if row.has_poses:
         rule = ContactHeight.of(row.group.names)
         heights_m = contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m())
@@ -101,7 +101,7 @@ def draw_overlay(record: TouchRound) -> UInt8:
 
 
 def _touches_in_words(record: TouchRound) -> str:
-    of_object = f" of object {record.object_id}" if record._row.has("object_id") else ""
+    of_object = f" of object {record.object_id}" if record.row.has("object_id") else ""
     return f"{with_count(record.touch_count, 'touches')}{of_object}"
 
 
@@ -145,7 +145,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
 
     def read(number: int) -> None:
         touch = Touch(record, int(touches[number]))
-        if not record._row.has_poses:
+        if not record.row.has_poses:
             centre_m = np.asarray(touch.pos_in_cell_m, np.float64)
             placed[number] = PlacedTouch(touch.image, centre_m, np.diag([1.0, -1.0]))
             return

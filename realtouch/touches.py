@@ -52,7 +52,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         rows: range | Int64 = range(int(self._starts[-1]))
         if chosen is not None:
             rows = chosen
-        super().__init__(dataset._table, rows, dataset.label_names)
+        super().__init__(dataset.table, rows, dataset.label_names)
         # Rounds of one length, the common case, are found by a division.
         self._per_round = 0
         if len(set(counts.tolist())) == 1:
@@ -117,8 +117,9 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return (*self.dataset.column_names, INDEX)
 
     @property
-    def _plain_columns(self) -> tuple[str, ...]:
-        names = (*self.dataset._plain_columns, INDEX)
+    def plain_columns(self) -> tuple[str, ...]:
+        """Columns of numbers and texts: those of the rounds, the place in the round, and positions."""
+        names = (*self.dataset.plain_columns, INDEX)
         if self.dataset.has_column("pos_in_cell"):
             names += _POSITION
         return names
@@ -158,7 +159,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         places = self.round_positions
         # Without touches, the first round defines the columns.
         rounds = np.unique(places).tolist() or list(range(min(1, len(self.dataset))))
-        rows = [self.dataset[place]._row for place in rounds]
+        rows = [self.dataset[place].row for place in rounds]
         # The library's own fingerprint would be that of all bytes.
         content = repr([self.dataset.identity, rounds, places.tobytes(), self.row_numbers.tobytes()])
         return hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
@@ -185,7 +186,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         unknown = np.isnan(chosen)
         if unknown.any():
             position, touch = self.locate(int(np.argmax(unknown)))
-            self.dataset[position]._row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
+            self.dataset[position].row.contact_z_m(self.dataset.kind, touch)  # states what is wrong
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
@@ -309,7 +310,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def _images_of(self, position: int) -> SensorImages:
         record = self.dataset[position]
         if not isinstance(record, TouchSingleRound):
-            raise record._row.missing_column("sensor_image")
+            raise record.row.missing_column("sensor_image")
         return record.sensor_image
 
     def _stored(self, row: int) -> Touch:
@@ -328,17 +329,19 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         rounds = hashlib.sha256(self.dataset.row_numbers.tobytes()).hexdigest()
         return f"{self.dataset.identity} {rounds}"
 
-    def _each(self) -> Iterator[tuple[int, Touch]]:
+    def each_record(self) -> Iterator[tuple[int, Touch]]:
+        """Yield position and touch, in the fastest order; images and clips are not read."""
         touches = self.touch_indices.tolist()
         by_round: dict[int, list[int]] = {}
         for index, place in enumerate(self.round_positions.tolist()):
             by_round.setdefault(place, []).append(index)
-        for place, record in self.dataset._each():
+        for place, record in self.dataset.each_record():
             for index in by_round.get(place, ()):
                 yield index, Touch(record, touches[index])
 
-    def _stored_parts(self) -> read.StoredParts:
-        rounds = self.dataset._stored_parts()
+    def stored_parts(self) -> read.StoredParts:
+        """Return which touches are stored together."""
+        rounds = self.dataset.stored_parts()
         if rounds.order is None and isinstance(self._rows, range) and self._rows == range(self._starts[-1]):
             return read.StoredParts(np.unique(self._starts[rounds.starts]))
         turn = np.arange(len(self.dataset))  # of each round, among all as they are stored
@@ -348,11 +351,13 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         order = np.lexsort((self.touch_indices, turns))
         return read.StoredParts(np.unique(np.searchsorted(turns[order], rounds.starts)), order)
 
-    def _row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
-        return self.dataset._row_groups(np.unique(self.round_positions[chosen]))
+    def row_groups(self, chosen: Int64) -> list[tuple[read.RowSource, int]]:
+        """Return the row groups of touches at positions (n,), each once."""
+        return self.dataset.row_groups(np.unique(self.round_positions[chosen]))
 
-    def _description(self) -> list[str]:
-        of_rounds, *further = self.dataset._description()
+    def description(self) -> list[str]:
+        """Return what the data set holds, and where it is from, in words."""
+        of_rounds, *further = self.dataset.description()
         return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
 
 

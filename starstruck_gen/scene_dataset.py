@@ -30,7 +30,7 @@ class SceneRecord(mesh.SolidRecord):
     @property
     def star_count(self) -> int:
         """Number of stars; that of the published class if it is not stored."""
-        return self._row.integer("star_count") if self._row.has("star_count") else self.label + 1
+        return self.row.integer("star_count") if self.row.has("star_count") else self.label + 1
 
     @property
     def distractor_count(self) -> int:
@@ -40,7 +40,7 @@ class SceneRecord(mesh.SolidRecord):
     @property
     def has_placements(self) -> bool:
         """Whether the data set stores placements; the published one does not."""
-        return self._row.has("placements")
+        return self.row.has("placements")
 
     @property
     def placements(self) -> tuple[Placement, ...]:
@@ -63,11 +63,11 @@ class SceneRecord(mesh.SolidRecord):
 
     def _stated(self, name: str) -> read.Row:
         """Return the row; InputError if the data set has no such column."""
-        if not self._row.has(name):
+        if not self.row.has(name):
             raise InputError(
                 f"this data set stores no {name!r}", next="use one written by `starstruck generate`"
             )
-        return self._row
+        return self.row
 
     def __repr__(self) -> str:
         return f"SceneRecord(id={self.id}, label={self.label}, star_count={self.star_count})"

@@ -195,6 +195,6 @@ class SceneDataset(SceneMeshDataset):
         InputError
             The records have no such column.
         """
-        if name in _KNOWN or name not in self._plain_columns:
+        if name in _KNOWN or name not in self.plain_columns:
             return super().column(name)
-        return np.array([record._row.value(name) for record in self], np.int64)
+        return np.array([record.row.value(name) for record in self], np.int64)

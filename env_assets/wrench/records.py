@@ -18,12 +18,12 @@ class WrenchRecord(mesh.SolidRecord):
     @property
     def opening_mm(self) -> float:
         """Width across flats of the first jaw, millimetres."""
-        return float(self._row.required("opening_mm"))
+        return float(self.row.required("opening_mm"))
 
     @property
     def second_opening_mm(self) -> float:
         """Width across flats of the second jaw, millimetres."""
-        return float(self._row.required("second_opening_mm"))
+        return float(self.row.required("second_opening_mm"))
 
     def __repr__(self) -> str:
         return f"WrenchRecord(id={self.id}, {self.opening_mm:g} mm, {len(self.faces):,} faces)"

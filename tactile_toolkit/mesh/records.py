@@ -32,22 +32,22 @@ class SolidRecord(read.Record):
     @property
     def id(self) -> int:
         """Number of the row, unique in its data set."""
-        return self._row.integer("id")
+        return self.row.integer("id")
 
     @property
     def label(self) -> int:
         """Number of the class."""
-        return self._row.integer("label")
+        return self.row.integer("label")
 
     @property
     def vertices_m(self) -> Float32:
         """Vertices, shape (V, 3), float32, metres; a read-only view of the stored values."""
-        return self._row.array(VERTICES)
+        return self.row.array(VERTICES)
 
     @property
     def faces(self) -> Int32:
         """Triangles, shape (F, 3), int32, counter-clockwise seen from outside; a read-only view."""
-        return self._row.array(FACES)
+        return self.row.array(FACES)
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -59,7 +59,7 @@ class SolidRecord(read.Record):
     @property
     def volume_m3(self) -> float:
         """Volume in cubic metres: the stored value, or else that of the mesh."""
-        return float(self._row.required("volume_m3") if self._row.has("volume_m3") else self.mesh.volume)
+        return float(self.row.required("volume_m3") if self.row.has("volume_m3") else self.mesh.volume)
 
     def export(self, path: str | Path) -> None:
         """Write the mesh to a file, in the unit of the format.
@@ -124,7 +124,7 @@ class RecordStream(read.Stream[read.RowSource], Generic[R]):
 
     def __iter__(self) -> Iterator[R]:
         """Decode one block of rows at a time."""
-        for shard, index in self._row_groups():
+        for shard, index in self.row_groups():
             for block in shard.blocks(index):
                 yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
 

@@ -65,7 +65,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         rows: range | Int64 | None = None,
         label_names: Sequence[str] = (),
     ) -> None:
-        self._table = table
+        self.table = table
         self._rows = range(len(table)) if rows is None else rows
         self._label_names = tuple(label_names)
 
@@ -89,7 +89,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     @property
     def _types(self) -> dict[str, Any]:
         """Arrow type of each column that joined sets share, by dotted name, without structs."""
-        found, *others = [column_types(schema) for schema in self._table.schemas] or [{}]
+        found, *others = [column_types(schema) for schema in self.table.schemas] or [{}]
         return {
             name: each
             for name, each in found.items()
@@ -97,7 +97,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         }
 
     def _stores(self, name: str) -> list[bool]:
-        return [name in column_types(schema) for schema in self._table.schemas]
+        return [name in column_types(schema) for schema in self.table.schemas]
 
     def has_column(self, name: str) -> bool:
         """Return whether all rows have a stored column, by dotted name."""
@@ -112,7 +112,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         return np.array([stored(each) for each in self], np.int64) if any(known) else unstored()
 
     @property
-    def _plain_columns(self) -> tuple[str, ...]:
+    def plain_columns(self) -> tuple[str, ...]:
+        """Names of the columns of numbers and texts."""
         large = (pa.types.is_nested, pa.types.is_binary)
         return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
@@ -136,11 +137,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         # `datasets` takes seconds to import.
         from datasets import Dataset
 
-        rows = [self._row(int(number)) for number in self._rows]
+        rows = [self._row_at(int(number)) for number in self._rows]
         blocks = {(row.path, row.group.first_row): row.group.table for row in rows}
         starts = dict(zip(blocks, np.cumsum([0, *map(len, blocks.values())]).tolist(), strict=False))
         places = [starts[row.path, row.group.first_row] + row.index for row in rows]
-        parts = list(blocks.values()) or [schema.empty_table() for schema in self._table.schemas[:1]]
+        parts = list(blocks.values()) or [schema.empty_table() for schema in self.table.schemas[:1]]
         if not parts:
             return Dataset.from_dict({})
         shared = set.intersection(*({(each.name, each.type) for each in part.schema} for part in parts))
@@ -160,7 +161,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             When the data set has no such column.
         """
         try:
-            values = self._table.column(name)
+            values = self.table.column(name)
         except KeyError as error:
             raise InputError(f"no column {name!r} in this data set") from error
         rows = self._rows
@@ -186,18 +187,18 @@ class RecordDataset(Sequence[T], Generic[T]):
         # A missing value in any row makes large ones inexact, so they are read from the row itself.
         found = np.where(usable, values, 0).astype(np.int64)
         for position in np.flatnonzero(~usable).tolist():
-            found[position] = self._row(int(self._rows[position])).integer(name)
+            found[position] = self._row_at(int(self._rows[position])).integer(name)
         return found
 
     @property
     def identity(self) -> str:
         """Text that identifies the stored rows, which changes when files are replaced."""
-        return self._table.identity
+        return self.table.identity
 
     @property
     def files(self) -> tuple[Shard, ...]:
         """The Parquet files that the data set was opened from, whichever rows of them it holds."""
-        return self._table.files
+        return self.table.files
 
     @property
     def labels(self) -> Int64:
@@ -213,7 +214,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     @property
     def splits(self) -> tuple[str, ...]:
         """Splits of the rows, by the names of their files."""
-        return tuple(dict.fromkeys(split for _, split in self._table.origins if split))
+        return tuple(dict.fromkeys(split for _, split in self.table.origins if split))
 
     def __len__(self) -> int:
         return len(self._rows)
@@ -281,7 +282,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             # Ids of items, because touches have other ids than their rounds.
             first = [repr(getattr(item, "id", None)) for item in self[:_SHOWN_IDS]]
             raise InputError(
-                f"{', '.join(self._description())}: there is no id {id!r}",
+                f"{', '.join(self.description())}: there is no id {id!r}",
                 next=f"give one such as {', '.join(first) or '(none, it is empty)'}",
             )
         return self._item(int(places[0]))
@@ -304,7 +305,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         Only fields that the function accesses are read.
         """
         kept = np.zeros(len(self), bool)
-        for position, item in self._each():
+        for position, item in self.each_record():
             kept[position] = bool(function(item))
         return self._select(np.flatnonzero(kept))
 
@@ -411,7 +412,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         # pandas takes half a second to import.
         import pandas as pd
 
-        return pd.DataFrame({name: self.column(name) for name in self._plain_columns})
+        return pd.DataFrame({name: self.column(name) for name in self.plain_columns})
 
     @classmethod
     def concatenate(cls, datasets: Iterable[Self]) -> Self:
@@ -454,7 +455,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     def __repr__(self) -> str:
         return printable(
-            f"{type(self).__name__}({', '.join([*self._description(), self._classes_in_words()])})"
+            f"{type(self).__name__}({', '.join([*self.description(), self._classes_in_words()])})"
         )
 
     def _repr_html_(self) -> str:
@@ -470,35 +471,38 @@ class RecordDataset(Sequence[T], Generic[T]):
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}{''.join(problems)}</div>"
 
-    def _row(self, number: int) -> Row:
+    def _row_at(self, number: int) -> Row:
         """Return a stored row by number."""
-        return Row(*self._table.locate(number))
+        return Row(*self.table.locate(number))
 
     def _stored(self, row: int) -> T:
-        record: T = self.record_class(self._row(row))
+        record: T = self.record_class(self._row_at(row))
         return record
 
     def _concat(self, other: Self) -> Self:
-        joined = self._view(np.concatenate([self.row_numbers, other.row_numbers + len(self._table)]))
-        joined._table = ShardedTable((*self._table.shards, *other._table.shards))
+        joined = self._view(np.concatenate([self.row_numbers, other.row_numbers + len(self.table)]))
+        joined.table = ShardedTable((*self.table.shards, *other.table.shards))
         return joined
 
-    def _stored_parts(self) -> StoredParts:
-        rows, starts = self._rows, self._table.part_starts
+    def stored_parts(self) -> StoredParts:
+        """Return which rows are stored together, in files and row groups."""
+        rows, starts = self._rows, self.table.part_starts
         if isinstance(rows, range) and rows.step == 1:
             return StoredParts(np.unique(np.clip(starts, rows.start, rows.stop) - rows.start))
         order = np.argsort(self.row_numbers, kind="stable")
         return StoredParts(np.unique(np.searchsorted(self.row_numbers[order], starts)), order)
 
-    def _row_groups(self, chosen: Int64) -> list[tuple[RowSource, int]]:
+    def row_groups(self, chosen: Int64) -> list[tuple[RowSource, int]]:
+        """Return the row groups of rows at positions (n,), each once: a source, and a number in it."""
         rows = self._rows
         numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
-        return self._table.row_groups(numbers)
+        return self.table.row_groups(numbers)
 
-    def _description(self) -> list[str]:
-        return self._table.described(with_count(len(self), self.things))
+    def description(self) -> list[str]:
+        """Return what the data set holds, and where it is from, in words."""
+        return self.table.described(with_count(len(self), self.things))
 
-    def _each(self) -> Iterator[tuple[int, T]]:
+    def each_record(self) -> Iterator[tuple[int, T]]:
         """Yield position and item, in the fastest order, for reading small fields."""
         return enumerate(self)
 
@@ -512,7 +516,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         raise InputError(f"no class {label!r}; expected an integer below {len(known)} or one of {listed}")
 
     def _class_counts(self) -> dict[str, int]:
-        if "label" not in self._plain_columns:
+        if "label" not in self.plain_columns:
             return {}
         known, (numbers, counts) = self.label_names, np.unique(self.labels, return_counts=True)
         names = (class_name(known, label) for label in numbers.tolist())

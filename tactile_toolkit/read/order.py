@@ -183,7 +183,7 @@ class Prefetcher:
         """Return the approximate size of a window in bytes; 0 where the cache cannot be written."""
         size_bytes = 0
         with suppress(ToolkitError, OSError):
-            groups = self._data._row_groups(self._order.stored(window))
+            groups = self._data.row_groups(self._order.stored(window))
             first = int(self._turn * len(groups))
             for shard, index in (*groups[first:], *groups[:first]):
                 more_bytes = 0 if self._closed.is_set() else shard.unpack(index)

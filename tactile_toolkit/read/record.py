@@ -96,33 +96,39 @@ def _row_from_ipc(content: bytes, path: str, number: int) -> Row:
 
 
 class Record:
-    """Base class of typed records of one row: immutable, lazy, picklable."""
+    """Base class of typed records of one row: immutable, lazy, picklable.
 
-    __slots__ = ("_loaded", "_row")
-    _row: Row
+    Attributes
+    ----------
+    row : Row
+        The row as it is stored, with all its columns.
+    """
+
+    __slots__ = ("_loaded", "row")
+    row: Row
     _loaded: dict[str, Any]
 
     def __init__(self, row: Row) -> None:
-        object.__setattr__(self, "_row", row)
+        object.__setattr__(self, "row", row)
         object.__setattr__(self, "_loaded", {})
 
     def __setattr__(self, name: str, value: object) -> None:
         raise AttributeError(f"{type(self).__name__} is frozen; {name!r} cannot be set")
 
     def __reduce__(self) -> tuple[object, ...]:
-        return (type(self), (self._row,))
+        return (type(self), (self.row,))
 
     def __eq__(self, other: object) -> bool:
         """Return whether the other is a record of the same class with the same stored values."""
         if not isinstance(other, Record) or type(other) is not type(self):
             return NotImplemented
-        return self._row.equals(other._row)
+        return self.row.equals(other.row)
 
     def __hash__(self) -> int:
         # From this row alone, so that a damaged neighbour does not make a record differ from its pickled
         # copy.
         try:
-            number = self._row.group.arrow("id")[self._row.index].as_py()
+            number = self.row.group.arrow("id")[self.row.index].as_py()
         except (KeyError, ValueError):
             number = None
         return hash((type(self), number))

@@ -45,7 +45,7 @@ class Stream(Generic[S]):
                 sys.modules["torch.utils.data"].IterableDataset.register(type(self))
             return type(self)
 
-    def _row_groups(self) -> Iterator[tuple[S, int]]:
+    def row_groups(self) -> Iterator[tuple[S, int]]:
         """Yield the row groups of all shards, or those of this worker of a loader."""
         found = loader_worker()
         if found is None:

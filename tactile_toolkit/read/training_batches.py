@@ -139,7 +139,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self.rank, self.world_size = numbers
         seed = None if seed is None else checked_integer(seed, "seed")
         self._sequence = sequence
-        self._order = GlobalOrder(sequence._stored_parts(), seed, checked_integer(window, "window", 1))
+        self._order = GlobalOrder(sequence.stored_parts(), seed, checked_integer(window, "window", 1))
         self._resumed = (0, 0)
         self._current: dict[str, int] = {}  # empty before a pass
         # The next pass of this process and of each worker: epoch, start, number of batches already returned,

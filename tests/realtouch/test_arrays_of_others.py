@@ -173,8 +173,8 @@ def test_what_an_array_means_does_not_follow_from_its_shape(
     assert "action (6), gel (6), state (6)" in capsys.readouterr().err
     first, second = realtouch.load(tmp_path / "out", "train")
     assert (first.label, second.label) == (0, 1)
-    assert not first._row.has_poses
-    assert not first._row.has("pos_in_cell")
+    assert not first.row.has_poses
+    assert not first.row.has("pos_in_cell")
     told = realtouch.ImportColumns(image="img", pose=("gel",), position=("action",))
     known = imported(home, tmp_path / "named", told)[0]
     np.testing.assert_array_equal(known.gel_pose_cell_frame.position_m, np.float64(poses[:4, :3]))

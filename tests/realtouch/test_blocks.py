@@ -33,10 +33,10 @@ def test_blocks_read_as_one(rows_per_block: int, one_group: Path, monkeypatch: p
     monkeypatch.setenv(CACHE_VARIABLE, str(one_group / "cache"))
     BLOCKS.clear()
     dataset = realtouch.load(one_group)
-    assert list(dataset._table.shards[0].block_rows) == [rows_per_block]
+    assert list(dataset.table.shards[0].block_rows) == [rows_per_block]
     for row in (5, 0, 3, 1, 4, 2):  # in any order
         record = dataset[row]
-        assert (record.id, record._row.number) == (whole[row][0], row)
+        assert (record.id, record.row.number) == (whole[row][0], row)
         np.testing.assert_array_equal(record.sensor_image[:], whole[row][1])
     assert [record.id for record in realtouch.load(one_group, streaming=True)] == [name for name, _ in whole]
     assert len(list((one_group / "cache" / "blocks").glob("*.arrow"))) == -(-6 // rows_per_block)

@@ -38,7 +38,7 @@ def test_padding_to_a_length_that_the_schema_states_is_no_frame_either(
 
 
 def test_lengths_that_are_not_stated_are_named(seq_folder: Path) -> None:
-    group = realtouch.load(seq_folder, "train")[0]._row.group
+    group = realtouch.load(seq_folder, "train")[0].row.group
     row = StoredRound(RowGroup(group.table.drop_columns(["video_length_frames"])), 0)
     for ask in (
         StoredRound.pose_sequences,

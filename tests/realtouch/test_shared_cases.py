@@ -100,4 +100,4 @@ def test_buffers_are_what_zarr_reads(kind: str, name: str, tmp_path: Path) -> No
     pixels = np.stack([touch.image for touch in touches])
     np.testing.assert_allclose(pixels, np.broadcast_to(images, pixels.shape), atol=1e-3)
     assert set(rounds.labels.tolist()) == ({-1} if name == "no_label" else {0})
-    assert not rounds[0]._row.has_poses
+    assert not rounds[0].row.has_poses

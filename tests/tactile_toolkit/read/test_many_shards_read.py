@@ -35,7 +35,7 @@ def test_open_files_and_maps_are_bounded_however_many_shards_are_read(tmp_path, 
     before = _held()
     for turn in range(2):
         for position, number in enumerate(np.random.default_rng(turn).permutation(2 * SHARDS).tolist()):
-            assert rows[number]._row.value("id") == number
+            assert rows[number].row.value("id") == number
             if position % 20 == 19:
                 files, maps = _held()
                 most_files, most_maps = max(files, most_files), max(maps, most_maps)

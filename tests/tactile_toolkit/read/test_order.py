@@ -152,7 +152,7 @@ def test_the_order_is_the_same_for_ever():
 def test_items_of_a_view_lie_together_as_in_its_shards(chosen):
     scenes = starstruck_gen.SceneDataset(size=10_000)
     shards = np.searchsorted([4_096, 8_192], scenes.ids[chosen], "right")
-    parts = scenes[chosen]._stored_parts()
+    parts = scenes[chosen].stored_parts()
     places = [parts.positions(part) for part in range(len(parts))]
     assert [set(shards[each]) for each in places] == [{shard} for shard in np.unique(shards)]
     assert sorted(np.concatenate(places)) == list(range(len(shards)))
@@ -164,7 +164,7 @@ class RowGroups:
     def __init__(self) -> None:
         self.unpacked: list[int] = []
 
-    def _row_groups(self, chosen: np.ndarray) -> list[tuple[RowGroups, int]]:
+    def row_groups(self, chosen: np.ndarray) -> list[tuple[RowGroups, int]]:
         return [(self, int(group)) for group in np.unique(chosen // 4)]
 
     def unpack(self, index: int) -> int:

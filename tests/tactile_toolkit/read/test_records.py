@@ -28,11 +28,11 @@ class ToyRecord(Record):
 
     @property
     def id(self) -> int:
-        return int(self._row.value("id"))
+        return int(self.row.value("id"))
 
     @property
     def points(self) -> np.ndarray:
-        return self._row.array("points")
+        return self.row.array("points")
 
 
 class ToyDataset(RecordDataset[ToyRecord]):

@@ -225,7 +225,7 @@ def test_values_agree_with_their_pickled_arrow_copy(value: Any, data: st.DataObj
 def test_what_is_drawn_is_the_same_everywhere(rows: Rows) -> None:
     """Golden: numpy's own shuffles may change with its version, the stream of PCG64 may not."""
     assert rows.shuffle(7)[:8].ids.tolist() == rows.ids[[37, 6, 32, 96, 98, 24, 90, 23]].tolist()
-    _ = [record._row.value("value") for record in rows[::-3]]
+    _ = [record.row.value("value") for record in rows[::-3]]
     assert rows.sample(5, 7).ids.tolist() == rows.shuffle(7).ids.tolist()[:5]
     assert rows.shuffle(7).ids.tolist() != rows.shuffle(8).ids.tolist()
     for wrong in (-1, 1.5, None, "3", True):

@@ -43,7 +43,7 @@ TOTAL = sum(SHARD_ROWS)
 
 def ids(items: list[Any]) -> list[int]:
     """A batch of rows, as their ids; top-level, so that it pickles."""
-    return [int(item._row.value("id")) for item in items]
+    return [int(item.row.value("id")) for item in items]
 
 
 class Rows(RecordDataset[Any]):
@@ -82,7 +82,7 @@ def loader_of(batches: TrainingBatches, workers: int, **options: Any) -> Any:
 
 def epoch_ids(rows: Any, epoch: int, seed: int | None = 5, window: int = 2) -> list[int]:
     """The order of an epoch, from the description of it."""
-    order = GlobalOrder(rows._stored_parts(), seed, window)
+    order = GlobalOrder(rows.stored_parts(), seed, window)
     return rows.ids[order.epoch(epoch).positions(np.arange(len(order)))].tolist()
 
 
@@ -292,9 +292,9 @@ def test_views_come_shard_by_shard(paths: list[str]) -> None:
         expected = sorted(view.ids.tolist()) if len(view) <= TOTAL else [*rows.ids, *rows.ids]
         assert stored == expected
         assert sorted(flat(batches_of(view))) == sorted(view.ids.tolist())
-        groups = view._row_groups(np.arange(len(view)))
+        groups = view.row_groups(np.arange(len(view)))
         shards = [path for path, _ in ((shard.path, index) for shard, index in groups)]
-        held = {(str(record._row.path), record._row.number // 4) for record in view}
+        held = {(str(record.row.path), record.row.number // 4) for record in view}
         assert {(shard.path, index) for shard, index in groups} == held
         assert len(view) > TOTAL or shards == sorted(shards)
 
@@ -320,15 +320,15 @@ def test_touches_and_scenes(tmp_path: Path) -> None:
             for pair in zip(*map(torch.Tensor.tolist, (labels, numbers)), strict=True)
         ]
         assert sorted(given) == sorted((t.object_id, t.touch_index) for t in touches)
-        parts = touches._stored_parts()
+        parts = touches.stored_parts()
         for part in range(len(parts)):
-            assert len({touches[int(place)].round._row.path for place in parts.positions(part)}) == 1
+            assert len({touches[int(place)].round.row.path for place in parts.positions(part)}) == 1
     images, labels = next(iter(TrainingBatches(TouchTensors(data), 4, seed=None)))
     np.testing.assert_array_equal(images.numpy().transpose(0, 2, 3, 1), data.touches().images(slice(4)))
     assert labels.tolist() == [touch.label for touch in data.touches()[:4]]
 
     scenes = starstruck_gen.SceneDataset(size=10_000, seed=2)
-    assert len(scenes._stored_parts()) == 3
+    assert len(scenes.stored_parts()) == 3
     order = list(TrainingBatches(SceneTensors(scenes[4090:4110], target="id"), 8, seed=3))
     assert sorted(int(scene) for _, chosen in order for scene in chosen) == scenes.ids[4090:4110].tolist()
     points = {
@@ -366,7 +366,7 @@ JOB = """
     from tactile_toolkit.read import TrainingBatches
 
     def ids(items):
-        return [int(item._row.value("id")) for item in items]
+        return [int(item.row.value("id")) for item in items]
 
     folder, workers, stop, *paths = sys.argv[1:]
     folder, stop = Path(folder), int(stop)
