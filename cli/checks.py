@@ -12,11 +12,11 @@ import typer
 from cli.application import EXIT_FAILED
 from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
 from cli.output import Sink
-from cli.quantities import bytes_text
 from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 

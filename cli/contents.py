@@ -8,12 +8,12 @@ from typing import Any
 from cli.nested_values import brief, flat_lines, stored_value
 from cli.options import ANY_SET, Opening, argument, local_place
 from cli.output import Sink
-from cli.quantities import bytes_text
 from cli.runs import PrintMade, print_set
 from tactile_toolkit import catalog, hub, places, read, store
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.kind import DatasetKind, is_copy
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _STATES = {True: "finished", False: "unfinished"}

@@ -21,12 +21,12 @@ from cli.options import (
     process_count,
 )
 from cli.output import Sink
-from cli.quantities import bytes_text
 from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, real, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20

@@ -14,11 +14,11 @@ from cli.options import (
     process_count,
 )
 from cli.output import Sink
-from cli.quantities import bytes_text, duration_text
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, gallery
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text, duration_text
 from tactile_toolkit.wording import with_count
 
 

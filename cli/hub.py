@@ -11,11 +11,11 @@ import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import Sink
-from cli.quantities import BYTES, bytes_text
 from tactile_toolkit import catalog, exchange, places
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import BYTES, bytes_text
 from tactile_toolkit.wording import with_count
 
 _LARGE_BYTES = 1_000_000_000

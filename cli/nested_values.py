@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from cli.quantities import bytes_text
+from tactile_toolkit.quantities import bytes_text
 
 # Length of the longest list whose values are shown.
 _SHOWN = 6

@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import shutil
 import sys
 import textwrap
-import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import zip_longest
 from typing import Any
 
-from cli.quantities import BYTES, bytes_text, duration_text, rate_text
 from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.shown_text import printable, printable_json
 
-# Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
-_LINE_INTERVAL_S = 5.0
-_BAR_INTERVAL_S = 0.1
-_BAR = 24
 _GAP = "  "
 _ANSWERS = {True: "yes", False: "-"}
 # Alignment of a column by whether it holds numbers.
@@ -83,38 +79,12 @@ class Sink:
 
     @contextmanager
     def progress(self, what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
-        """Show progress: a bar on a terminal, a line every few seconds elsewhere.
-
-        Yields
-        ------
-        callable
-            Takes the number of finished items and the total number.
-        """
-        start_s = last_s = time.monotonic()
-        is_bar, interval_s = sys.stderr.isatty(), _LINE_INTERVAL_S
-        if is_bar:
-            interval_s = _BAR_INTERVAL_S
-
-        def update(done: int, total: int) -> None:
-            nonlocal last_s
-            now_s = time.monotonic()
-            # The last update is always shown: a log that ends at 80 % looks like interrupted work.
-            if self.quiet or not done or (done < total and now_s - last_s < interval_s):
-                return
-            last_s = now_s
-            state = f"{what}: {_state(done, total, unit, now_s - start_s)}"
-            if is_bar:
-                bar = f"{'━' * (_BAR * done // total):<{_BAR}} {state}"
-                sys.stderr.write(f"\r{bar[: shutil.get_terminal_size().columns - 1]}\x1b[K")
-                sys.stderr.flush()
-            else:
-                self.info(state)
-
-        try:
+        """Show progress unless ``--quiet`` was given; see :func:`tactile_toolkit.progress.shown_progress`."""
+        quiet_s = 0.0
+        if self.quiet:
+            quiet_s = math.inf
+        with shown_progress(what, unit, quiet_s) as update:
             yield update
-        finally:
-            if is_bar and last_s > start_s:
-                sys.stderr.write("\n")
 
 
 def _cell(value: object) -> str:
@@ -128,13 +98,3 @@ def _cell(value: object) -> str:
 def _aligned(row: Sequence[str], widths: Sequence[int], is_number: Sequence[bool]) -> str:
     cells = zip(row, map(_SIDES.__getitem__, is_number), widths, strict=True)
     return _GAP.join(f"{cell:{side}{width}}" for cell, side, width in cells).rstrip()
-
-
-def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
-    """Return the progress as text: counts, the mean rate, and the time left."""
-    # Shards come in bursts: the rate of the last seconds would jump.
-    amount: Callable[[int], str] = "{:,}".format
-    if unit == BYTES:
-        amount = bytes_text
-    left = duration_text(elapsed_s / done * (total - done))
-    return f"{amount(done)} of {amount(total)}, {rate_text(done, elapsed_s, unit)}, {left} left"

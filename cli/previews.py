@@ -12,13 +12,13 @@ from cli.options import (
     local_place,
 )
 from cli.output import Sink
-from cli.quantities import bytes_text
 from realtouch.kind import KIND
 from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit import pictures, store
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from cli.nested_values import flat_lines
 from cli.options import TOUCH_SET, WORKERS, Opening, process_count
 from cli.output import Sink
 from cli.previews import preview_touches
-from cli.quantities import least_to_most
 from cli.runs import print_set
 from cli.shared import add_shared
 from cli.touch_conversions import (
@@ -33,6 +32,7 @@ from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
 app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any
 
 from cli.options import Making, Work, process_count
 from cli.output import Sink
-from cli.quantities import bytes_text, duration_text
 from tactile_toolkit import store
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text, duration_text
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import with_count
 

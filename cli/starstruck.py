@@ -13,7 +13,6 @@ from cli.checks import Geometry
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
 from cli.previews import Pictures
-from cli.quantities import least_to_most
 from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from starstruck_gen.kind import KIND
@@ -21,6 +20,7 @@ from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_c
 from tactile_toolkit import catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice, integer, text
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import least_to_most
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."

@@ -17,7 +17,6 @@ from cli.galleries import gallery_of_touches
 from cli.options import Making, Opening, argument, local_out_folder, local_place, out_folder
 from cli.output import Sink
 from cli.previews import preview_touches
-from cli.quantities import bytes_text
 from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
@@ -27,6 +26,7 @@ from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 app = new_app("tactile-sim", "Synthetic touches: press a simulated GelSight Mini onto any solid.")

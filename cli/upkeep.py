@@ -6,12 +6,12 @@ from pathlib import Path
 
 from cli.options import FOLDER
 from cli.output import Sink
-from cli.quantities import bytes_text
 from tactile_toolkit import cards, catalog, places, store
 from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
 from tactile_toolkit.checked_fields import choice, real
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 

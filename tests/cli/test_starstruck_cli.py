@@ -100,7 +100,7 @@ def test_validate_says_that_stars_are_declared_although_every_scene_fails(made, 
 
 def test_trial_of_room_is_told_after_a_while(monkeypatch, capsys):
     now_s = [0.0]
-    monkeypatch.setattr("cli.output.time.monotonic", lambda: now_s[0])
+    monkeypatch.setattr("tactile_toolkit.progress.time.monotonic", lambda: now_s[0])
     with Sink().progress("trying the fullest scene", "failed layouts") as tell:
         tell(1, 1_001)
         assert capsys.readouterr().err == ""
