@@ -131,6 +131,19 @@ class MeshView(Sequence[Any]):
         return np.array(bounds, np.float64).reshape(-1, 2, 3)
 
 
+@dataclass(frozen=True, eq=False)
+class PlannedView(MeshView):
+    """Meshes of a data set that is not made yet: each is made when it is asked for.
+
+    ``finished`` returns the data set once it is made, otherwise None. ``left`` is the number of meshes that
+    were not made when it was planned, which take about ``left_s`` seconds on one core.
+    """
+
+    finished: Callable[[], Any] = lambda: None
+    left: int = 0
+    left_s: float = 0.0
+
+
 def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
     """Return the lowest and highest corner of vertices, shape (2, 3), metres; InputError without vertices."""
     if not len(vertices_m):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import logging
 import shlex
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
@@ -12,21 +12,23 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_chec
 import realtouch
 from env_assets.asset_kinds import KINDS, THIRD_PARTY_ASSETS, MeshSet, open_meshes
 from env_assets.mesh_files import mesh_files
-from env_assets.mesh_view import MeshView
+from env_assets.mesh_view import LazyMesh, MeshView, PlannedView
 from env_assets.wrench.records import WrenchDataset
 from mnist3d import DigitDataset
 from starstruck_gen import SceneMeshDataset
 from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import BusyError, InputError, IntegrityError
 from tactile_toolkit.places import open_place
+from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from tactile_toolkit.generation import Recipe
 
-_LOG = logging.getLogger(__name__)
+# What takes less is made without a word, seconds.
+_QUIET_S = 2.0
 
 
 @runtime_checkable
@@ -77,7 +79,7 @@ class AssetProvider:
     per_class : int, optional
         Make only this many of each class of a split, instead of the published numbers.
     workers : int
-        Number of processes that make it.
+        Number of processes that make it. What takes long shows its progress on stderr.
 
     Notes
     -----
@@ -156,6 +158,52 @@ class AssetProvider:
             opened = self._opened.setdefault(("meshes", name, split), opened)
         found: MeshSet = opened
         return found
+
+    def finished(self, name: str, split: str = "train") -> MeshSet | None:
+        """Return the meshes of a split, or None if they are not there or unfinished; makes nothing."""
+        place = self._place(name)
+        try:
+            shards = open_place(place, revision=self._commit_of(place)).shards(split)
+        except (InputError, IntegrityError):
+            return None
+        return open_meshes(shards, name)
+
+    def planned(self, name: str, split: str = "train") -> PlannedView | None:
+        """Return the meshes that :meth:`meshes` would make, each of which is made when it is asked for.
+
+        None if single meshes of this kind are not made. InputError: the folder holds another data set.
+        """
+        recipe = self._recipe(name)
+        if recipe.planned is None:
+            return None
+        plan, left = recipe.planned(split), recipe.rows_left(self._place(name), split)
+        records = [
+            LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
+            for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)
+        ]
+        finished = partial(self.finished, name, split)
+        return PlannedView(records, KINDS[name].class_names, False, finished, left, left * plan.row_s)
+
+    def is_being_made(self, name: str) -> bool:
+        """Return whether a process makes a split of ``KINDS`` at this moment."""
+        try:
+            with store.locked(self._lock_of(name), patience_s=0.0):
+                return False
+        except BusyError:
+            return True
+
+    def _recipe(self, name: str) -> Recipe:
+        found: Recipe = KINDS[name].recipe(self._seed, self._per_class)
+        return found
+
+    def _lock_of(self, name: str) -> Path:
+        """Return the file that is locked while splits of a kind are made; it is created."""
+        # The file is never removed: otherwise two processes could each lock a file of that name.
+        lock = self.root / f".{name}.lock"
+        with store.named_failures(str(lock)):
+            self.root.mkdir(parents=True, exist_ok=True)
+            lock.touch()
+        return lock
 
     def touches(
         self, name: str | PathLike[str], split: str = "train"
@@ -244,24 +292,34 @@ class AssetProvider:
         ) as error:  # the latter also after interrupted runs
             if name not in KINDS or name in self._places:
                 raise
-            recipe: Recipe = KINDS[name].recipe(self._seed, self._per_class)
+            recipe = self._recipe(name)
             if isinstance(error, InputError):
                 self._refuse_missing(error, name, split, recipe)
             elif not self._generate:
                 raise
-        # The file is never removed: otherwise two processes could each lock a file of that name.
-        lock = self.root / f".{name}.lock"
-        with store.named_failures(str(lock)):
-            self.root.mkdir(parents=True, exist_ok=True)
-            lock.touch()
-        with store.locked(lock, is_patient=True):
+        with store.locked(self._lock_of(name), is_patient=True):
             try:
                 # Another process may have made it while this one waited.
                 return open_place(place).shards(split)
             except (InputError, IntegrityError):
-                _LOG.info("making split %r of %s in %s", split, name, place)
-                recipe.make(place, split, self._workers)
+                pass
+            self._make(name, split, recipe, place)
         return open_place(place).shards(split)
+
+    def _make(self, name: str, split: str, recipe: Recipe, place: str) -> None:
+        nouns = KINDS[name].nouns
+        what = f"making {nouns} (split {split}) in {place}"
+        with shown_progress(what, nouns, _QUIET_S) as update:
+
+            def on_progress(progress: store.Progress) -> None:
+                update(progress.done, progress.total)
+
+            try:
+                recipe.make(place, split, workers=self._workers, on_progress=on_progress)
+            except KeyboardInterrupt:
+                # Without the frames of workers and locks.
+                kept = f"interrupted; what is finished stays in {place!r}, and the same call continues"
+                raise KeyboardInterrupt(kept) from None
 
     def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
         """Refuse a split that a kind does not have, or that may not be made here."""
@@ -280,6 +338,10 @@ class AssetProvider:
                 f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",
             ) from error
+
+
+def _planned_mesh(make: Callable[[int], Any], number: int) -> Any:
+    return make(number).to_trimesh()
 
 
 def _checked_places(places: object) -> dict[str, str]:

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from os import PathLike, fspath
+from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
 from tactile_envs.config import Config, RecordedConfig, configured
 from tactile_envs.ids import IDS, EnvSpec
 from tactile_envs.mesh_pool import MeshPool
-from tactile_toolkit import mesh, store
+from tactile_envs.object_sets import open_objects
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 
@@ -23,9 +22,6 @@ with needs_extra("native environments", "ap-gym", "native"):
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
-
-
-PUBLISHED = "published"
 
 
 def make_one(name: str, **options: Any) -> TactileEnv:
@@ -84,10 +80,7 @@ def make_vector(
     settings = configured(spec.config, config or {})
     if isinstance(settings, RecordedConfig):
         raise InputError(f"{name!r} is not implemented yet")
-    records = _records(spec, assets, unit)
-    where = f"{spec.assets!r}, split {spec.split!r},"
-    kind = KINDS.get(spec.assets) if assets is None else None
-    require_fitting_meshes(MeshView.of(records), kind, where, settings.cell_size)
+    records = open_objects(spec, settings.cell_size, assets, unit)
     camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
     scene = MeshScene(settings, records, num_envs, threads, camera)
     task = _task(spec, settings, scene.pool, len(records.label_names))
@@ -101,26 +94,3 @@ def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: int) -> Task:
     if spec.task == "volume":
         return Volume(pool.measure("volume_m3"))
     return ObjectPose(pool, config, of_mass=spec.frame == "mass")
-
-
-def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Any:
-    name, split = spec.assets, spec.split
-    if assets is None or assets == PUBLISHED:
-        mesh.refuse_unit(unit, name)
-    if assets is None:
-        if name not in KINDS:
-            raise InputError(
-                f"meshes of {name!r} are not made here", next="give `assets`, a folder of meshes"
-            )
-        return AssetProvider(generate=True).meshes(name, split)
-    if assets == PUBLISHED:
-        published = KINDS[name].published if name in KINDS else ()
-        if not published:
-            raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
-        return AssetProvider().meshes(published[0].repo_id, split)
-    place = store.expanded(fspath(assets))
-    is_folder_of_sets = name in KINDS and store.path_exists(place) and (place / name).is_dir()
-    if not is_folder_of_sets:
-        return meshes_at(assets, split, unit)
-    mesh.refuse_unit(unit, fspath(assets))
-    return AssetProvider(place).meshes(name, split)

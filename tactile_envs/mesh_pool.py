@@ -11,20 +11,25 @@ import contextlib
 import hashlib
 import io
 import logging
+import time
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 import xxhash
 
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
+from env_assets.mesh_view import PlannedView
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.cache import DiskCache
-from tactile_toolkit.errors import BusyError
+from tactile_toolkit.errors import BusyError, IntegrityError
 from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.read import RecordDataset
-from tactile_toolkit.store import locked, resource_shortage
+from tactile_toolkit.run import free_workers, runner_for
+from tactile_toolkit.store import locked, open_regular, resource_shortage
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
@@ -38,13 +43,21 @@ _POOLS = DiskCache(
     warning="environments sort their meshes again each time: {problem}",
 )
 _FORMAT = 2
+_CHUNK = 128
+# Fewer chunks are packed before workers have started.
+_FEW_CHUNKS = 8
+# What takes less is done without a word, seconds.
+_QUIET_S = 2.0
+_LOOK_AGAIN_S = 5.0
+# Where a row of `grids` has its first vertex, face, start and corner of the hull.
+_FIRSTS = [0, 1, 3, 10]
 _CHECKSUM_BYTES = 16
 _LOG = logging.getLogger(__name__)
 
 Parts = list[AnyArray]
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class MeshPool:
     """Some meshes, metres.
 
@@ -75,7 +88,12 @@ class MeshPool:
 
     @classmethod
     def of(cls, records: Sequence[Any]) -> MeshPool:
-        """Pack the meshes of records; those of a data set are kept on disk for the next time."""
+        """Pack the meshes of records; those of a data set are kept on disk for the next time.
+
+        Meshes that are not made yet are packed when :meth:`require` names them.
+        """
+        if isinstance(records, PlannedView):
+            return GrowingPool(records)
         name = _name_of(records)
         if name is None:
             return cls.packed(records)
@@ -90,18 +108,29 @@ class MeshPool:
                 return cls.packed(records)
             found = _found(path)
             if found is None:
-                _LOG.info("sorting the triangles of %d meshes", len(records))
-                parts = _parts_of(records)
-                size = sum(part.nbytes for column in parts for part in column)
-                is_kept = _POOLS.write(name, size, lambda stream: _write(stream, parts))
-                found = (_found(path) if is_kept else None) or _concat(parts)
+                columns = _joined(_chunks_of(records))
+                size = sum(part.nbytes for column in columns for part in column)
+                is_kept = _POOLS.write(name, size, lambda stream: _write(stream, columns))
+                found = (_found(path) if is_kept else None) or _concat(columns)
         _POOLS.mark_used(path)
         return cls(*found)
 
     @classmethod
+    def kept(cls, records: Sequence[Any]) -> MeshPool | None:
+        """Map the meshes of a data set if they were packed before."""
+        name = _name_of(records)
+        found = None
+        if name is not None:
+            found = _found(_POOLS.path(name))
+        return None if found is None else cls(*found)
+
+    @classmethod
     def packed(cls, records: Iterable[Any]) -> MeshPool:
         """Pack the meshes of records in memory."""
-        return cls(*_concat(_parts_of(records)))
+        return cls(*_concat(_joined([_packed_records(records)])))
+
+    def require(self, numbers: Int64) -> None:
+        """Have the meshes of these numbers in the arrays, as those of a complete pool are."""
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -121,6 +150,73 @@ class MeshPool:
         return self.vertices, self.faces, self.starts, self.grids
 
 
+class GrowingPool(MeshPool):
+    """Meshes of a data set that is not made yet: each is packed when an episode first needs it.
+
+    When the data set is finished and packed on disk, by whichever process, its arrays take the place of
+    these. Both have the same meshes under the same numbers.
+    """
+
+    def __init__(self, planned: PlannedView) -> None:
+        self._planned, self._look_s = planned, 0.0
+        self._is_packed = np.zeros(len(planned), np.bool_)
+        # Larger than what is in them, so that few meshes are copied when one is added.
+        self._rooms: Parts = [
+            np.empty((0, 3), np.float32),
+            np.empty((0, 3), np.uint16),
+            np.empty(0, np.int32),
+            np.empty((0, 2), np.float32),
+        ]
+        self._used = np.zeros(4, np.int64)
+        self._grids, self._measures = np.zeros((len(planned), 12)), np.zeros((len(planned), len(MEASURES)))
+        self._measures[:, 0], self._measures[:, 1] = planned.column("label"), planned.column("id")
+        super().__init__(*map(_read_only, [*self._rooms, self._grids, self._measures]))
+
+    def require(self, numbers: Int64) -> None:
+        """Pack the meshes of these numbers, unless they are packed."""
+        missing = np.unique(numbers[~self._is_packed[numbers]])
+        if not len(missing) or self._is_replaced():
+            return
+        *arrays, grids, measures = _packed_records(self._planned[number] for number in missing.tolist())
+        self._grids[missing], self._measures[missing] = _moved(grids, self._used), measures
+        for column, array in enumerate(arrays):
+            self._extend(column, array)
+        self.vertices, self.faces, self.starts, self.hulls = (
+            _read_only(room[:end]) for room, end in zip(self._rooms, self._used, strict=True)
+        )
+        self._is_packed[missing] = True
+
+    def _extend(self, column: int, array: AnyArray) -> None:
+        room, begin = self._rooms[column], int(self._used[column])
+        end = begin + len(array)
+        dtype = room.dtype
+        if dtype == np.uint16 and not _is_small(array):
+            dtype = array.dtype
+        if end > len(room) or dtype != room.dtype:
+            larger = np.empty((max(2 * end, len(room)), *room.shape[1:]), dtype)
+            larger[:begin] = room[:begin]
+            self._rooms[column] = room = larger
+        room[begin:end] = array
+        self._used[column] = end
+
+    def _is_replaced(self) -> bool:
+        """Take the arrays of the finished data set, if it is there."""
+        if time.monotonic() < self._look_s:
+            return False
+        records = self._planned.finished()
+        pool = None
+        if records is not None:
+            pool = MeshPool.kept(records)
+        self._look_s = time.monotonic() + _LOOK_AGAIN_S
+        if pool is None or not np.array_equal(pool.measures[:, :2], self.measures[:, :2]):
+            return False
+        for each in fields(MeshPool):
+            setattr(self, each.name, getattr(pool, each.name))
+        self._rooms.clear()
+        self._is_packed[:] = True
+        return True
+
+
 def _name_of(records: Sequence[Any]) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
     if not isinstance(records, RecordDataset):
@@ -130,14 +226,32 @@ def _name_of(records: Sequence[Any]) -> str | None:
     return f"meshes-{digest.hexdigest()[:32]}"
 
 
-def _parts_of(records: Iterable[Any]) -> list[Parts]:
-    """Return the arrays of all meshes, one list for each field of a pool."""
+def _chunks_of(records: Sequence[Any]) -> list[Parts]:
+    """Pack the meshes of a data set in chunks, on all cores if they are many."""
+    firsts = range(0, len(records), _CHUNK)
+    workers = 1
+    if len(firsts) > _FEW_CHUNKS:
+        workers = free_workers()
+    found: dict[int, Parts] = {}
+    with shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
+        for first, parts in runner_for(workers).run(partial(_packed_chunk, records), firsts):
+            found[first] = parts
+            update(min(len(found) * _CHUNK, len(records)), len(records))
+    return [found[first] for first in firsts]
+
+
+def _packed_chunk(records: Sequence[Any], first: int) -> tuple[int, Parts]:
+    return first, _packed_records(records[first : first + _CHUNK])
+
+
+def _packed_records(records: Iterable[Any]) -> Parts:
+    """Return the arrays of some meshes, one for each field of a pool of them; faces are int32."""
     columns: list[Parts] = [[], [], [], [], [], []]
     ends = np.zeros(4)
     for record in records:
         vertices_m, faces = np.asarray(record.vertices_m, np.float32), np.asarray(record.faces)
         *arrays, grid = _packed(vertices_m, faces)
-        grid[[0, 1, 3, 10]] = ends
+        grid[_FIRSTS] = ends
         ends += [len(array) for array in arrays]
         grid[11] = ends[3]
         solid = Mesh(vertices_m, faces)
@@ -147,9 +261,35 @@ def _parts_of(records: Iterable[Any]) -> list[Parts]:
             columns, [*arrays, grid[None], np.array([measures], np.float64)], strict=True
         ):
             column.append(array)
-    if max(map(len, columns[0])) <= 1 << 16:
-        columns[1] = [part.astype(np.uint16) for part in columns[1]]
+    return [np.concatenate(column) for column in columns]
+
+
+def _moved(grids: Float64, ends: AnyArray) -> Float64:
+    """Return the grids of meshes whose arrays begin at ``ends``, shape (4,), of others."""
+    moved = grids.copy()
+    moved[:, _FIRSTS] += ends
+    moved[:, 11] += ends[3]
+    return moved
+
+
+def _joined(chunks: Iterable[Parts]) -> list[Parts]:
+    """Return the arrays of all chunks, one list for each field of a pool."""
+    columns: list[Parts] = [[], [], [], [], [], []]
+    ends = np.zeros(4)
+    for vertices, faces, starts, hulls, grids, measures in chunks:
+        for column, array in zip(
+            columns, (vertices, faces, starts, hulls, _moved(grids, ends), measures), strict=True
+        ):
+            column.append(array)
+        ends += [len(vertices), len(faces), len(starts), len(hulls)]
+    if all(_is_small(faces) for faces in columns[1]):
+        columns[1] = [faces.astype(np.uint16) for faces in columns[1]]
     return columns
+
+
+def _is_small(faces: AnyArray) -> bool:
+    """Return whether 16 bits hold the number of each corner."""
+    return int(faces.max(initial=0)) < 1 << 16
 
 
 def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
@@ -186,10 +326,14 @@ def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
 
 
 def _concat(parts: list[Parts]) -> Parts:
-    arrays = [np.concatenate(column) for column in parts]
-    for array in arrays:
-        array.flags.writeable = False  # as mapped ones are, for which the kernels are compiled
-    return arrays
+    return [_read_only(np.concatenate(column)) for column in parts]
+
+
+def _read_only(array: AnyArray) -> AnyArray:
+    """Return a view as mapped arrays are, for which the kernels are compiled."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _write(stream: IO[bytes], parts: list[Parts]) -> None:
@@ -218,20 +362,22 @@ def _found(path: Path) -> Parts | None:
     """Map a file of the cache; None if it does not exist, or is damaged: then it is removed."""
     arrays: Parts = []
     try:
-        with path.open("rb") as stream:
-            content = np.memmap(path, np.uint8, "r")  # ValueError for an empty file
+        with open_regular(path) as stream:
+            content = np.memmap(stream, np.uint8, "r")  # ValueError for an empty file
             stored, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
             if xxhash.xxh3_128_digest(stored.data) != checksum.tobytes():
                 raise ValueError("the meshes do not match their checksum")
+            stream.seek(0)
             for _ in fields(MeshPool):
                 np.lib.format.read_magic(stream)
                 shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
                 # A plain array over the map: numba knows no memmap, and numpy is slower with one.
-                arrays.append(np.asarray(np.memmap(path, dtype, "r", stream.tell(), shape)))
-                stream.seek(int(np.prod(shape)) * dtype.itemsize, 1)
+                offset = stream.tell()
+                arrays.append(np.asarray(np.memmap(stream, dtype, "r", offset, shape)))
+                stream.seek(offset + int(np.prod(shape)) * dtype.itemsize)
     except FileNotFoundError:
         return None
-    except (ValueError, OSError) as error:
+    except (ValueError, OSError, IntegrityError) as error:  # the last for a pipe
         if resource_shortage(error) is None:
             _POOLS.drop(path)
         return None

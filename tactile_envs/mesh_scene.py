@@ -75,6 +75,7 @@ class MeshScene:
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
         self._pool = MeshPool.of(self._records)
+        self._pool.require(self.numbers[self.numbers >= 0])
 
     @property
     def pool(self) -> MeshPool:
@@ -108,6 +109,7 @@ class MeshScene:
     ) -> None:
         config = self.config
         self.numbers[rows] = self._upcoming[rows]
+        self._pool.require(self.numbers[rows])
         drawn = np.full((self.num_envs, 3), 0.5)
         for row in chosen:
             self._upcoming[row] = rng.integers(0, len(self._pool))

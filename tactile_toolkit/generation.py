@@ -14,6 +14,7 @@ from typing import Any, Unpack
 import pyarrow as pa
 
 from tactile_toolkit import store
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
@@ -278,15 +279,32 @@ def _existing_rows(folder: store.DataFolder) -> dict[str, int] | None:
     return {name: row["rows"] for name, row in manifest.split_table().items()}
 
 
+@dataclass(frozen=True, eq=False)
+class PlannedMeshes:
+    """Meshes of a split before they are made.
+
+    ``ids`` and ``labels``, shape (n,), are in the order of the rows. ``make`` takes an id and returns its
+    :class:`tactile_toolkit.mesh.Mesh`, as it will be stored. ``row_s`` is about how long a row takes on a
+    core, seconds.
+    """
+
+    ids: Int64
+    labels: Int64
+    make: Callable[[int], Any]
+    row_s: float
+
+
 @dataclass(frozen=True)
 class Recipe:
     """How a data set is made that needs no input.
 
-    ``options`` are those of the equivalent command, by name; None if it takes no ``--split``.
+    ``options`` are those of the equivalent command, by name; None if it takes no ``--split``. ``planned``
+    takes a split, if a mesh can be made by itself, and all of them take long.
     """
 
     generator: RowGenerator
     options: JsonObject | None = None
+    planned: Callable[[str], PlannedMeshes] | None = None
 
     @property
     def splits(self) -> tuple[str, ...]:
@@ -300,6 +318,11 @@ class Recipe:
         options = {"split": split, **self.options}
         return " ".join(f"--{name} {value}" for name, value in options.items() if value)
 
-    def make(self, out: str, split: str, workers: int) -> None:
+    def make(self, out: str, split: str, **run: Unpack[store.RunKeywords]) -> None:
         """Make one split in a folder; an interrupted run continues."""
-        generate(self.generator, out, (split,), workers=workers)
+        generate(self.generator, out, (split,), **run)
+
+    def rows_left(self, out: str, split: str) -> int:
+        """Return how many rows :meth:`make` would make in a folder; raises as it would."""
+        plan = plan_build(self.generator, (split,))
+        return sum(task.size for task in store.inspect_job(store.open_folder(out), plan).remaining)

@@ -88,6 +88,8 @@ def map_block(path: Path) -> tuple[pa.Table, int]:
     """
     # Read first: a file that replaces this one from now on is not the one that was checked.
     found = stat_key(path.stat())
+    if not path.is_file():  # opening a pipe would wait
+        raise ValueError("it is not a file")
     # A buffer of the map, without a copy: Arrow would read from the map in its own threads.
     stored = pa.memory_map(str(path)).read_buffer()
     size = len(stored) - _CHECKSUM.size

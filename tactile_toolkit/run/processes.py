@@ -26,7 +26,10 @@ from typing import Any, Protocol, TypeVar
 
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.run.threads import prepare_batch_process
-from tactile_toolkit.system import working_folder
+from tactile_toolkit.system import usable_cores, working_folder
+
+# Each takes about 300 MB of memory.
+_MOST_FREE_WORKERS = 16
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -137,6 +140,16 @@ def runner_for(workers: int | Runner) -> Runner:
     if workers == 1:
         return InlineRunner()
     return ProcessRunner(workers)
+
+
+def free_workers() -> int:
+    """Return how many processes to start for work if nobody has chosen their number: one for each core.
+
+    In a worker of another program, which may start none, the number is 1: this process.
+    """
+    if multiprocessing.current_process().daemon:
+        return 1
+    return min(usable_cores(), _MOST_FREE_WORKERS)
 
 
 def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:

@@ -45,7 +45,7 @@ def test_generate_resume_parts_verify_card_load_upload_and_forecast(tmp_path: Pa
     generate(MAKING, tmp_path / "parts", finish=True)
     assert folder_bytes(tmp_path / "parts") == folder_bytes(whole)
     # without input
-    boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train", 1)
+    boxes.KIND.recipe(4, 9).make(str(tmp_path / "recipe"), "train")
     assert folder_bytes(tmp_path / "recipe") == folder_bytes(whole)
     assert boxes.KIND.recipe(4, 9).arguments("train") == "--split train --boxes 9 --seed 4"
     # verify, with the card

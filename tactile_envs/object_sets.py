@@ -1,0 +1,111 @@
+"""Objects of an environment: made on first use, of one's own, or published.
+
+The default set is always the same. An environment of classes begins before it is made: it makes each object
+that an episode needs by itself, while a process in the background makes the set. Other tasks need facts about
+all objects, so they wait for the set.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from os import PathLike, fspath
+from typing import Any
+
+from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
+from env_assets.mesh_view import PlannedView
+from tactile_envs.ids import EnvSpec
+from tactile_envs.mesh_pool import MeshPool
+from tactile_toolkit import mesh, run, store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.quantities import duration_text
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.wording import with_count
+
+PUBLISHED = "published"
+
+# Sets whose making this process, or the one it was forked from, has announced.
+_BEGUN: set[tuple[str, str, str]] = set()
+
+
+def open_objects(
+    spec: EnvSpec, cell_m: tuple[float, float], assets: str | PathLike[str] | None, unit: str | None
+) -> Sequence[Any]:
+    """Open the objects of an environment whose cell is ``cell_m`` (width, depth), metres.
+
+    ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError: there
+    are none, or they do not fit.
+    """
+    records = _records(spec, assets, unit)
+    if isinstance(records, PlannedView):  # of our own set, which fits; checking it would make all of it
+        return records
+    kind = KINDS.get(spec.assets) if assets is None else None
+    where = f"{spec.assets!r}, split {spec.split!r},"
+    require_fitting_meshes(MeshView.of(records), kind, where, cell_m)
+    return records
+
+
+def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Sequence[Any]:
+    name, split = spec.assets, spec.split
+    if assets is None or assets == PUBLISHED:
+        mesh.refuse_unit(unit, name)
+    if assets is None:
+        if name not in KINDS:
+            raise InputError(
+                f"meshes of {name!r} are not made here", next="give `assets`, a folder of meshes"
+            )
+        return _default_set(name, split, may_begin=spec.task == "classification")
+    if assets == PUBLISHED:
+        published = KINDS[name].published if name in KINDS else ()
+        if not published:
+            raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
+        return AssetProvider().meshes(published[0].repo_id, split)
+    place = store.expanded(fspath(assets))
+    is_folder_of_sets = name in KINDS and store.path_exists(place) and (place / name).is_dir()
+    if not is_folder_of_sets:
+        return meshes_at(assets, split, unit)
+    mesh.refuse_unit(unit, fspath(assets))
+    return AssetProvider(place).meshes(name, split)
+
+
+def _default_set(name: str, split: str, *, may_begin: bool) -> Sequence[Any]:
+    """Return the set that is made in the working folder, or begin to make it."""
+    provider = AssetProvider(generate=True, workers=run.free_workers())
+    finished = provider.finished(name, split)
+    if finished is not None:
+        return finished
+    planned = provider.planned(name, split)
+    if planned is None:
+        return provider.meshes(name, split)
+    key = str(provider.root), name, split
+    is_first = key not in _BEGUN and not provider.is_being_made(name)
+    if is_first or not may_begin:
+        _BEGUN.add(key)
+        _announce(planned, provider, name, split, may_begin=may_begin)
+    if not may_begin:
+        return provider.meshes(name, split)
+    if is_first:
+        run.start_background(_make_set, provider, name, split)
+    return planned
+
+
+def _announce(
+    planned: PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
+) -> None:
+    cores = run.free_workers()
+    duration = f"{duration_text(planned.left_s / cores)} on {with_count(cores, 'cores')}"
+    how = "This task needs all of them first."
+    if may_begin:
+        how = "Episodes begin with single ones, while a process in the background makes the others."
+    text = (
+        f"{with_count(planned.left, KINDS[name].nouns)} (split {split}) are made once, in "
+        f"{str(provider.root / name)!r}: about {duration}. {how} `assets=` takes a folder of your own meshes "
+        'or data sets instead, or "published".'
+    )
+    sys.stderr.write(printable(text) + "\n")
+
+
+def _make_set(provider: AssetProvider, name: str, split: str) -> None:
+    """Make a set, and pack its meshes for the environments that wait for it."""
+    if not provider.is_being_made(name):
+        MeshPool.of(provider.meshes(name, split))
