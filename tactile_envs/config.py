@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 
 from tactile_sim import Sensor, SensorNoise
 from tactile_sim.sensor_noise import checked_noise
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch
+from tactile_toolkit.checked_fields import check_fields, checked_integer, choice, integer, real, switch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import did_you_mean
@@ -25,6 +25,10 @@ GELSIGHT_M = (0.032, 0.028)
 
 C = TypeVar("C", bound="EpisodeConfig")
 
+_MOST_ENVS, _MOST_THREADS = 1 << 20, 1024
+# Colours and depth of a pixel, float32.
+_PIXEL_BYTES = 16
+_MOST_IMAGE_BYTES = 32 << 30
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
 
@@ -52,17 +56,17 @@ class EpisodeConfig:
         Width and depth of the plate, and distance that the sensor keeps from its edge, metres.
     """
 
-    step_limit: int = integer(16, 1)
+    step_limit: int = integer(16, 1, 100_000)
     sensor_type: str = choice("taxim", (*SENSORS, DIRECT))
     sensor_output_size: tuple[int, int] = (320, 240)
     randomize_initial_sensor_pose: bool = switch(True)
-    linear_velocity: float = real(0.2)
-    linear_acceleration: float = real(4.0, above=0)
-    transfer_timedelta_s: float = real(0.2)
-    action_regularization: float = real(1e-3)
+    linear_velocity: float = real(0.2, 0, 1000)
+    linear_acceleration: float = real(4.0, above=0, most=1e6)
+    transfer_timedelta_s: float = real(0.2, above=0, most=3600)
+    action_regularization: float = real(1e-3, -1e6, 1e6)
     timeout_behavior: str = choice("terminate", ("terminate", "truncate"))
-    cell_size: tuple[float, float] = real(CELL_M, many=2)
-    cell_padding: tuple[float, float] = real(_PADDING_M, many=2)
+    cell_size: tuple[float, float] = real(CELL_M, above=0, most=10, many=2)
+    cell_padding: tuple[float, float] = real(_PADDING_M, -10, 10, many=2)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "sensor_output_size", Sensor(self.sensor_output_size).size_px)
@@ -117,21 +121,21 @@ class Config(EpisodeConfig):
     """
 
     perturb_object_pose: bool = switch(True)
-    translation_perturbation_scale: float = real(1e-3, 0)
-    rotation_perturbation_scale: float = real(5e-2, 0)
+    translation_perturbation_scale: float = real(1e-3, 0, 1)
+    rotation_perturbation_scale: float = real(5e-2, 0, 100)
     randomize_initial_object_pose: bool = switch(True)
-    max_initial_angle_perturbation: float = real(pi)
-    object_placement_margin: float = real(0.01)
+    max_initial_angle_perturbation: float = real(pi, -100, 100)
+    object_placement_margin: float = real(0.01, -1, 1)
     smallest_dimension_up: bool = switch(False)
     allow_sensor_rotation: bool = switch(True)
-    angular_velocity: float = real(pi / 2)
-    angular_acceleration: float = real(10 * pi, above=0)
+    angular_velocity: float = real(pi / 2, 0, 1000)
+    angular_acceleration: float = real(10 * pi, above=0, most=1e6)
     max_tilt_angle: float = real(pi / 4, 0, pi / 4)
-    penetration_depth_reduction_std: float = real(0.0, 0)
-    max_platform_penetration: float | None = real(None, 0, optional=True)
+    penetration_depth_reduction_std: float = real(0.0, 0, 1)
+    max_platform_penetration: float | None = real(None, 0, 1, optional=True)
     sensor_noise: SensorNoise | None = None
     real_base_depth_dataset: str | None = None
-    snap_touch_positions: int | None = integer(None, 1, optional=True)
+    snap_touch_positions: int | None = integer(None, 1, 100_000, optional=True)
     depth_in_info: bool = switch(False)
 
     def __post_init__(self) -> None:
@@ -162,13 +166,45 @@ class RecordedConfig(EpisodeConfig):
     approx_truncation_probability: float = real(0.1, above=0, below=1)
 
 
-def configured(config: C, changes: Mapping[str, Any]) -> C:
-    """Return a configuration with changed settings; InputError for an unknown one."""
+def configured(config: C, changes: Mapping[str, Any] | EpisodeConfig | None) -> C:
+    """Return a configuration with changed settings, or a complete one in its place.
+
+    Raises InputError for an unknown setting, and for a complete one of another sensor: an id names its own.
+    """
+    if isinstance(changes, type(config)):
+        if changes.sensor_type != config.sensor_type:
+            raise InputError(
+                f"sensor_type of `config` is {changes.sensor_type!r}; the id has {config.sensor_type!r}",
+                next=f"use sensor_type={config.sensor_type!r}, another id, or a mapping of the settings that "
+                "differ",
+            )
+        return changes
+    if not isinstance(changes, Mapping | None):
+        raise InputError(
+            f"config is {changes!r}; expected a mapping of settings, or a {type(config).__name__}"
+        )
     known = [field.name for field in fields(config)]
-    for name in changes:
+    for name in changes or {}:
         if name not in known:
             raise InputError(
-                f"no setting {name!r} in `config` of this environment{did_you_mean(name, known)}",
+                f"no setting {name!r} in `config` of this environment{did_you_mean(str(name), known)}",
                 next=f"choose one of {', '.join(known)}",
             )
-    return replace(config, **changes)
+    return replace(config, **changes or {})
+
+
+def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> tuple[int, int]:
+    """Return the number of environments and of threads as integers.
+
+    InputError for anything else, for too many, and for images that no memory holds.
+    """
+    count = checked_integer(num_envs, "num_envs", 1, _MOST_ENVS)
+    width, height = config.sensor_output_size
+    size_bytes = count * width * height * _PIXEL_BYTES
+    if size_bytes > _MOST_IMAGE_BYTES:
+        raise InputError(
+            f"num_envs is {count:,}: a step of images of {width} x {height} pixels takes "
+            f"{size_bytes / (1 << 30):,.0f} GiB; expected at most {_MOST_IMAGE_BYTES >> 30} GiB",
+            next="make fewer environments, or smaller images (`sensor_output_size`)",
+        )
+    return count, checked_integer(threads, "threads", 1, _MOST_THREADS)

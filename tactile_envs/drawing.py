@@ -2,19 +2,29 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
+from PIL import Image, ImageDraw
 
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.touch_kernels import PADDING, raise_object
+from tactile_sim import center_view
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
+from tactile_toolkit.pictures.lettering import INK, draw_text, text_size
 
 Colour: TypeAlias = tuple[float, float, float]
 
 _SIDE_PX = 240
-_PANEL_PX = 96
+_PANEL_PX, _MARGIN_PX = 96, 4
+_FELT_PX = _PANEL_PX - 2 * _MARGIN_PX
+_NAME_PX, _MOST_NAME_PX, _MOST_BARS = 9, 44, 13
+_ON_BLACK = (190, 196, 204)
+# The gel is as high as on the plate, metres.
+_EVEN_M = 1e-6
 _PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0
 _SENSOR, _AIM = (0.80, 0.16, 0.20), (0.95, 0.60, 0.10)
 _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
@@ -24,14 +34,16 @@ _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 class PredictionView:
     """What a drawing shows of predictions.
 
-    ``shares``, shape (n, k), are bars from 0 to 1; bar ``right``, shape (n,), has the colour of a right
-    answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and directions of objects.
+    ``shares``, shape (n, k), are bars from 0 to 1 with ``names`` beside them; bar ``right``, shape (n,), has
+    the colour of a right answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and
+    directions of objects.
     """
 
     shares: AnyArray | None = None
     right: Int64 | None = None
     places_m: AnyArray | None = None
     directions: AnyArray | None = None
+    names: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,23 +125,74 @@ def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UIn
         canvas.cross(x_m, y_m, _WRONG)
         if view.directions is not None:
             canvas.line(x_m, y_m, view.directions[index], _WRONG)
-    picture = np.concatenate([canvas.pixels, _panel(scene.felt, view, index)], axis=1)
+    picture = np.concatenate([canvas.pixels, _panel(scene, view, index)], axis=1)
     return np.asarray(np.rint(np.clip(picture, 0, 1) * 255), np.uint8)
 
 
-def _panel(felt: Float32, view: PredictionView, index: int) -> Float32:
+def _panel(scene: EnvDrawing, view: PredictionView, index: int) -> Float32:
     """Draw the image of the sensor above the bars of a prediction."""
     panel = np.full((_SIDE_PX, _PANEL_PX, 3), _PANEL, np.float32)
-    height, width = felt.shape[:2]
-    side = _PANEL_PX - 8
-    rows = max(1, min(side, side * height // width))
-    picked = felt[np.arange(rows) * height // rows][:, np.arange(side) * width // side]
-    panel[4 : 4 + rows, 4 : 4 + side] = picked
+    height, width = scene.felt.shape[:2]
+    rows = max(1, min(_FELT_PX, _FELT_PX * height // width))
+    picked = scene.felt[np.arange(rows) * height // rows][:, np.arange(_FELT_PX) * width // _FELT_PX]
+    panel[_MARGIN_PX : _MARGIN_PX + rows, _MARGIN_PX : _MARGIN_PX + _FELT_PX] = picked
+    words: list[_Word] = []
+    if not scene.felt.any():  # black: without a word, it looks as if nothing was drawn
+        is_plate = scene.sensor[2] <= center_view(1, 1).press_m + _EVEN_M
+        text = ("flat", "plate")[int(is_plate)]
+        words.append(_Word(_PANEL_PX // 2, _MARGIN_PX + rows // 2, text, "mm", _ON_BLACK))
     if view.shares is not None and view.right is not None:
-        bars = np.clip(np.nan_to_num(view.shares[index]), 0, 1)
-        room = (_SIDE_PX - side - 16) // len(bars)
-        for bar, share in enumerate(bars):
-            top = side + 12 + bar * room
-            colour = (_WRONG, _RIGHT)[int(bar == view.right[index])]
-            panel[top : top + max(room - 2, 1), 4 : 5 + round(float(share) * side)] = colour
-    return panel
+        words += _draw_bars(panel, view.shares[index], int(view.right[index]), view.names)
+    return _with_words(panel, words)
+
+
+class _Word(NamedTuple):
+    """A word at a column and row, placed by an anchor of Pillow."""
+
+    x_px: int
+    y_px: int
+    text: str
+    anchor: str = "lm"
+    colour: tuple[int, int, int] = INK
+
+
+def _draw_bars(panel: Float32, shares: AnyArray, right: int, names: tuple[str, ...]) -> list[_Word]:
+    """Draw the bars of classes, the right one and the most probable if not all have room; return names."""
+    bars = np.clip(np.nan_to_num(shares), 0, 1)
+    first_px, words = _FELT_PX + 12, list[_Word]()
+    shown = np.arange(len(bars))
+    if len(bars) > _MOST_BARS:
+        ranks = np.argsort(-bars, kind="stable")
+        shown = np.sort([right, *ranks[ranks != right][: _MOST_BARS - 1]])
+    room = (_SIDE_PX - first_px - _MARGIN_PX) // max(len(shown), 1)
+    texts = {int(bar): _shortened(names[bar]) for bar in shown if names}
+    left = _MARGIN_PX + max((text_size(text, _NAME_PX)[0] + 3 for text in texts.values()), default=0)
+    left = math.ceil(left)
+    longest = _MARGIN_PX + _FELT_PX - left
+    for place, bar in enumerate(shown.tolist()):
+        top = first_px + place * room
+        colour = (_WRONG, _RIGHT)[int(bar == right)]
+        panel[top : top + max(room - 2, 1), left : left + 1 + round(float(bars[bar]) * longest)] = colour
+        if texts:
+            words.append(_Word(_MARGIN_PX, top + (room - 2) // 2, texts[bar]))
+    return words
+
+
+def _shortened(name: str) -> str:
+    """Return a name, cut so that half of the panel is left to the bars."""
+    if text_size(name, _NAME_PX)[0] <= _MOST_NAME_PX:
+        return name
+    kept = name
+    while kept and text_size(f"{kept}…", _NAME_PX)[0] > _MOST_NAME_PX:
+        kept = kept[:-1]
+    return f"{kept}…"
+
+
+def _with_words(panel: Float32, words: Sequence[_Word]) -> Float32:
+    if not words:
+        return panel
+    image = Image.fromarray(np.asarray(np.rint(np.clip(panel, 0, 1) * 255), np.uint8))
+    pen = ImageDraw.Draw(image)
+    for word in words:
+        draw_text(pen, (word.x_px, word.y_px), word.text, _NAME_PX, word.colour, word.anchor)
+    return np.asarray(image, np.float32) / np.float32(255)

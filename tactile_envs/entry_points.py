@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from os import PathLike
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_envs.config import Config, RecordedConfig, configured
+from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
 from tactile_envs.ids import IDS, EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
 
 with needs_extra("native environments", "ap-gym", "native"):
@@ -35,7 +34,7 @@ def make_vector(
     num_envs: int = 1,
     assets: str | PathLike[str] | None = None,
     unit: str | None = None,
-    config: Mapping[str, Any] | None = None,
+    config: Mapping[str, Any] | EpisodeConfig | None = None,
     render_mode: str | None = None,
     threads: int = 1,
     weights: str | Path | None = None,
@@ -54,8 +53,8 @@ def make_vector(
         default they are made on first use in ``tactile-assets``, which takes a while.
     unit : "mm", "cm", "m" or "in", optional
         Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
-    config : mapping, optional
-        Settings that differ from those of the id; see :class:`tactile_envs.Config`.
+    config : mapping or Config, optional
+        Settings that differ from those of the id, or all of them; see :class:`tactile_envs.Config`.
     render_mode : "rgb_array", optional
         Whether ``render()`` gives pictures.
     threads : int
@@ -74,20 +73,19 @@ def make_vector(
     InputError
         The id or a setting does not exist; meshes or weights are missing or do not fit.
     """
-    for count_of, count in (("num_envs", num_envs), ("threads", threads)):
-        checked_integer(count, count_of, 1)
     spec = IDS[name]
-    settings = configured(spec.config, config or {})
+    settings = configured(spec.config, config)
+    num_envs, threads = checked_counts(settings, num_envs, threads)
     if isinstance(settings, RecordedConfig):
         raise InputError(f"{name!r} is not implemented yet")
     records = open_objects(spec, settings.cell_size, assets, unit)
     camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
     scene = MeshScene(settings, records, num_envs, threads, camera)
-    task = _task(spec, settings, scene.pool, len(records.label_names))
+    task = _task(spec, settings, scene.pool, records.label_names)
     return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
 
 
-def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: int) -> Task:
+def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: Sequence[str]) -> Task:
     """Return the task of an environment; InputError if all its answers are equal."""
     if spec.task == "classification":
         return Classification(pool.measure("label").astype(np.int64), classes)

@@ -13,6 +13,8 @@ from tactile_envs.episode_kernels import aim
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 
+# Of this, the square times any `action_regularization` is finite in single precision.
+_MOST_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
 
@@ -55,11 +57,20 @@ class Motion:
 def require_move(action: Mapping[str, Any], name: str, num_envs: int) -> Float32:
     """Return a part of an action, shape (num_envs, 3).
 
-    InputError for another shape; ValueError if it is not finite, as of the published environment.
+    InputError for another shape, and for numbers whose squares are not finite, as neither are the costs of
+    such an action; ValueError if they are not finite themselves, as of the published environment.
     """
     moves = np.ascontiguousarray(action[name], np.float32)
     if moves.shape != (num_envs, 3):
         raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
     if not np.isfinite(moves).all():  # infinite moves lead to NaN
         raise ValueError(f"NaN values detected in {name}.")
+    is_large = (np.abs(moves) > _MOST_MOVE).any(axis=1)
+    if is_large.any():
+        row = int(is_large.argmax())
+        raise InputError(
+            f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MOST_MOVE:.0e}: "
+            "the cost of such an action is not finite",
+            next="see why the policy gives it; movements are limited to a ball of radius 1",
+        )
     return moves

@@ -6,6 +6,7 @@ Values and spaces are those of the environments of `tactile-mnist` 0.13.0, compa
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -33,13 +34,14 @@ class Score:
 class Classification:
     """Class of an object: cross-entropy of the logits, normalised by chance level.
 
-    ``labels``, shape (n,), are the classes of all objects.
+    ``labels``, shape (n,), are the classes of all objects, and ``names`` those of the classes.
     """
 
-    def __init__(self, labels: Int64, classes: int) -> None:
+    def __init__(self, labels: Int64, names: Sequence[str]) -> None:
+        classes = len(names)
         if classes < 2:
             raise InputError("the meshes are of one class; expected at least two", next="give more meshes")
-        self._labels = labels
+        self._labels, self._names = labels, tuple(names)
         self.prediction_space = ap_gym.LogitSpace(-np.inf, np.inf, shape=(classes,))
         self.target_space = gym.spaces.Discrete(classes)
         self.loss_fn = ap_gym.CrossEntropyLossFn(num_classes=classes).normalized
@@ -58,7 +60,7 @@ class Classification:
 
     def view(self, predictions: AnyArray, targets: AnyArray) -> PredictionView:
         """Show the probability of each class."""
-        return PredictionView(shares=softmax(predictions, axis=1), right=targets)
+        return PredictionView(softmax(predictions, axis=1), targets, names=self._names)
 
 
 class _Regression:
@@ -111,7 +113,7 @@ class Volume(_Regression):
     def view(self, predictions: AnyArray, targets: AnyArray) -> PredictionView:
         """Show the predicted and the true volume as shares of the largest."""
         both = np.concatenate([predictions, targets], axis=1) * self._std_m3 + self._mean_m3
-        return PredictionView(shares=both / self._most_m3, right=np.ones(len(both), np.int64))
+        return PredictionView(both / self._most_m3, np.ones(len(both), np.int64), names=("guess", "truth"))
 
     def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         found_m3, true_m3 = (each[:, 0] * self._std_m3 + self._mean_m3 for each in (predictions, targets))

@@ -14,9 +14,11 @@ draws all seeds.
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
+import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -32,6 +34,8 @@ import env_assets
 ID = "tactile_envs:TactileMNIST-Depth-{}-v0"
 Act = Callable[[TouchMaps], np.ndarray]
 """From what was felt to ways (n, 2), in parts of the longest."""
+
+_LINE_INTERVAL_S = 5.0
 
 TOUCHES = 17
 """Touches of an episode; a prediction after the last one counts for nothing, so 16 are scored."""
@@ -88,11 +92,39 @@ def tensor(maps: np.ndarray) -> torch.Tensor:
     return batch.contiguous(memory_format=torch.channels_last)
 
 
+@contextlib.contextmanager
+def told(state: Callable[[], str]) -> Iterator[None]:
+    """Print a state every few seconds, however long a step of the work takes."""
+    over = threading.Event()
+
+    def tell() -> None:
+        while not over.wait(_LINE_INTERVAL_S):
+            print(state(), flush=True)
+
+    threading.Thread(target=tell, daemon=True).start()
+    try:
+        yield
+    finally:
+        over.set()
+
+
+def phase(what: str, seconds: float) -> Iterator[float]:
+    """Yield the share of the processor time of a phase that has passed."""
+    began = time.process_time()
+
+    def passed() -> float:
+        return (time.process_time() - began) / seconds
+
+    with told(lambda: f"{what:12} {min(passed(), 1):.0%} of {seconds / 60:.1f} minutes of training"):
+        while (now := passed()) < 1:
+            yield now
+
+
 def train_reader(reader: torch.nn.Module, player: Player, act: Act, seconds: float, rate: float) -> int:
     """Train on the maps of episodes until the time is over; return how many touches that took."""
     optimiser = torch.optim.AdamW(reader.parameters(), rate, weight_decay=1e-2)
-    began, touches = time.process_time(), 0
-    while (passed := (time.process_time() - began) / seconds) < 1:
+    touches = 0
+    for passed in phase("reader", seconds):
         for group in optimiser.param_groups:
             group["lr"] = rate * min(1.0, 20 * passed + 0.05) * (0.5 + 0.5 * np.cos(np.pi * passed))
         episode = player.play(act)
@@ -110,8 +142,8 @@ def train_reader(reader: torch.nn.Module, player: Player, act: Act, seconds: flo
 def imitate(policy: Policy, player: Player, seconds: float) -> int:
     """Learn the ways of the rule where the policy itself goes."""
     optimiser = torch.optim.Adam(policy.body.parameters(), 1e-3)
-    began, touches = time.process_time(), 0
-    while (passed := (time.process_time() - began) / seconds) < 1:
+    touches = 0
+    for passed in phase("imitation", seconds):
         for group in optimiser.param_groups:
             group["lr"] = 1e-3 * (1 - passed) + 1e-5
         wanted: list[np.ndarray] = []
@@ -145,8 +177,8 @@ def follow(policy: Policy, explore: bool = False) -> Act:
 def improve(policy: Policy, reader: torch.nn.Module, player: Player, seconds: float) -> int:
     """Improve a policy by PPO (clip 0.2, lambda 0.95); the reward is minus the loss of the reader."""
     optimiser = torch.optim.Adam(policy.parameters(), 3e-4)
-    began, touches = time.process_time(), 0
-    while (passed := (time.process_time() - began) / seconds) < 1:
+    touches = 0
+    for passed in phase("learned", seconds):
         for group in optimiser.param_groups:
             group["lr"] = 3e-4 * (1 - passed) + 1e-6
         # At first only the critic learns: the policy must not follow a wrong one away from the rule.
@@ -224,7 +256,8 @@ def main() -> None:
     result: dict[str, Any] = {"seed": options.seed, "minutes": options.minutes, "digits": digits}
 
     def measure(name: str, touches: int, read: torch.nn.Module, act: Act) -> None:
-        found = evaluate(read, tested, act, digits["test"])
+        with told(lambda: f"{name:12} reads the digits of test"):
+            found = evaluate(read, tested, act, digits["test"])
         right = found["right"]
         result[name] = {
             "touches": touches,

@@ -253,7 +253,7 @@ def test_objects_and_places_may_be_given(assets):
         ({"config": {"step_limitt": 3}}, "did you mean 'step_limit'"),
         (
             {"config": {"step_limit": 0}},
-            "step_limit of the environment is 0; expected an integer of at least 1",
+            "step_limit of the environment is 0; expected an integer from 1 to 100,000",
         ),
         ({"config": {"snap_touch_positions": 0}}, "snap_touch_positions of the environment is 0"),
         ({"config": {"linear_acceleration": 0}}, "linear_acceleration of the environment is 0"),
@@ -261,8 +261,21 @@ def test_objects_and_places_may_be_given(assets):
         ({"config": {"cell_padding": (0.06, 0.0)}}, "less than half of cell_size"),
         ({"config": {"sensor_type": "eye"}}, "sensor_type of the environment is 'eye'"),
         ({"render_mode": "human"}, "expected None or 'rgb_array'"),
-        ({"num_envs": 0}, "num_envs is 0"),
-        ({"threads": 0}, "threads is 0"),
+        *(({"num_envs": wrong}, "num_envs is ") for wrong in (0, True, 2.0, float("nan"), None, 10**18)),
+        *(({"threads": wrong}, "threads is ") for wrong in (0, True, 10**7)),
+        ({"num_envs": 10**5, "config": {"sensor_output_size": (640, 480)}}, "458 GiB; expected at most 32"),
+        ({"config": {"step_limit": 10**18}}, "step_limit of the environment is .*1 to 100,000"),
+        ({"config": {"step_limit": True}}, "step_limit of the environment is True"),
+        ({"config": {"transfer_timedelta_s": 0}}, "transfer_timedelta_s of the environment is 0"),
+        (
+            {"config": {"transfer_timedelta_s": float("nan")}},
+            "transfer_timedelta_s of the environment is nan",
+        ),
+        ({"config": {"snap_touch_positions": 10**9}}, "snap_touch_positions of the environment is"),
+        ({"config": {"cell_size": (1e9, 1e9)}}, "cell_size of the environment is"),
+        ({"config": {"perturb_object_pose": "no"}}, "perturb_object_pose .* 'no'; expected True or False"),
+        ({"config": ["step_limit"]}, "expected a mapping of settings, or a Config"),
+        ({"config": Config(step_limit=3)}, "sensor_type of `config` is 'taxim'; the id has 'depth'"),
     ],
 )
 def test_what_cannot_be_is_named(assets, options, words):
@@ -323,6 +336,25 @@ def test_a_mask_resets_some_environments_alone(assets):
     assert lengths == [(3, 4), (3, 4)]
 
 
+def test_an_action_without_a_finite_cost_is_named(assets):
+    """Its square is infinite: the published class pays a reward of -inf, and goes nowhere."""
+    env = make_vector(DEPTH, num_envs=2, assets=assets)
+    env.reset(seed=0)
+    action = env.action_space.sample()
+    action["action"]["sensor_target_pos_rel"][1, 2] = -3e38
+    with pytest.raises(InputError, match=r"sensor_target_pos_rel of environment 1 is \[.*-3.*e\+38\]"):
+        env.step(action)
+    action["action"]["sensor_target_pos_rel"][1, 2] = -1e12
+    assert np.isfinite(env.step(action)[1]).all()
+
+
+def test_all_settings_may_be_given_at_once(assets):
+    settings = Config(sensor_type="depth", sensor_output_size=(32, 24), step_limit=2)
+    env = make_vector(DEPTH, num_envs=2, assets=assets, config=settings)
+    assert env.config is settings
+    assert env.reset(seed=0)[0]["sensor_img"].shape == (2, 24, 32, 1)
+
+
 def test_a_size_of_pictures_has_one_spelling_and_is_checked_with_the_settings():
     """So equal settings are equal, whoever spelt them: a command line, numpy, or JSON."""
     for size in ([64, 48], np.array([64, 48]), (np.int64(64), 48)):
@@ -364,7 +396,7 @@ def test_ids_are_registered():
 
 
 def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
-    """Below what the sensor feels and as wide as that where it is certain; the right class has its colour."""
+    """Below what the sensor feels, beside the name of the class; the right class has its colour."""
     env = gym.make_vec(f"tactile_envs:{DEPTH}", num_envs=2, assets=str(assets), render_mode="rgb_array")
     env.reset(seed=0)
     action = env.action_space.sample()
@@ -372,13 +404,16 @@ def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):
     with np.errstate(divide="ignore"):
         action["prediction"] = np.maximum(np.log(shares), -100).astype(np.float32)
     *_, info = env.step(action)
+    green, blue = (33, 140, 76), (89, 115, 178)
     for picture, wanted, right in zip(env.render(), shares, info["prediction"]["target"], strict=True):
-        inked = (picture[100:, 240:] < 250).any(axis=2)
+        panel = picture[100:, 240:]
+        inked = (panel == green).all(axis=2) | (panel == blue).all(axis=2)
+        left = int(inked.any(axis=0).argmax())
         tops = np.flatnonzero(np.diff(inked.any(axis=1).astype(int), prepend=0) == 1)
-        assert inked[tops].sum(axis=1).tolist() == [1 + round(share * 88) for share in wanted]
-        colours = [tuple(colour) for colour in picture[100 + tops, 244].tolist()]
-        green, blue = (33, 140, 76), (89, 115, 178)
+        assert inked[tops].sum(axis=1).tolist() == [1 + round(share * (92 - left)) for share in wanted]
+        colours = [tuple(colour) for colour in panel[tops, left].tolist()]
         assert colours == [green if number == right else blue for number in range(10)]
+        assert all((panel[top : top + 10, :left] < 100).any() for top in tops)
     env.close()
 
 

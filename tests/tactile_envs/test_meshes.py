@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from types import SimpleNamespace
 
 import numba
@@ -113,7 +114,7 @@ def test_a_view_of_meshes_has_a_pool_of_its_own(assets):
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "of another program"])
+@pytest.mark.parametrize("damage", ["empty", "cut", "flipped", "of another program", "pipe"])
 def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
     """Kernels read where its numbers say, whichever these are."""
     monkeypatch.setenv("TACTILE_TOOLKIT_CACHE", str(tmp_path))
@@ -126,6 +127,9 @@ def test_a_damaged_pool_is_made_again(damage, assets, tmp_path, monkeypatch):
     content = {"empty": b"", "cut": intact[:-1], "flipped": bytes(flipped)}.get(damage, b"text" * 100)
     other = tmp_path / "other"
     other.write_bytes(content)
+    if damage == "pipe":  # opening it would wait for whoever writes
+        other.unlink()
+        os.mkfifo(other)
     other.replace(path)
     assert (MeshPool.of(meshes).vertices == made.vertices).all()
     assert path.read_bytes() == intact
