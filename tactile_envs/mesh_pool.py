@@ -124,6 +124,12 @@ class MeshPool:
             found = _found(_POOLS.path(name))
         return None if found is None else cls(*found)
 
+    @staticmethod
+    def is_kept(records: Sequence[Any]) -> bool:
+        """Return whether the meshes of a data set were packed before."""
+        name = _name_of(records)
+        return name is not None and _POOLS.path(name).is_file()
+
     @classmethod
     def packed(cls, records: Iterable[Any]) -> MeshPool:
         """Pack the meshes of records in memory."""

@@ -8,21 +8,28 @@ all objects, so they wait for the set.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
+from functools import partial
 from os import PathLike, fspath
 from typing import Any
 
 from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
+from env_assets.asset_kinds import MeshSet
 from env_assets.mesh_view import PlannedView
 from tactile_envs.ids import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.quantities import duration_text
+from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import with_count
 
 PUBLISHED = "published"
+
+Objects = MeshView | MeshSet
+
+# Of more meshes, packing takes seconds.
+_MANY = 1000
 
 # Sets whose making this process, or the one it was forked from, has announced.
 _BEGUN: set[tuple[str, str, str]] = set()
@@ -30,7 +37,7 @@ _BEGUN: set[tuple[str, str, str]] = set()
 
 def open_objects(
     spec: EnvSpec, cell_m: tuple[float, float], assets: str | PathLike[str] | None, unit: str | None
-) -> Sequence[Any]:
+) -> Objects:
     """Open the objects of an environment whose cell is ``cell_m`` (width, depth), metres.
 
     ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError: there
@@ -42,10 +49,27 @@ def open_objects(
     kind = KINDS.get(spec.assets) if assets is None else None
     where = f"{spec.assets!r}, split {spec.split!r},"
     require_fitting_meshes(MeshView.of(records), kind, where, cell_m)
+    may_begin = spec.task == "classification" and len(records) > _MANY
+    if may_begin and isinstance(records, RecordDataset) and not MeshPool.is_kept(records):
+        return _packed_meanwhile(records)
     return records
 
 
-def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Sequence[Any]:
+def _packed_meanwhile(records: RecordDataset[Any]) -> PlannedView:
+    """Let episodes begin with single meshes, while a process in the background packs all of them."""
+    key = records.identity, str(len(records)), ""
+    if key not in _BEGUN:
+        _BEGUN.add(key)
+        _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
+        run.start_background(MeshPool.of, records)
+    return PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
+
+
+def _same(records: Any) -> Any:
+    return records
+
+
+def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Objects:
     name, split = spec.assets, spec.split
     if assets is None or assets == PUBLISHED:
         mesh.refuse_unit(unit, name)
@@ -68,14 +92,14 @@ def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None
     return AssetProvider(place).meshes(name, split)
 
 
-def _default_set(name: str, split: str, *, may_begin: bool) -> Sequence[Any]:
+def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
     """Return the set that is made in the working folder, or begin to make it."""
     provider = AssetProvider(generate=True, workers=run.free_workers())
     finished = provider.finished(name, split)
     if finished is not None:
         return finished
     planned = provider.planned(name, split)
-    if planned is None:
+    if planned is None or not planned.left:
         return provider.meshes(name, split)
     key = str(provider.root), name, split
     is_first = key not in _BEGUN and not provider.is_being_made(name)
@@ -97,11 +121,14 @@ def _announce(
     how = "This task needs all of them first."
     if may_begin:
         how = "Episodes begin with single ones, while a process in the background makes the others."
-    text = (
+    _say(
         f"{with_count(planned.left, KINDS[name].nouns)} (split {split}) are made once, in "
         f"{str(provider.root / name)!r}: about {duration}. {how} `assets=` takes a folder of your own meshes "
         'or data sets instead, or "published".'
     )
+
+
+def _say(text: str) -> None:
     sys.stderr.write(printable(text) + "\n")
 
 

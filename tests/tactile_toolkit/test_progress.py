@@ -1,0 +1,25 @@
+"""Progress on stderr: without a terminal a line every few seconds, and none of short work."""
+
+from __future__ import annotations
+
+import pytest
+
+from tactile_toolkit.progress import shown_progress
+
+
+@pytest.mark.parametrize(
+    ("quiet_s", "expected"),
+    [
+        (0.0, ["making: 2 of 9", "making: 5 of 9", "making: 9 of 9"]),
+        (6.5, ["making: 3 of 9", "making: 9 of 9"]),
+        (60.0, []),
+    ],
+)
+def test_lines_come_every_few_seconds_and_at_the_end(quiet_s, expected, capsys, monkeypatch):
+    now_s = [0.0]
+    monkeypatch.setattr("tactile_toolkit.progress.time.monotonic", lambda: now_s[0])
+    with shown_progress("making", "digits", quiet_s) as update:
+        for done, at_s in ((0, 0), (1, 3), (2, 6), (3, 8), (4, 10), (5, 12), (9, 13)):
+            now_s[0] = at_s
+            update(done, 9)
+    assert [line.split(",")[0] for line in capsys.readouterr().err.splitlines()] == expected
