@@ -50,7 +50,7 @@ def make_vector(
     assets : path or str, optional
         Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
         folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
-        default they are made on first use in ``tactile-assets``, which takes a while.
+        default they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
     unit : "mm", "cm", "m" or "in", optional
         Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
     config : mapping or Config, optional
@@ -78,9 +78,12 @@ def make_vector(
     num_envs, threads = checked_counts(settings, num_envs, threads)
     if isinstance(settings, RecordedConfig):
         raise InputError(f"{name!r} is not implemented yet")
-    records = open_objects(spec, settings.cell_size, assets, unit)
     camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
-    scene = MeshScene(settings, records, num_envs, threads, camera)
+    try:
+        records = open_objects(spec, settings.cell_size, assets, unit)
+        scene = MeshScene(settings, records, num_envs, threads, camera)
+    except KeyboardInterrupt as error:  # while objects are made or packed: without the frames of that
+        raise error.with_traceback(None) from None
     task = _task(spec, settings, scene.pool, records.label_names)
     return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
 
