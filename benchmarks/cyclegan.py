@@ -28,12 +28,12 @@ from tactile_sim.learned.channels import depth_of
 from tactile_sim.learned.classifiers import two_sample_test
 from tactile_sim.learned.cyclegan_optics import CycleganOptics
 from tactile_sim.learned.evaluation import add_noise_per_object
+from tactile_sim.learned.generators import make_generator
 from tactile_sim.learned.networks import GeneratorNetwork, initialise
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
 from tactile_sim.learned.weights import (
     PUBLISHED_SIZE_PX,
     GeneratorWeights,
-    generator_of,
     published_weights,
     read_weights,
     weights_of,
@@ -137,7 +137,7 @@ def depth_again(weights: Path, pictures: NDArray[np.uint8]) -> NDArray[np.float3
     """Return the depth images that a file of weights reads from pictures, whatever size it was trained in."""
     read = read_weights(weights)
     trained_in = scaled(pictures, read.size_px)
-    found = depth_of(generator_of(read).eval(), trained_in)
+    found = depth_of(make_generator(read), trained_in)
     return np.stack([resized_depth(each, SIZE) for each in found])
 
 
@@ -168,7 +168,7 @@ def depth_errors(known: Known, work: Path) -> tuple[int, int]:
 def peer_errors(work: Path) -> None:
     """Print the same of the published inverse, at its best: in the size that it was trained in."""
     known = Known(work, "own-")
-    inverse = generator_of(read_weights(published_weights("depth"))).eval()
+    inverse = make_generator(read_weights(published_weights("depth")))
     for name, pictures in (("with noise", known.noisy), ("without noise", known.clean)):
         print_depth_error(f"published inverse, 256 pixels, {name}", depth_of(inverse, pictures), known.depth)
 

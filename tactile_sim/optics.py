@@ -64,7 +64,9 @@ class DepthOptics(Optics):
         return np.repeat(depth_image(depth_m, sensor)[..., None], 3, axis=-1)
 
 
-def make_optics(name: str, weights: str | Path | None = None) -> Optics:
+def make_optics(
+    name: str, weights: str | Path | None = None, *, device: str = "cpu", bfloat16: bool = False
+) -> Optics:
     """Return optics by name.
 
     Parameters
@@ -73,6 +75,11 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
         One of :data:`OPTICS`.
     weights : str or path, optional
         Weights of a generator, for ``"cyclegan"``; by default those that `tactile-mnist` ships.
+    device : str
+        Where ``"cyclegan"`` is computed: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. On a
+        GPU, images may differ by a level with their batch.
+    bfloat16 : bool
+        Whether ``"cyclegan"`` multiplies in bfloat16: faster, and a level may differ.
 
     Returns
     -------
@@ -82,7 +89,7 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
     Raises
     ------
     InputError
-        The optics are unknown, or weights are missing or do not fit.
+        The optics are unknown, weights are missing or do not fit, or the device is not there.
     MissingExtraError
         A package that the optics need is not installed.
     """
@@ -90,11 +97,18 @@ def make_optics(name: str, weights: str | Path | None = None) -> Optics:
         raise InputError(f"no optics {name!r}; expected one of {', '.join(OPTICS)}")
     if name == "cyclegan":
         # Imported by name, because it needs the extra `torch`.
-        cyclegan: Optics = lazy("tactile_sim.learned.cyclegan_optics:CycleganOptics")(weights)
+        made = lazy("tactile_sim.learned.cyclegan_optics:CycleganOptics")
+        cyclegan: Optics = made(weights, device=device, bfloat16=bfloat16)
         return cyclegan
     if weights is not None:
         raise InputError(
             f"weights were given, but the optics are {name!r}", next="leave out weights, or use cyclegan"
+        )
+    if device != "cpu" or bfloat16:
+        raise InputError(
+            f"device is {device!r} and bfloat16 {bfloat16}, but the optics are {name!r}, which compute on "
+            "the CPU in single precision",
+            next="leave out both, or use cyclegan",
         )
     if name == "taxim":
         # Imported by name, because its kernels import numba, which takes half a second.

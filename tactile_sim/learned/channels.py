@@ -13,12 +13,12 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from tactile_sim.learned.networks import GeneratorNetwork
+from tactile_sim.learned.generators import Generator
 from tactile_sim.sensor_noise import SensorNoise, draw_noise
 from tactile_toolkit.array_types import AnyArray, Float32, UInt8
 
-# Half a million pixels take about half a gigabyte in a generator of 64 filters.
-_PIXELS_TOGETHER = 1 << 19
+# Images whose channels are in memory at a time.
+_TOGETHER = 64
 
 
 def depth_channels(images: Float32) -> Tensor:
@@ -65,25 +65,19 @@ def pictures_of(channels: Tensor, size_px: tuple[int, int]) -> UInt8:
     return np.asarray(np.rint(shades.numpy() * np.float32(255)), np.uint8)
 
 
-def depth_of(network: GeneratorNetwork, pictures: UInt8) -> Float32:
+def depth_of(generator: Generator, pictures: UInt8) -> Float32:
     """Return the depth images (n, H, W), 0 deepest to 1 no contact, that a generator recovers from touches.
 
     Touches (n, H, W, 3) have the size that it was trained at.
     """
-    made = generated(network, picture_channels, pictures)[:, 2]
+    made = generated(generator, picture_channels, pictures)[:, 2]
     return np.asarray(((made + 1) / 2).clip(0, 1).numpy(), np.float32)
 
 
-def generated(network: GeneratorNetwork, channels: Callable[[AnyArray], Tensor], images: AnyArray) -> Tensor:
-    """Return the output (n, 3, H, W) of a generator, on the CPU, computed for some images at a time.
+def generated(generator: Generator, channels: Callable[[AnyArray], Tensor], images: AnyArray) -> Tensor:
+    """Return what a generator makes (n, 3, H, W) of images, for some at a time.
 
     ``channels`` makes its input from images.
     """
-    device = next(network.parameters()).device
-    together = max(1, _PIXELS_TOGETHER // (images.shape[1] * images.shape[2]))
-    with torch.inference_mode():
-        made = [
-            network(channels(images[start : start + together]).to(device)).cpu()
-            for start in range(0, len(images), together)
-        ]
-    return torch.cat(made)
+    parts = range(0, len(images), _TOGETHER)
+    return torch.cat([generator(channels(images[start : start + _TOGETHER])) for start in parts])

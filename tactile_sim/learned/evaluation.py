@@ -24,10 +24,11 @@ from tactile_sim.learned.classifiers import (
     in_second_half,
     two_sample_test,
 )
-from tactile_sim.learned.networks import GeneratorNetwork, initialise
+from tactile_sim.learned.generators import Generator, make_generator
+from tactile_sim.learned.networks import initialise
 from tactile_sim.learned.processes import chosen_device
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
-from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights
+from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights, weights_of
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.sensor_noise import SensorNoise, add_noise
@@ -186,7 +187,7 @@ def evaluate(
             f"{pairs!r} holds images of {found} pixels; these weights were trained with {expected}",
             next=f"make a set with --size {touch.size_px[0]}x{touch.size_px[1]}",
         )
-    inverse = generator_of(read_weights(Path(weights) / DEPTH_WEIGHTS)).eval().to(torch_device)
+    inverse = make_generator(read_weights(Path(weights) / DEPTH_WEIGHTS), torch_device)
     real, depth = _Selected.of(data.real, count, pairs), _Selected.of(data.depth, count, pairs)
     methods = ("trained", *baselines)
     reach_um = 1e6 * (data.sensor.gel_m - data.sensor.press_m)
@@ -205,10 +206,12 @@ def _touches_of(name: str, data: Pairs, trained: GeneratorWeights, bench: _Bench
     images = bench.depth.images
     if name == "taxim":
         return by_taxim(data)(images)
-    network = generator_of(trained)
+    weights = trained
     if name == "untrained":
+        network = generator_of(trained)
         initialise(network, bench.seed)
-    made = generated(network.eval().to(device), depth_channels, images)
+        weights = weights_of(network, trained.size_px)
+    made = generated(make_generator(weights, device), depth_channels, images)
     return pictures_of(made, images.shape[:0:-1])
 
 
@@ -254,7 +257,7 @@ class _Bench:
 
     real: _Selected
     depth: _Selected
-    inverse: GeneratorNetwork
+    inverse: Generator
     reach_um: float  # range of depth images from 0 to 1
     noise: SensorNoise | None
     seed: int

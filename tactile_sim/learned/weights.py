@@ -92,8 +92,9 @@ def published_weights(direction: Direction) -> Path:
         file = Path(found.origin).parent / "resources" / _PUBLISHED[direction]
         if file.is_file():
             return file
+    user = {"touch": "the optics 'cyclegan'", "depth": "DepthEstimator"}[direction]
     raise MissingExtraError(
-        feature="the optics 'cyclegan' without weights of your own", package="tactile-mnist", extra="env"
+        feature=f"{user} without weights of your own", package="tactile-mnist", extra="env"
     )
 
 

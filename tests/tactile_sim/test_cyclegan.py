@@ -16,11 +16,10 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
 
 from tactile_sim.generation import optics_of  # noqa: E402
-from tactile_sim.learned import weights as files  # noqa: E402
-from tactile_sim.learned.channels import depth_of  # noqa: E402
+from tactile_sim.learned import DepthEstimator, weights as files  # noqa: E402
 from tactile_sim.learned.cyclegan_optics import CycleganOptics  # noqa: E402
 from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
-from tactile_sim.learned.weights import generator_of, published_weights, read_weights, weights_of  # noqa: E402
+from tactile_sim.learned.weights import generator_of, weights_of  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402
 from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
@@ -61,7 +60,7 @@ def small(tmp_path):
 
 def test_pictures_are_those_of_the_package_in_both_directions(package):
     renderer, estimator = package
-    optics, inverse = make_optics("cyclegan"), generator_of(read_weights(published_weights("depth")))
+    optics, inverse = make_optics("cyclegan"), DepthEstimator()
     assert optics.depth_size(64, 64) == renderer.get_desired_depth_map_size((64, 64)) == (256, 256)
     sensor, depths = _depths((128, 128))  # the networks take any size, and a small one costs less
     for size in ((128, 128), (64, 64)):
@@ -70,8 +69,11 @@ def test_pictures_are_those_of_the_package_in_both_directions(package):
         pictures = optics.render(depths, sensor, size)
         assert np.abs(pictures - 255 * expected).max() <= 0.5 + 255e-4
     large = optics.render(depths[:1], sensor, (256, 256))
-    found = depth_of(inverse.eval(), large) * (sensor.gel_m - sensor.press_m) + sensor.press_m
-    assert np.abs(found - estimator.estimate(large, (256, 256))).max() < 1e-7  # a tenth of a micrometre
+    assert inverse.input_size_px == estimator.input_size
+    for touches, size in ((large, (256, 256)), (large, (48, 36)), (pictures[:1], (128, 128))):
+        found = inverse.estimate_m(touches, size)
+        assert (found.dtype, found.shape) == (np.float32, (len(touches), *size[::-1]))
+        assert np.abs(found - estimator.estimate(touches, size)).max() < 1e-7  # a tenth of a micrometre
     assert pictures[2].std() > 0  # a bare plate counts as no contact
 
 

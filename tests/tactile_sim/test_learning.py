@@ -48,9 +48,10 @@ from tactile_sim.learned.cyclegan import CycleGan, _mean_error  # noqa: E402
 from tactile_sim.learned.evaluation import (  # noqa: E402
     evaluate,
 )
+from tactile_sim.learned.generators import make_generator  # noqa: E402
 from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
 from tactile_sim.learned.training import train  # noqa: E402
-from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights, write_weights  # noqa: E402
+from tactile_sim.learned.weights import GeneratorWeights, read_weights, write_weights  # noqa: E402
 from tactile_sim.learning_specs import TrainConfig  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
 from tests.sealed import edit  # noqa: E402
@@ -323,8 +324,8 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
         monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 20)
     steps: list[tuple[int, int]] = []
     found = []
-    for pixels in (1, 1 << 19):
-        monkeypatch.setattr(channels, "_PIXELS_TOGETHER", pixels)
+    for together in (1, 64):
+        monkeypatch.setattr(channels, "_TOGETHER", together)
         steps.clear()
         found.append(
             evaluate(trained, pairs, baselines=("untrained",), on_progress=lambda *at: steps.append(at))
@@ -335,9 +336,9 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
         assert one.depth_um == pytest.approx(together.depth_um, rel=1e-5, nan_ok=True)
         assert one.contact_accuracy == pytest.approx(together.contact_accuracy, abs=0.02)
         assert one.two_sample == pytest.approx(together.two_sample, abs=0.02)
-    network = generator_of(read_weights(trained / "touch_to_depth.npz"))
+    network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
-    monkeypatch.setattr(channels, "_PIXELS_TOGETHER", 3 * pictures[0, :, :, 0].size)
+    monkeypatch.setattr(channels, "_TOGETHER", 3)
     alone = np.concatenate([depth_of(network, each[None]) for each in pictures])
     np.testing.assert_allclose(depth_of(network, pictures), alone, atol=1e-5)
     with pytest.raises(InputError, match="device is 'tpu'"):
