@@ -27,6 +27,7 @@ API = (
     "realtouch",
     "realtouch.touch_tensors",
     "tactile_sim",
+    "tactile_sim.learned",
     "tactile_sim.optics",
     "env_assets",
     "tactile_envs",

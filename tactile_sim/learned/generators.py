@@ -136,7 +136,7 @@ class FastGenerator:
         return FastGenerator, self._arguments  # prepared matrices cannot be copied
 
     def __call__(self, images: Tensor) -> Tensor:
-        """Return images (n, 3, H, W) of images (n, 3, H, W), both from -1 to 1; H and W as trained."""
+        """Return images (n, 3, H, W) of images (n, 3, H, W), -1 to 1; H and W are multiples of 4."""
         threads = torch.get_num_threads()
         with _single_threads(threads) as pool:
             in_parts = _at_once
@@ -165,9 +165,10 @@ class FastGenerator:
     def _run_blocks(self, image: Tensor, in_parts: _InParts) -> Tensor:
         """Add what the residual blocks compute to an image (1, channels, h, w), in place."""
         pixels = _pixels(image)
-        height, _, channels = pixels.shape
+        height, width, channels = pixels.shape
         one, zero = np.ones(channels, np.float32), np.zeros(channels, np.float32)
-        tiles = np.empty((POINTS, self._tiles, channels), np.float32)
+        count = tiles_across(height) * tiles_across(width)
+        tiles = np.empty((POINTS, count, channels), np.float32)
         inner, outer = np.empty_like(pixels), np.empty_like(pixels)
         for first, second in self._blocks:
             norm = _convolve(
@@ -211,7 +212,7 @@ def _convolve(
 
 
 def _multiplication(matrix: Tensor, rows: int) -> _Multiply:
-    """Return a function that multiplies ``rows`` rows by a matrix (out, in), in its precision."""
+    """Return a function that multiplies rows, usually so many, by a matrix (out, in), in its precision."""
     operations, dtype = torch.ops.mkldnn, matrix.dtype
     if torch.backends.mkldnn.is_available() and hasattr(operations, "_linear_pointwise"):
         # PyTorch's compiler uses these. On AMD processors they are twice as fast as torch.mm.
