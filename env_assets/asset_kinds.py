@@ -22,9 +22,10 @@ from tactile_toolkit.places import kind_of_rows
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
 """Assets that the toolkit can make without any input, by name."""
 
+_ABC = "TimSchneider42/tactile-mnist-abc-dataset-small"
+
 THIRD_PARTY_ASSETS: dict[str, str] = {
-    "abc": "CAD models of the ABC data set; the published selection is "
-    "TimSchneider42/tactile-mnist-abc-dataset-small on the Hub",
+    "abc": f"CAD models of the ABC data set; the published selection is {_ABC} on the Hub",
     "minecraft": "items that the package shapes from textures on Mojang's servers, which must not be "
     "redistributed",
 }
@@ -36,6 +37,16 @@ _DATASETS: dict[str, Any] = {
     SCENES.name: SceneMeshDataset,
     WRENCH.name: WrenchDataset,
 }
+
+
+def published_meshes(name: str) -> str | None:
+    """Return the data set on the Hub that has the published meshes of a kind; None if there is none."""
+    if name == "abc":
+        return _ABC
+    kind = KINDS.get(name)
+    if kind is None or not kind.published:
+        return None
+    return kind.published[0].repo_id
 
 
 def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -25,6 +25,7 @@ _NAME_PX, _MOST_NAME_PX, _MOST_BARS = 9, 44, 13
 _ON_BLACK = (190, 196, 204)
 # The gel is as high as on the plate, metres.
 _EVEN_M = 1e-6
+_CORNERS = np.array([[-0.5, -0.5], [0.5, -0.5], [0.5, 0.5], [-0.5, 0.5]])
 _PLATE, _PANEL = (0.86, 0.88, 0.92), 1.0
 _SENSOR, _AIM = (0.80, 0.16, 0.20), (0.95, 0.60, 0.10)
 _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
@@ -63,14 +64,12 @@ class _Canvas:
         rows = slice(max(top, 0), max(bottom + 1, 0))
         self.pixels[rows, max(left, 0) : max(min(right + 1, _SIDE_PX), 0)] = colour
 
-    def frame(self, x_m: float, y_m: float, width_m: float, height_m: float, colour: Colour) -> None:
-        """Draw a rectangle around a place, two pixels wide."""
-        top, left = self.at(x_m - width_m / 2, y_m + height_m / 2)
-        bottom, right = self.at(x_m + width_m / 2, y_m - height_m / 2)
-        for edge in ((top, top + 1), (bottom - 1, bottom)):
-            self.fill(edge[0], left, edge[1], right, colour)
-        for edge in ((left, left + 1), (right - 1, right)):
-            self.fill(top, edge[0], bottom, edge[1], colour)
+    def outline(self, corners_m: Float64, colour: Colour) -> None:
+        """Draw a closed line through corners (k, 2), two pixels wide."""
+        for begin, end in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
+            for share in np.linspace(0, 1, _SIDE_PX):
+                row, column = self.at(*(begin + share * (end - begin)))
+                self.fill(row, column, row + 1, column + 1, colour)
 
     def cross(self, x_m: float, y_m: float, colour: Colour) -> None:
         """Mark a place."""
@@ -91,7 +90,8 @@ class EnvDrawing:
     """One environment as it is drawn.
 
     Mesh ``number`` of a pool lies at ``placement`` (x, y, turn) in a cell of size ``cell_m``; the ``sensor``
-    with its ``window_m`` was sent to ``target``; all metres and radians. ``felt`` is the image of the sensor.
+    with its ``window_m`` was sent to ``target``; all metres and radians. ``felt`` is the image of the sensor,
+    and ``axes`` (2, 2) x and y of its axes x and y, in columns.
     """
 
     pool: MeshPool
@@ -102,6 +102,7 @@ class EnvDrawing:
     felt: Float32
     cell_m: tuple[float, float]
     window_m: tuple[float, float]
+    axes: Float64 = field(default_factory=lambda: np.eye(2))
 
 
 def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UInt8:
@@ -119,7 +120,7 @@ def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UIn
     light = np.clip(0.55 + 0.12 * (down + right) + 12 * surface, 0.1, 0.95)[..., None]
     canvas = _Canvas(np.where(surface[..., None] > 0, light, np.array(_PLATE)).astype(np.float32), per_m)
     canvas.cross(scene.target[0], scene.target[1], _AIM)
-    canvas.frame(scene.sensor[0], scene.sensor[1], *scene.window_m, _SENSOR)
+    canvas.outline(scene.sensor[:2] + (_CORNERS * scene.window_m) @ scene.axes.T, _SENSOR)
     if view.places_m is not None:
         x_m, y_m = view.places_m[index]
         canvas.cross(x_m, y_m, _WRONG)

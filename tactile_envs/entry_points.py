@@ -21,6 +21,7 @@ with needs_extra("native environments", "ap-gym", "native"):
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
+    from tactile_envs.tilted_scene import TiltedScene
 
 
 def make_one(name: str, **options: Any) -> TactileEnv:
@@ -79,9 +80,10 @@ def make_vector(
     if isinstance(settings, RecordedConfig):
         raise InputError(f"{name!r} is not implemented yet")
     camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
+    kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
     try:
-        records = open_objects(spec, settings.cell_size, assets, unit)
-        scene = MeshScene(settings, records, num_envs, threads, camera)
+        records = open_objects(spec, settings, assets, unit)
+        scene = kind_of_scene(settings, records, num_envs, threads, camera)
     except KeyboardInterrupt as error:  # while objects are made or packed: without the frames of that
         raise error.with_traceback(None) from None
     task = _task(spec, settings, scene.pool, records.label_names)

@@ -105,9 +105,10 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             ``datapoint_idx``: number of the mesh of each environment, or None for any.
             ``initial_object_pose``: for each environment, an array of the position of the object (x, y),
             metres, and its rotation, radians, or None. ``initial_sensor_target_pose``: for each environment,
-            an array of the position of the first touch (x, y), metres, or None. ``reset_mask``: True for
-            each environment that begins an episode, all by default; the others stay where they are, and give
-            the observation of their last touch.
+            an array of the position of the first touch (x, y), metres, or None; where sensors turn, also a
+            pose: a matrix (4, 4) or a rigid transform. ``reset_mask``: True for each environment that begins
+            an episode, all by default; the others stay where they are, and give the observation of their last
+            touch.
 
         Returns
         -------

@@ -39,6 +39,52 @@ def aim(
 
 
 @compiled
+def turn(ways: Float32, limits: Float64, price: float, axes: Float64, costs: Float32) -> None:
+    """Turn sensors by actions (n, 3), and add what that costs to ``costs``, (n,).
+
+    Actions are rotation vectors in the cell's frame, as parts of the widest turn, in a ball of radius 1;
+    ``limits`` (2,) is that turn and the greatest tilt, radians. ``axes`` (n, 3, 3), in columns, are written.
+    A z axis that is tilted too far is brought back towards upright, and the y axis follows; a sensor stays as
+    it was where that leaves y no direction.
+    """
+    one, price_of = np.float32(1.0), np.float32(price)
+    for i in range(len(ways)):
+        x, y, z = ways[i, 0], ways[i, 1], ways[i, 2]
+        length = np.float32(math.sqrt((x * x + y * y) + z * z))
+        costs[i] += ((-(x * x) * price_of + -(y * y) * price_of) + -(z * z) * price_of) / np.float32(3.0)
+        angle_rad = np.float64(min(length, one)) * limits[0]
+        around = ways[i].astype(np.float64) / max(np.float64(length), 1e-12)
+        upright, side = _turned(axes[i, :, 2], around, angle_rad), _turned(axes[i, :, 1], around, angle_rad)
+        flat, most = math.hypot(upright[0], upright[1]), math.sin(limits[1])
+        if flat > most:
+            upright[:2] *= most / flat
+        upright[2] = math.sqrt(1.0 - (upright[0] ** 2 + upright[1] ** 2))
+        side -= (side * upright).sum() * upright
+        width = math.sqrt((side * side).sum())
+        if width < 1e-6:
+            continue
+        side /= width
+        axes[i, :, 0], axes[i, :, 1], axes[i, :, 2] = _cross(side, upright), side, upright
+
+
+@compiled
+def _turned(vector: Float64, around: Float64, angle_rad: float) -> Float64:
+    """Turn a vector around a unit vector."""
+    cosine, sine = math.cos(angle_rad), math.sin(angle_rad)
+    along: Float64 = (vector * around).sum() * (1.0 - cosine) * around
+    return cosine * vector + sine * _cross(around, vector) + along
+
+
+@compiled
+def _cross(one: Float64, other: Float64) -> Float64:
+    found = np.empty(3)
+    for axis in range(3):
+        k, m = (axis + 1) % 3, (axis + 2) % 3
+        found[axis] = one[k] * other[m] - one[m] * other[k]
+    return found
+
+
+@compiled
 def place(
     numbers: Int64,
     drawn: Float64,

@@ -1,8 +1,8 @@
 """Meshes packed into a few arrays, as kernels and tasks need them, and mapped from one file.
 
-Only the triangles of a mesh that face upwards are kept, as numbers of corners, sorted into a grid of
+Only the triangles of a mesh that sensors can see are kept, as numbers of corners, sorted into a grid of
 :data:`CELL_M`: those under a window that is turned in any way are a few contiguous runs. The training split
-of the digits takes 0.8 GB, which the processes of a machine share.
+of the digits takes 0.8 GB for upright sensors, which the processes of a machine share.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import IO, Any
 import numpy as np
 import xxhash
 
-from env_assets.mesh_view import PlannedView
+from env_assets.mesh_view import MeshView, PlannedView
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError, IntegrityError
@@ -42,7 +42,7 @@ _POOLS = DiskCache(
     8 << 30,
     warning="environments sort their meshes again each time: {problem}",
 )
-_FORMAT = 2
+_FORMAT = 3
 _CHUNK = 128
 # Fewer chunks are packed before workers have started.
 _FEW_CHUNKS = 8
@@ -64,17 +64,17 @@ class MeshPool:
     Attributes
     ----------
     vertices : ndarray of float32, shape (V, 3)
-        Corners of triangles that face upwards; the lowest point of each mesh is at height 0.
+        Corners of triangles that sensors can see; the lowest point of each mesh is at height 0.
     faces : ndarray of uint16 or int32, shape (F, 3)
         Triangles, by corners within their mesh: first the large ones, then the others by cell.
     starts : ndarray of int32, shape (S,)
         For each mesh, at which of its small triangles each cell begins, row by row, and where the last ends.
     hulls : ndarray of float32, shape (H, 2)
         Corners of the convex hulls seen from above.
-    grids : ndarray of float64, shape (n, 12)
+    grids : ndarray of float64, shape (n, 13)
         For each mesh: first vertex, first face, number of large faces, first of its starts; cells across and
         up; left and lower edge of the grid, side of a cell, and how far a small triangle reaches from the
-        middle that is in a cell, metres; first corner of the hull and the one after its last.
+        middle that is in a cell, metres; first corner of the hull and the one after its last; height, metres.
     measures : ndarray of float64, shape (n, 7)
         For each mesh what :data:`MEASURES` names.
     """
@@ -87,16 +87,17 @@ class MeshPool:
     measures: Float64
 
     @classmethod
-    def of(cls, records: Sequence[Any]) -> MeshPool:
+    def of(cls, records: Sequence[Any], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records; those of a data set are kept on disk for the next time.
 
-        Meshes that are not made yet are packed when :meth:`require` names them.
+        Triangles are kept that sensors can see that are tilted by ``tilt_rad`` at most. Meshes that are not
+        made yet are packed when :meth:`require` names them, for upright sensors.
         """
         if isinstance(records, PlannedView):
             return GrowingPool(records)
-        name = _name_of(records)
+        name = _name_of(records, tilt_rad)
         if name is None:
-            return cls.packed(records)
+            return cls.packed(records, tilt_rad)
         path = _POOLS.path(name)
         with contextlib.ExitStack() as stack:
             try:
@@ -105,10 +106,10 @@ class MeshPool:
                 stack.enter_context(locked(path.with_suffix(".lock"), is_patient=True))
             except (OSError, BusyError) as error:  # not writable, or locked for too long
                 _LOG.warning("meshes are sorted again each time: %s", error)
-                return cls.packed(records)
+                return cls.packed(records, tilt_rad)
             found = _found(path)
             if found is None:
-                columns = _joined(_chunks_of(records))
+                columns = _joined(_chunks_of(records, tilt_rad))
                 size = sum(part.nbytes for column in columns for part in column)
                 is_kept = _POOLS.write(name, size, lambda stream: _write(stream, columns))
                 found = (_found(path) if is_kept else None) or _concat(columns)
@@ -131,9 +132,9 @@ class MeshPool:
         return name is not None and _POOLS.path(name).is_file()
 
     @classmethod
-    def packed(cls, records: Iterable[Any]) -> MeshPool:
+    def packed(cls, records: Iterable[Any], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records in memory."""
-        return cls(*_concat(_joined([_packed_records(records)])))
+        return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
     def require(self, numbers: Int64) -> None:
         """Have the meshes of these numbers in the arrays, as those of a complete pool are."""
@@ -174,7 +175,7 @@ class GrowingPool(MeshPool):
             np.empty((0, 2), np.float32),
         ]
         self._used = np.zeros(4, np.int64)
-        self._grids, self._measures = np.zeros((len(planned), 12)), np.zeros((len(planned), len(MEASURES)))
+        self._grids, self._measures = np.zeros((len(planned), 13)), np.zeros((len(planned), len(MEASURES)))
         self._measures[:, 0], self._measures[:, 1] = planned.column("label"), planned.column("id")
         super().__init__(*map(_read_only, [*self._rooms, self._grids, self._measures]))
 
@@ -223,16 +224,20 @@ class GrowingPool(MeshPool):
         return True
 
 
-def _name_of(records: Sequence[Any]) -> str | None:
+def _name_of(records: Sequence[Any], tilt_rad: float = 0.0) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
+    is_flat = isinstance(records, MeshView) and records.flat
+    if isinstance(records, MeshView):
+        records = records.records
     if not isinstance(records, RecordDataset):
         return None
-    content = [records.identity]  # of the rows as they were when they were loaded
-    digest = hashlib.sha256(repr((_FORMAT, CELL_M, content)).encode() + records.row_numbers.tobytes())
+    # The identity is of the rows as they were when they were loaded.
+    content = (_FORMAT, CELL_M, tilt_rad, is_flat, records.identity)
+    digest = hashlib.sha256(repr(content).encode() + records.row_numbers.tobytes())
     return f"meshes-{digest.hexdigest()[:32]}"
 
 
-def _chunks_of(records: Sequence[Any]) -> list[Parts]:
+def _chunks_of(records: Sequence[Any], tilt_rad: float) -> list[Parts]:
     """Pack the meshes of a data set in chunks, on all cores if they are many."""
     firsts = range(0, len(records), _CHUNK)
     workers = 1
@@ -240,23 +245,23 @@ def _chunks_of(records: Sequence[Any]) -> list[Parts]:
         workers = free_workers()
     found: dict[int, Parts] = {}
     with shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
-        for first, parts in runner_for(workers).run(partial(_packed_chunk, records), firsts):
+        for first, parts in runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):
             found[first] = parts
             update(min(len(found) * _CHUNK, len(records)), len(records))
     return [found[first] for first in firsts]
 
 
-def _packed_chunk(records: Sequence[Any], first: int) -> tuple[int, Parts]:
-    return first, _packed_records(records[first : first + _CHUNK])
+def _packed_chunk(records: Sequence[Any], tilt_rad: float, first: int) -> tuple[int, Parts]:
+    return first, _packed_records(records[first : first + _CHUNK], tilt_rad)
 
 
-def _packed_records(records: Iterable[Any]) -> Parts:
+def _packed_records(records: Iterable[Any], tilt_rad: float = 0.0) -> Parts:
     """Return the arrays of some meshes, one for each field of a pool of them; faces are int32."""
     columns: list[Parts] = [[], [], [], [], [], []]
     ends = np.zeros(4)
     for record in records:
         vertices_m, faces = np.asarray(record.vertices_m, np.float32), np.asarray(record.faces)
-        *arrays, grid = _packed(vertices_m, faces)
+        *arrays, grid = _packed(vertices_m, faces, tilt_rad)
         grid[_FIRSTS] = ends
         ends += [len(array) for array in arrays]
         grid[11] = ends[3]
@@ -298,14 +303,15 @@ def _is_small(faces: AnyArray) -> bool:
     return int(faces.max(initial=0)) < 1 << 16
 
 
-def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
+def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     """Return vertices, faces, starts, hull and grid of one mesh."""
     from scipy.spatial import ConvexHull
 
-    corners = [vertices_m[faces[:, corner], :2].astype(np.float64) for corner in range(3)]
-    one, other = corners[1] - corners[0], corners[2] - corners[0]
-    upward = np.flatnonzero(one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0] > 0)
-    low, high = (reduce(corners)[upward] for reduce in (np.minimum.reduce, np.maximum.reduce))
+    corners = [vertices_m[faces[:, corner]].astype(np.float64) for corner in range(3)]
+    normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+    steepest = -np.sin(tilt_rad) * np.linalg.norm(normals, axis=1)
+    visible = np.flatnonzero(normals[:, 2] > steepest)
+    low, high = (reduce(corners)[visible, :2] for reduce in (np.minimum.reduce, np.maximum.reduce))
     extent = (high - low).max(axis=1)
     is_large = extent > 2 * CELL_M
     flat = vertices_m[:, :2].astype(np.float64)
@@ -316,18 +322,19 @@ def _packed(vertices_m: Float32, faces: AnyArray) -> Parts:
     order = np.argsort(cell, kind="stable")
     large = int(is_large.sum())
     starts = np.searchsorted(cell[order][large:], np.arange(across * up + 1)).astype(np.int32)
-    reach_m = extent[~is_large].max(initial=0.0) / 2
+    # A nanometre more: a quotient is rounded, too.
+    reach_m = extent[~is_large].max(initial=0.0) / 2 + 1e-9
     # In the order in which triangles name them, so that corners of one window lie together in memory.
-    named = faces[upward][order].reshape(-1)
+    named = faces[visible][order].reshape(-1)
     used, first, number = np.unique(named, return_index=True, return_inverse=True)
     by_use = np.argsort(first)
     rank = np.empty(len(used), np.int32)
     rank[by_use] = np.arange(len(used), dtype=np.int32)
     kept = vertices_m[used[by_use]].copy()
     kept[:, 2] -= vertices_m[:, 2].min()
+    height_m = vertices_m[:, 2].max() - vertices_m[:, 2].min()
     hull = vertices_m[ConvexHull(flat).vertices, :2]
-    # A nanometre more: a quotient is rounded, too.
-    grid = np.array([0, 0, large, 0, across, up, *origin, CELL_M, reach_m + 1e-9, 0, 0], np.float64)
+    grid = np.array([0, 0, large, 0, across, up, *origin, CELL_M, reach_m, 0, 0, height_m], np.float64)
     return [kept, rank[number].reshape(-1, 3), starts, hull, grid]
 
 

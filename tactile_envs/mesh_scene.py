@@ -16,17 +16,20 @@ from tactile_envs.drawing import EnvDrawing
 from tactile_envs.episode_kernels import place
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion, require_move
-from tactile_envs.reset_options import EVERY, ResetOptions, Rows
+from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
 from tactile_envs.scene import Action, Readings
-from tactile_envs.toucher import Toucher
+from tactile_envs.toucher import SensorReadings, Toucher
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64
 from tactile_toolkit.errors import InputError
 
 _NO_DRIFT = np.zeros(3)
+_UPRIGHT_WITHIN = 1e-6
 
 
 class MeshScene:
     """Objects in cells, touched by sensors that stay upright; a :class:`tactile_envs.scene.Scene`.
+
+    A sensor points the same way when it touches as its target does.
 
     Random numbers are drawn as by the published environment, in its order.
 
@@ -48,15 +51,14 @@ class MeshScene:
         self, config: Config, records: Sequence[Any], num_envs: int, threads: int, camera: Camera
     ) -> None:
         self.config, self.num_envs = config, num_envs
-        self._records, self._pool = records, MeshPool.of(records)
+        self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
         self._toucher = Toucher(camera.depth_size, num_envs, threads)
         self._motion = Motion.of(config)
         self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
         self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
-        self._upright = np.tile([0.0, 0.0, 0.0, 1.0], (num_envs, 1))
-        self._upright.flags.writeable = False  # shared by the poses of all steps
+        self._axes = np.tile(np.eye(3), (num_envs, 1, 1))  # in columns
         corner = np.ones(3, np.float32)
         width, height = config.sensor_output_size
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
@@ -74,8 +76,13 @@ class MeshScene:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__.update(state)
-        self._pool = MeshPool.of(self._records)
+        self._pool = MeshPool.of(self._records, self._most_tilt_rad)
         self._pool.require(self.numbers[self.numbers >= 0])
+
+    @property
+    def _most_tilt_rad(self) -> float:
+        """How far sensors are tilted at most, radians."""
+        return 0.0
 
     @property
     def pool(self) -> MeshPool:
@@ -96,9 +103,9 @@ class MeshScene:
         self._place_objects(rows, chosen, rng, options.poses)
         self._aim_at_start(rows, rng)
         for row in chosen:
-            given = options.places[row]
-            if given is not None:
-                self._targets[row, :2] = given
+            start = options.starts[row]
+            if start is not None:
+                self._aim_as_given(row, start)
 
     def discard_upcoming(self, rows: Rows) -> None:
         """Forget which objects come next in some cells, as a reset does."""
@@ -135,6 +142,15 @@ class MeshScene:
             places = self._motion.random_places(rng, self.num_envs)
             self._targets[rows, :2] = np.asarray(places[rows], np.float32)
 
+    def _aim_as_given(self, row: int, start: SensorStart) -> None:
+        """Send one sensor to the place of its first touch; InputError if it cannot be there."""
+        if np.abs(start.axes - np.eye(3)).max() > _UPRIGHT_WITHIN:
+            raise InputError(
+                f"option 'initial_sensor_target_pose' turns sensor {row}, which stays upright",
+                next='give (x, y), or set config={"allow_sensor_rotation": True}',
+            )
+        self._targets[row] = start.position_m
+
     def checked_action(self, action: Action) -> Action:
         """Return the arrays of an action; InputError or ValueError if it cannot be used."""
         return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
@@ -157,18 +173,25 @@ class MeshScene:
             drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
         has_depth = config.depth_in_info or self._camera.sees_depth
         sensors, places = self._sensors[rows], self.places[rows]
-        touches = self._toucher.touch(
-            self._pool, self.numbers[rows], sensors, places, self._motion, drift, with_depth=has_depth
-        )
+        touches = self._press(rows, sensors, places, drift, has_depth)
         self._sensors[rows], self.places[rows] = sensors, places
         images = self._camera.pictures(touches.images, touches.depths_m, touches.is_bare)
         self._keep(rows, images)
         poses: AnyArray = np.tile(np.eye(4), (len(sensors), 1, 1))
-        poses[:, :3, 3] = sensors
+        poses[:, :3, :3], poses[:, :3, 3] = self._axes[rows], sensors
         info: dict[str, AnyArray] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = touches.depths_m
         return Readings({"sensor_pos": touches.positions, "sensor_img": images}, info)
+
+    def _press(
+        self, rows: Rows, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
+    ) -> SensorReadings:
+        """Bring sensors down on objects, which slip by ``drift``; both are moved."""
+        numbers = self.numbers[rows]
+        return self._toucher.touch(
+            self._pool, numbers, sensors, places, self._motion, drift, with_depth=has_depth
+        )
 
     def _keep(self, rows: Rows, images: Float32) -> None:
         """Keep the last images for pictures."""
@@ -212,7 +235,9 @@ class MeshScene:
     @property
     def target_poses(self) -> Poses:
         """Where the sensors were sent, metres, cell frame."""
-        return Poses(self._targets.copy(), self._upright)
+        from scipy.spatial.transform import Rotation
+
+        return Poses(self._targets.copy(), Rotation.from_matrix(self._axes).as_quat())
 
     @property
     def position_limits_m(self) -> tuple[Float64, Float64]:
@@ -230,6 +255,7 @@ class MeshScene:
             self._felt[row],
             self.config.cell_size,
             self._toucher.window_m,
+            self._axes[row, :2, :2],
         )
 
     def close(self) -> None:

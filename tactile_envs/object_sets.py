@@ -8,13 +8,15 @@ all objects, so they wait for the set.
 from __future__ import annotations
 
 import sys
+from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 from typing import Any
 
 from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
-from env_assets.asset_kinds import MeshSet
+from env_assets.asset_kinds import THIRD_PARTY_ASSETS, MeshSet, published_meshes
 from env_assets.mesh_view import PlannedView
+from tactile_envs.config import Config
 from tactile_envs.ids import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
@@ -36,20 +38,25 @@ _BEGUN: set[tuple[str, str, str]] = set()
 
 
 def open_objects(
-    spec: EnvSpec, cell_m: tuple[float, float], assets: str | PathLike[str] | None, unit: str | None
+    spec: EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
 ) -> Objects:
-    """Open the objects of an environment whose cell is ``cell_m`` (width, depth), metres.
+    """Open the objects of an environment with its settings, turned onto their broadest sides if these say so.
 
     ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError: there
     are none, or they do not fit.
     """
-    records = _records(spec, assets, unit)
+    # Single meshes are packed as they are, for upright sensors.
+    is_plain = not (config.allow_sensor_rotation or config.smallest_dimension_up)
+    may_begin = spec.task == "classification" and is_plain
+    records = _records(spec, assets, unit, may_begin=may_begin)
     if isinstance(records, PlannedView):  # of our own set, which fits; checking it would make all of it
         return records
     kind = KINDS.get(spec.assets) if assets is None else None
     where = f"{spec.assets!r}, split {spec.split!r},"
-    require_fitting_meshes(MeshView.of(records), kind, where, cell_m)
-    may_begin = spec.task == "classification" and len(records) > _MANY
+    if config.smallest_dimension_up:
+        records = replace(MeshView.of(records), flat=True)
+    require_fitting_meshes(MeshView.of(records), kind, where, config.cell_size)
+    may_begin = may_begin and len(records) > _MANY
     if may_begin and isinstance(records, RecordDataset) and not MeshPool.is_kept(records):
         return _packed_meanwhile(records)
     return records
@@ -69,21 +76,26 @@ def _same(records: Any) -> Any:
     return records
 
 
-def _records(spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None) -> Objects:
+def _records(
+    spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None, *, may_begin: bool
+) -> Objects:
     name, split = spec.assets, spec.split
     if assets is None or assets == PUBLISHED:
         mesh.refuse_unit(unit, name)
     if assets is None:
         if name not in KINDS:
+            step = "give `assets`, a folder of meshes"
+            if published_meshes(name) is not None:
+                step += ', or "published"'
             raise InputError(
-                f"meshes of {name!r} are not made here", next="give `assets`, a folder of meshes"
+                f"meshes of {name!r} are not made here: they are {THIRD_PARTY_ASSETS[name]}", next=step
             )
-        return _default_set(name, split, may_begin=spec.task == "classification")
+        return _default_set(name, split, may_begin=may_begin)
     if assets == PUBLISHED:
-        published = KINDS[name].published if name in KINDS else ()
-        if not published:
+        repo_id = published_meshes(name)
+        if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
-        return AssetProvider().meshes(published[0].repo_id, split)
+        return AssetProvider().meshes(repo_id, split)
     place = store.expanded(fspath(assets))
     is_folder_of_sets = name in KINDS and store.path_exists(place) and (place / name).is_dir()
     if not is_folder_of_sets:
@@ -118,7 +130,7 @@ def _announce(
 ) -> None:
     cores = run.free_workers()
     duration = f"{duration_text(planned.left_s / cores)} on {with_count(cores, 'cores')}"
-    how = "This task needs all of them first."
+    how = "This environment needs all of them first."
     if may_begin:
         how = "Episodes begin with single ones, while a process in the background makes the others."
     _say(

@@ -17,9 +17,20 @@ Rows = slice | Int64
 EVERY = slice(None)
 """All environments."""
 
-_NUMBERS, _POSES, _PLACES = "datapoint_idx", "initial_object_pose", "initial_sensor_target_pose"
+_NUMBERS, _POSES, _STARTS = "datapoint_idx", "initial_object_pose", "initial_sensor_target_pose"
 _RESET_MASK = "reset_mask"
-_OPTIONS = (_NUMBERS, _POSES, _PLACES, _RESET_MASK)
+_OPTIONS = (_NUMBERS, _POSES, _STARTS, _RESET_MASK)
+
+
+_ORTHONORMAL = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class SensorStart:
+    """Where a sensor is sent first: position (3,), metres, and axes in columns (3, 3), cell frame."""
+
+    position_m: Float64
+    axes: Float64
 
 
 @dataclass(frozen=True)
@@ -27,14 +38,13 @@ class ResetOptions:
     """Options of a reset, one value for each environment; None if it is drawn.
 
     ``rows`` are the environments that begin an episode; ``numbers`` are those of the meshes, ``poses``
-    position (x, y), metres, and turn, radians, of the objects, ``places`` the positions (x, y) of the first
-    touches, metres.
+    position (x, y), metres, and turn, radians, of the objects, ``starts`` where the first touches go.
     """
 
     rows: Rows
     numbers: list[int | None]
     poses: list[Float64 | None]
-    places: list[Float64 | None]
+    starts: list[SensorStart | None]
 
     @classmethod
     def of(cls, options: Mapping[str, Any], num_envs: int) -> Self:
@@ -44,8 +54,8 @@ class ResetOptions:
         return cls(
             _rows(options, num_envs),
             numbers,
-            _points(options, _POSES, num_envs, 3),
-            _points(options, _PLACES, num_envs, 2),
+            [None if each is None else _object_pose(each) for each in _given(options, _POSES, num_envs)],
+            [None if each is None else _sensor_start(each) for each in _given(options, _STARTS, num_envs)],
         )
 
     @classmethod
@@ -83,13 +93,35 @@ def _given(options: Mapping[str, Any], name: str, num_envs: int) -> Sequence[Any
     return given
 
 
-def _points(options: Mapping[str, Any], name: str, num_envs: int, count: int) -> list[Float64 | None]:
-    """Return the first ``count`` numbers that are given for each environment, or None."""
-    found: list[Float64 | None] = [None] * num_envs
-    for i, given in enumerate(_given(options, name, num_envs)):
-        if given is not None:
-            numbers = np.asarray(given, np.float64).reshape(-1)[:count]
-            if len(numbers) < count or not np.isfinite(numbers).all():
-                raise InputError(f"option {name!r} has {given!r}; expected {count} numbers")
-            found[i] = numbers
-    return found
+def _object_pose(given: Any) -> Float64:
+    """Return position (x, y) and turn of an object."""
+    numbers = _numbers(given)
+    if numbers is None or numbers.shape != (3,):
+        raise InputError(f"option {_POSES!r} has {given!r}; expected 3 numbers: x and y, metres, and radians")
+    return numbers
+
+
+def _sensor_start(given: Any) -> SensorStart:
+    """Return where a sensor is sent: (x, y), a position, or a pose."""
+    # Of scipy's transforms, and of those of the published environments.
+    as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
+    numbers = _numbers(as_matrix())
+    if numbers is not None and numbers.shape in ((2,), (3,)):
+        return SensorStart(np.append(numbers, 0.0)[:3], np.eye(3))
+    if numbers is not None and numbers.shape == (4, 4):
+        axes = numbers[:3, :3]
+        if np.abs(axes.T @ axes - np.eye(3)).max() < _ORTHONORMAL and np.linalg.det(axes) > 0:
+            left, _, right = np.linalg.svd(axes)
+            return SensorStart(numbers[:3, 3], left @ right)
+    raise InputError(
+        f"option {_STARTS!r} has {given!r}; expected 2 numbers: x and y, metres, or a pose: a matrix of 4 x 4"
+    )
+
+
+def _numbers(given: Any) -> Float64 | None:
+    """Return an array of finite numbers; None for anything else."""
+    try:
+        numbers = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        return None
+    return numbers if np.isfinite(numbers).all() else None

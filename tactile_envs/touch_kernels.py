@@ -167,7 +167,7 @@ def _extent_between(corner_x: Float64, corner_y: Float64, from_y: float, to_y: f
 
 @compiled
 def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int, placed: ObjectPlace) -> None:
-    """Raise pixels to some triangles, all of which face upwards."""
+    """Raise pixels to those of some triangles that face upwards."""
     vertices, faces, _, grids = pool
     first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
     rows, columns = heights.shape[0], heights.shape[1] - PADDING
@@ -185,7 +185,10 @@ def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int,
         if first_column > last_column or first_row > last_row:
             continue
         abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
-        per_area = 1.0 / (abx * acy - aby * acx)
+        area = abx * acy - aby * acx
+        if area <= 0.0:
+            continue
+        per_area = 1.0 / area
         # Weights of the second and the third corner, and what they grow by along x and y.
         b_step, c_step = acy * per_area, -aby * per_area
         b_up, c_up = -acx * per_area, abx * per_area
@@ -277,10 +280,10 @@ def touch(
 
 @compiled
 def _highest(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the columns that ``greatest`` has room for, 0 at least."""
+    """Return the greatest height of the columns that ``greatest`` has room for."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
-    greatest[:] = 0.0
-    for row in range(len(heights)):
+    greatest[:] = heights[0, : len(greatest)]
+    for row in range(1, len(heights)):
         for column in range(len(greatest)):
             here = heights[row, column]
             greatest[column] = here if here > greatest[column] else greatest[column]

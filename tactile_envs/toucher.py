@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple
 
@@ -31,6 +31,10 @@ class SensorReadings(NamedTuple):
     is_bare: Bool
 
 
+Press = Callable[[int, int, Float32, SensorReadings], None]
+"""Brings down some sensors, from the first number on to before the second; the rest is room and results."""
+
+
 class Toucher:
     """Brings sensors down.
 
@@ -42,6 +46,13 @@ class Toucher:
         How many environments.
     threads : int
         How many threads share a touch.
+
+    Attributes
+    ----------
+    window : ndarray of float64, shape (4,)
+        Of the gel, as kernels take it.
+    window_m : tuple of float
+        Its width and height, metres.
     """
 
     def __init__(self, size_px: tuple[int, int], num_envs: int, threads: int) -> None:
@@ -49,7 +60,7 @@ class Toucher:
         view = center_view(*size_px)
         self.window_m = view.window_m
         middle = [size / 2 - 0.5 - at for size, at in zip(size_px, view.sample_px, strict=True)]
-        self._window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
+        self.window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
         self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
         room = (size_px[1], size_px[0] + PADDING)
         self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
@@ -74,7 +85,15 @@ class Toucher:
 
         The heights of the sensors are written, and the objects slip by ``drift``, as of the kernel.
         """
-        count = len(numbers)
+        read = (self.window, motion.numbers, drift, pool.arrays, numbers)
+
+        def press(begin: int, end: int, room: Float32, readings: SensorReadings) -> None:
+            touch(begin, end, *read, sensors, objects, room, *readings)
+
+        return self.shared(len(numbers), press, with_depth=with_depth)
+
+    def shared(self, count: int, press: Press, *, with_depth: bool) -> SensorReadings:
+        """Press sensors ``begin`` to ``end`` in many calls, on all threads; return the readings of all."""
         shape = (count, *self._image_shape)
         depth_shape: Sequence[int] = (0, 0, 0)
         if with_depth:
@@ -85,7 +104,6 @@ class Toucher:
             np.empty((count, 3), np.float32),
             np.empty(count, np.bool_),
         )
-        read = (self._window, motion.numbers, drift, pool.arrays, numbers)
         # Touches of objects take ten times as long as others: threads take small parts in turns.
         size = -(-count // self._most_parts)
         # Shared by the threads: taking the next is one step for all of them.
@@ -93,7 +111,7 @@ class Toucher:
 
         def run(room: Float32) -> None:
             for begin in parts:
-                touch(begin, min(begin + size, count), *read, sensors, objects, room, *touches)
+                press(begin, min(begin + size, count), room, touches)
 
         helpers = []
         if len(self._rooms) > 1:

@@ -95,7 +95,7 @@ def test_same_episodes(pair):
 def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
     """Rewards, weights, keys of info and statistics of every form with `-sparse`, over several episodes."""
     folder, source = assets, provider
-    if env_id.startswith("Minecraft"):
+    if env_id.startswith(("ABC", "Minecraft")):
         for number, side_mm in enumerate((20, 30)):
             trimesh.creation.box([side_mm, 30, 6]).export(tmp_path / f"{number}.stl")
         folder, source = tmp_path, None
@@ -147,31 +147,33 @@ def _same_step(theirs: Any, ours: Any) -> None:
     (there, seen, *outcome), (here, found, *result) = theirs, ours
     assert seen.keys() == found.keys()
     assert all(found[name].dtype == seen[name].dtype or name == "sensor_img" for name in seen)
-    assert np.abs(seen["sensor_pos"] - found["sensor_pos"]).max() < 5e-5
+    # The published environment leaves its space where a tilted sensor slides out of its limits.
+    assert np.abs(np.clip(seen["sensor_pos"], -1, 1) - found["sensor_pos"]).max() < 5e-5
     assert (seen["time_step"] == found["time_step"]).all()
-    _same_state(there.unwrapped, here)
-    _same_info(outcome[-1], result[-1])
+    within_m = 0.5e-6 if "sensor_rot" in found else 1e-12
+    _same_state(there.unwrapped, here, within_m)
+    _same_info(outcome[-1], result[-1], within_m)
     if len(outcome) > 1:
         np.testing.assert_allclose(result[0], outcome[0], rtol=1e-5, atol=1e-6)
         assert (outcome[1] == result[1]).all()
         assert (outcome[2] == result[2]).all()
 
 
-def _same_state(there: Any, here: Any) -> None:
+def _same_state(there: Any, here: Any, within_m: float) -> None:
     assert (there.current_data_point_indices == here.current_data_point_indices).all()
     for name in ("current_object_poses_platform_frame",):
         off = np.abs(getattr(there, name).matrix - getattr(here, name).matrix)
         assert off.max() < 1e-12, name
     theirs, ours = (env.current_sensor_target_poses_platform_frame.matrix for env in (there, here))
-    assert np.abs(theirs - ours)[:, :2].max() < 1e-12
+    assert np.abs(theirs - ours)[:, :2].max() < within_m
     for one, other in zip(there.sensor_pos_limits, here.sensor_pos_limits, strict=True):
         assert (one == other).all()
 
 
-def _same_info(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
+def _same_info(theirs: dict[str, Any], ours: dict[str, Any], within_m: float) -> None:
     assert theirs.keys() == ours.keys()
     one, other = theirs["sensor_pose"].matrix, ours["sensor_pose"]
-    assert np.abs(one - other)[:, :2].max() < 1e-12
+    assert np.abs(one - other)[:, :2].max() < within_m
     assert np.abs(one - other).max() < 0.5e-6
     reached = theirs["depth"] < 4.25e-3
     off = np.abs(theirs["depth"] - ours["depth"])[reached] > 0.5e-6

@@ -91,7 +91,7 @@ def test_episodes_begin_before_the_set_is_made_and_go_on_with_it(begun, capsys):
 def test_a_task_that_needs_all_objects_waits_for_them(begun, capsys):
     env = make_vector(VOLUME, num_envs=2)
     assert type(env._scene.pool) is MeshPool
-    assert "This task needs all of them first." in capsys.readouterr().err
+    assert "This environment needs all of them first." in capsys.readouterr().err
     assert not begun
 
 
