@@ -9,7 +9,8 @@ import numpy as np
 from tactile_sim import center_view, make_optics
 from tactile_toolkit.array_types import Bool, Float32
 
-_OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
+OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
+"""Optics of each simulated sensor."""
 
 
 class Camera:
@@ -40,7 +41,7 @@ class Camera:
     """
 
     def __init__(self, sensor: str, size: tuple[int, int], weights: str | Path | None = None) -> None:
-        self._optics = make_optics(_OPTICS[sensor], weights)
+        self._optics = make_optics(OPTICS[sensor], weights)
         self.sees_depth, self.channels = sensor != "depth", 1 + 2 * (sensor != "depth")
         self._size, self.depth_size = size, self._optics.depth_size(*size)
         self._sensor = center_view(*self.depth_size)

@@ -89,12 +89,12 @@ class _Canvas:
 class EnvDrawing:
     """One environment as it is drawn.
 
-    Mesh ``number`` of a pool lies at ``placement`` (x, y, turn) in a cell of size ``cell_m``; the ``sensor``
-    with its ``window_m`` was sent to ``target``; all metres and radians. ``felt`` is the image of the sensor,
-    and ``axes`` (2, 2) x and y of its axes x and y, in columns.
+    Mesh ``number`` of a pool, if there is one, lies at ``placement`` (x, y, turn) in a cell of size
+    ``cell_m``; the ``sensor`` with its ``window_m`` was sent to ``target``; all metres and radians. ``felt``
+    is the image of the sensor, and ``axes`` (2, 2) x and y of its axes x and y, in columns.
     """
 
-    pool: MeshPool
+    pool: MeshPool | None
     number: int
     placement: Float64
     sensor: Float64
@@ -109,11 +109,11 @@ def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UIn
     """Draw one environment, (240, 336, 3) uint8; ``index`` is the number of its prediction."""
     per_m = (_SIDE_PX - 1) / max(scene.cell_m)
     heights = np.zeros((_SIDE_PX, _SIDE_PX + PADDING), np.float32)
-    middle = (_SIDE_PX - 1) / 2
-    x_px, y_px = scene.placement[:2] * per_m + middle
-    turn = float(scene.placement[2])
-    placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
-    raise_object(heights, scene.pool.arrays, scene.number, placed)
+    if scene.pool is not None:
+        x_px, y_px = scene.placement[:2] * per_m + (_SIDE_PX - 1) / 2
+        turn = float(scene.placement[2])
+        placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
+        raise_object(heights, scene.pool.arrays, scene.number, placed)
     surface = heights[::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; what stands higher is brighter.

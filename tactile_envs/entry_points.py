@@ -13,12 +13,15 @@ from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_c
 from tactile_envs.ids import IDS, EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
+from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, needs_extra
 
 with needs_extra("native environments", "ap-gym", "native"):
     from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
     from tactile_envs.mesh_scene import MeshScene
+    from tactile_envs.recorded_scene import RecordedScene
+    from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
     from tactile_envs.tilted_scene import TiltedScene
@@ -39,6 +42,7 @@ def make_vector(
     render_mode: str | None = None,
     threads: int = 1,
     weights: str | Path | None = None,
+    touches: str | PathLike[str] | None = None,
 ) -> TactileVectorEnv:
     """Make environments side by side.
 
@@ -52,6 +56,8 @@ def make_vector(
         Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
         folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
         default they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
+        For ids with ``RealSnap``: the touched digits and, unless `touches` are given, the touches; a folder
+        of both (``mnist3d`` and ``real-single``) or a data set of touches, the published ones by default.
     unit : "mm", "cm", "m" or "in", optional
         Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
     config : mapping or Config, optional
@@ -63,6 +69,10 @@ def make_vector(
     weights : path or str, optional
         Weights for the sensor of CycleGAN environments, ``depth_to_touch.npz`` of ``tactile-sim train``; the
         published ones by default.
+    touches : path or str, optional
+        Recorded touches for ids with ``RealSnap``: a data set by folder or name on the Hub, or
+        ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
+        are given.
 
     Returns
     -------
@@ -78,7 +88,15 @@ def make_vector(
     settings = configured(spec.config, config)
     num_envs, threads = checked_counts(settings, num_envs, threads)
     if isinstance(settings, RecordedConfig):
-        raise InputError(f"{name!r} is not implemented yet")
+        mesh.refuse_unit(unit, "recorded touches")
+        sources = RecordedSources.of(assets, touches)
+        is_drawn = render_mode is not None and assets is not None
+        recorded, task = _recorded(spec, settings, sources, num_envs, threads, weights, is_drawn=is_drawn)
+        return TactileVectorEnv(recorded, task, sparse=spec.sparse, render_mode=render_mode)
+    if touches is not None:
+        raise InputError(
+            f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
+        )
     camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
     kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
     try:
@@ -88,6 +106,33 @@ def make_vector(
         raise error.with_traceback(None) from None
     task = _task(spec, settings, scene.pool, records.label_names)
     return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
+
+
+def _recorded(
+    spec: EnvSpec,
+    config: RecordedConfig,
+    sources: RecordedSources,
+    num_envs: int,
+    threads: int,
+    weights: str | Path | None,
+    *,
+    is_drawn: bool,
+) -> tuple[RecordedScene, Task]:
+    """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
+    touches = RecordedTouches.open(sources.touches, spec.split, config)
+    objects, has_volume = None, spec.task == "volume"
+    if sources.digits is not None and (has_volume or is_drawn):
+        objects = TouchedObjects.open(sources.digits, f"printed_{spec.split}", touches, config)
+    scene = RecordedScene(config, touches, objects, num_envs, threads, weights)
+    if not has_volume:
+        return scene, Classification(touches.labels(), touches.rounds.label_names)
+    if objects is None:
+        raise InputError(
+            "the volumes of the touched digits are not known; expected `assets` with a folder 'mnist3d' of "
+            f"the printed digits in it, split 'printed_{spec.split}'",
+            next='give them as `assets` and the touches as `touches`, or "published" as either',
+        )
+    return scene, Volume(objects.pool.measure("volume_m3"), objects.which)
 
 
 def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: Sequence[str]) -> Task:

@@ -40,7 +40,7 @@ class Classification:
     def __init__(self, labels: Int64, names: Sequence[str]) -> None:
         classes = len(names)
         if classes < 2:
-            raise InputError("the meshes are of one class; expected at least two", next="give more meshes")
+            raise InputError("the objects are of one class; expected at least two", next="give more objects")
         self._labels, self._names = labels, tuple(names)
         self.prediction_space = ap_gym.LogitSpace(-np.inf, np.inf, shape=(classes,))
         self.target_space = gym.spaces.Discrete(classes)

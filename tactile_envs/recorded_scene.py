@@ -1,0 +1,296 @@
+"""Recorded touches: instead of being simulated, each touch is chosen among those of a round."""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Sequence
+from operator import attrgetter
+from pathlib import Path
+from typing import Any, Protocol
+
+import ap_gym
+import gymnasium as gym
+import numpy as np
+from PIL import Image
+
+from realtouch import Poses, TouchSingleDataset
+from tactile_envs.camera import OPTICS
+from tactile_envs.config import DIRECT, RecordedConfig
+from tactile_envs.drawing import EnvDrawing
+from tactile_envs.motion import Motion, require_move
+from tactile_envs.recorded_sets import RecordedTouches, TouchedObjects
+from tactile_envs.reset_options import ResetOptions, Rows
+from tactile_envs.scene import Action, Readings
+from tactile_sim import center_view, full_view, make_optics
+from tactile_sim.optics import Optics
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
+from tactile_toolkit.cache import MemoryCache
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.run import in_threads
+
+# Images of observations that are kept: 40,000 of 64 x 64 pixels in colour.
+_KEPT_BYTES = 1 << 29
+# Width and height of the images from which depth is estimated (tactile-mnist 0.13.0), pixels.
+_ESTIMATED_PX = (256, 256)
+_ON_THE_PLATE = np.zeros(3)
+
+TouchKey = tuple[int, int]
+"""Number of a round, and of a touch in it."""
+
+
+class RecordedScene:
+    """Rounds of touches in cells; a :class:`tactile_envs.scene.Scene`.
+
+    The touch that is nearest to the target of a sensor is chosen among the next ones of the round, as many as
+    :func:`window_size` says, so that touches come in their order. An episode ends when fewer are left. Random
+    numbers are drawn as by the published environment, in its order.
+
+    Parameters
+    ----------
+    config : RecordedConfig
+        Settings.
+    touches : RecordedTouches
+        The rounds.
+    objects : TouchedObjects, optional
+        Meshes of the touched objects, for pictures.
+    num_envs : int
+        Number of cells.
+    threads : int
+        Number of threads that decode images.
+    weights : path or str, optional
+        Weights of the generator that renders images for ``"cycle_gan"``; the published ones by default.
+    """
+
+    def __init__(
+        self,
+        config: RecordedConfig,
+        touches: RecordedTouches,
+        objects: TouchedObjects | None,
+        num_envs: int,
+        threads: int,
+        weights: str | Path | None = None,
+    ) -> None:
+        self.config, self.num_envs = config, num_envs
+        self._touches, self._objects = touches, objects
+        self._images = RecordedImages(touches.rounds, config, threads, weights)
+        self._motion = Motion.of(config)
+        self._count = touches.positions_m.shape[1]
+        width = window_size(self._count, config.step_limit, config.approx_truncation_probability)
+        self._window = np.arange(width)
+        low_m, high_m = self.position_limits_m
+        parts = (touches.poses[:, :, :3, 3] - low_m) / (high_m - low_m) * 2 - 1
+        self._observed = np.clip(parts, -1.0, 1.0).astype(np.float32)
+        self.numbers = np.full(num_envs, -1, np.int64)
+        self._chosen = np.zeros(num_envs, np.int64)
+        self.places, self._targets = np.zeros((2, num_envs, 3))
+        corner = np.ones(3, np.float32)
+        size = config.sensor_output_size
+        self.action_parts: dict[str, gym.Space[Any]] = {
+            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
+        }
+        self.observation_parts: dict[str, gym.Space[Any]] = {
+            "sensor_pos": gym.spaces.Box(-corner, corner),
+            "sensor_img": ap_gym.ImageSpace(*size, self._images.channels, dtype=np.float32),
+        }
+
+    def begin(self, rows: Rows, rng: np.random.Generator, options: ResetOptions) -> None:
+        """Begin with a round in some cells, and aim at the places of the first touches."""
+        if any(pose is not None for pose in options.poses):
+            raise InputError(
+                "option 'initial_object_pose' was given, but the objects of recorded touches were not moved",
+                next="leave it out",
+            )
+        count = len(self._observed)
+        for number in options.numbers:
+            if number is not None and not 0 <= number < count:
+                raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
+        for row in np.arange(self.num_envs)[rows].tolist():
+            number, place = options.numbers[row], options.places[row]
+            if number is None:
+                number = int(rng.integers(0, count))
+            if place is None:
+                place = np.zeros(2)
+                if self.config.randomize_initial_sensor_pose:
+                    place = self._motion.random_places(rng)
+            self.numbers[row], self._targets[row] = number, [*place, 0.0]
+        self._chosen[rows] = -1
+
+    def discard_upcoming(self, rows: Rows) -> None:
+        """Do nothing: rounds are drawn when an episode begins."""
+
+    def checked_action(self, action: Action) -> Action:
+        """Return the arrays of an action; InputError or ValueError if it cannot be used."""
+        return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
+
+    def aim(self, action: Action, rows: Rows) -> Float32:
+        """Send some sensors to where an action says; return the costs of actions, shape (num_envs,)."""
+        sensors = self._touches.poses[self.numbers, self._chosen, :3, 3]
+        targets = self._targets.copy()
+        costs = self._motion.aim(action["sensor_target_pos_rel"], sensors, targets)
+        self._targets[rows] = targets[rows]
+        return costs
+
+    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
+        """Take the recorded touches nearest to the targets of some cells."""
+        numbers, targets = self.numbers[rows], self._targets[rows]
+        window = self._chosen[rows, None] + 1 + self._window
+        ways = self._touches.positions_m[numbers[:, None], window] - targets[:, None, :2]
+        nearest = np.linalg.norm(ways, axis=2).argmin(axis=1)
+        chosen = window[np.arange(len(window)), nearest]
+        self._chosen[rows] = chosen
+        image = self._images.of(numbers, chosen).astype(np.float32)
+        image /= 255
+        info: dict[str, AnyArray] = {"sensor_pose": self._touches.poses[numbers, chosen], "touch_idx": chosen}
+        return Readings({"sensor_pos": self._observed[numbers, chosen], "sensor_img": image}, info)
+
+    @property
+    def is_exhausted(self) -> Bool | None:
+        """In which cells too few touches are left to choose from, shape (num_envs,)."""
+        is_over: Bool = self._chosen + 1 + len(self._window) > self._count
+        return is_over
+
+    @property
+    def data_points(self) -> tuple[Any, ...]:
+        """The rounds that are touched."""
+        return tuple(self._touches.rounds[int(number)] for number in self.numbers)
+
+    @property
+    def object_poses(self) -> Poses:
+        """Poses of the objects, metres, cell frame: in the middle of the cell, as theirs are not known."""
+        position_m = np.zeros((self.num_envs, 3))
+        if self._objects is not None:
+            position_m[:, 2] = -self._objects.pool.measure("foot_m")[self._objects.which[self.numbers]]
+        return Poses(position_m, self._upright)
+
+    @property
+    def target_poses(self) -> Poses:
+        """Where the sensors were sent, metres, cell frame."""
+        return Poses(self._targets.copy(), self._upright)
+
+    @property
+    def _upright(self) -> Float64:
+        return np.tile([0.0, 0.0, 0.0, 1.0], (self.num_envs, 1))
+
+    @property
+    def position_limits_m(self) -> tuple[Float64, Float64]:
+        """Lowest and highest position of sensors, shape (3,) each, metres."""
+        return self._motion.low_m, self._motion.high_m
+
+    def drawing(self, row: int) -> EnvDrawing:
+        """Return what a picture of one cell shows: the object, if its mesh is known, in the middle."""
+        number, touch = int(self.numbers[row]), int(self._chosen[row])
+        pool, which = None, 0
+        if self._objects is not None:
+            pool, which = self._objects.pool, int(self._objects.which[number])
+        felt = self._images.of(self.numbers[[row]], self._chosen[[row]])[0].astype(np.float32) / 255
+        return EnvDrawing(
+            pool,
+            which,
+            _ON_THE_PLATE,
+            self._touches.poses[number, touch, :3, 3],
+            self._targets[row],
+            felt,
+            self.config.cell_size,
+            full_view().window_m,
+        )
+
+    def close(self) -> None:
+        """Do nothing: threads end with each touch."""
+
+
+class DepthEstimator(Protocol):
+    """Estimates depth from images of a sensor."""
+
+    def estimate_m(self, images: UInt8, size_px: tuple[int, int]) -> Float32:
+        """Return depth (n, h, w), metres, in a size (width, height), of images (n, H, W, 3)."""
+
+
+class RecordedImages:
+    """Images of observations of recorded touches; they are made when they are first asked for.
+
+    Parameters
+    ----------
+    rounds : TouchSingleDataset
+        The rounds.
+    config : RecordedConfig
+        Sensor and size.
+    threads : int
+        Number of threads that decode images.
+    weights : path or str, optional
+        Weights of the generator of ``"cycle_gan"``.
+
+    Attributes
+    ----------
+    channels : int
+        Number of colours.
+    """
+
+    def __init__(
+        self, rounds: TouchSingleDataset, config: RecordedConfig, threads: int, weights: str | Path | None
+    ) -> None:
+        self._rounds, self._threads = rounds, threads
+        self._kept: MemoryCache[TouchKey, UInt8] = MemoryCache(_KEPT_BYTES, attrgetter("nbytes"))
+        self._size_px = self._recorded_px = config.sensor_output_size
+        self.channels = 3
+        self._optics: Optics | None = None
+        if config.sensor_type != DIRECT:
+            self._optics = make_optics(OPTICS[config.sensor_type], weights)
+            self._estimator: DepthEstimator = lazy("tactile_sim.learned:DepthEstimator")()
+            self._recorded_px = _ESTIMATED_PX
+            if config.sensor_type == "depth":
+                self.channels = 1
+        elif weights is not None:
+            raise InputError(
+                "weights were given, but recorded images are shown as they are",
+                next="leave them out, or choose an id with -CycleGAN",
+            )
+
+    def of(self, rounds: Int64, touches: Int64) -> UInt8:
+        """Return the images of some touches, (n, H, W, channels), by the numbers of rounds and touches."""
+        keys = list(zip(rounds.tolist(), touches.tolist(), strict=True))
+        found = {key: self._kept.get(key) for key in keys}
+        missing = [key for key, image in found.items() if image is None]
+        if missing:
+            for key, image in zip(missing, self._made(missing), strict=True):
+                found[key] = self._kept.put(key, image)
+        return np.stack([found[key] for key in keys])  # type: ignore[misc]
+
+    def _made(self, keys: Sequence[TouchKey]) -> Sequence[UInt8]:
+        """Make the images of some touches."""
+        recorded = list(in_threads(self._recorded, keys, min(self._threads, len(keys))))
+        if self._optics is None:
+            return recorded
+        sensor = center_view(*self._optics.depth_size(*self._size_px))
+        depths_m = self._estimator.estimate_m(np.stack(recorded), sensor.size_px)
+        pictures = self._optics.render(depths_m.astype(np.float64), sensor, self._size_px)
+        return [np.array(picture[..., : self.channels]) for picture in pictures]
+
+    def _recorded(self, key: TouchKey) -> UInt8:
+        """Return a recorded image in the size that is shown, or that depth is estimated from."""
+        number, touch = key
+        pixels: UInt8 = self._rounds[number].sensor_image[touch]
+        if pixels.shape[1::-1] == self._recorded_px:
+            return pixels
+        return np.asarray(Image.fromarray(pixels).resize(self._recorded_px, Image.Resampling.BICUBIC))
+
+
+def window_size(touches: int, steps: int, probability: float) -> int:
+    """Return among how many of the next touches of a round each one is chosen.
+
+    The largest number for which an episode ends early with at most a probability, if each of the touches to
+    choose from is equally likely. ``touches`` of a round are two more than ``steps`` at least.
+    """
+    enough = 1 - probability
+    widths = range(1, touches)
+    return bisect_left(widths, True, key=lambda width: _completes(width, touches, steps) < enough)
+
+
+def _completes(width: int, touches: int, steps: int) -> float:
+    """Return how probable it is that a window of some width is left after the last step."""
+    at = np.zeros(touches)  # probability of each touch to be the last one that was taken
+    at[0] = 1.0
+    for _ in range(steps):
+        below = np.concatenate([np.zeros(width + 1), np.cumsum(at)])
+        at = (below[width : width + touches] - below[:touches]) / width
+    return float(at[:-width].sum())

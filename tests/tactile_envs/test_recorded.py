@@ -1,0 +1,310 @@
+"""Recorded touches: in lock-step with the published environments, and what holds of them by themselves."""
+
+from __future__ import annotations
+
+import copy
+import itertools
+import pickle
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+
+import gymnasium as gym
+from gymnasium.utils.env_checker import check_env
+
+import env_assets
+import realtouch
+from tactile_envs.config import RecordedConfig
+from tactile_envs.entry_points import make_vector
+from tactile_envs.ids import REAL_TOUCHES
+from tactile_envs.recorded_scene import window_size
+from tactile_envs.recorded_sets import RecordedSources
+from tactile_toolkit.errors import InputError
+from tests.realtouch import factories
+from tests.tactile_envs.test_lockstep import _same_spaces, _same_stats, _walk
+
+pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+
+ENVS = 4
+PLAIN = "TactileMNISTRealSnap-train-v0"
+VOLUME = "TactileMNISTVolumeRealSnap-train-v0"
+
+
+@pytest.fixture
+def published(provider, packages):
+    """A function that makes published environments on the same touches."""
+    made = []
+
+    def make(name: str, num_envs: int = ENVS, **config: Any) -> Any:
+        made.append(env_assets.make(name, provider=provider, num_envs=num_envs, config=config))
+        return made[-1]
+
+    yield make
+    for env in made:
+        env.close()
+
+
+def _same_beginnings(theirs: Any, ours: Any) -> None:
+    """Compare spaces, and settings with those of the registration."""
+    _same_spaces(theirs, ours)
+    for field in fields(RecordedConfig):
+        given, expected = (getattr(each.config, field.name) for each in (ours, theirs.unwrapped))
+        np.testing.assert_array_equal(given, expected, field.name)
+
+
+def _same_step(theirs: Any, ours: Any, levels: int = 0, share: float = 0.0) -> None:
+    """Compare all of a reset or step; a ``share`` of an image may be off by more than some ``levels``."""
+    (there, seen, *outcome), (here, found, *result) = theirs, ours
+    assert seen.keys() == found.keys()
+    for name in seen.keys() - {"sensor_img"}:
+        np.testing.assert_array_equal(found[name], seen[name], name, strict=True)
+    assert seen["sensor_img"].dtype == found["sensor_img"].dtype
+    assert (np.abs(seen["sensor_img"] - found["sensor_img"]) * 255 > levels + 1e-3).mean() <= share
+    there = there.unwrapped
+    assert [each.id for each in there.current_data_points] == [each.id for each in here.current_data_points]
+    assert (
+        there.current_object_poses.translation == here.current_object_poses_platform_frame.position_m
+    ).all()
+    for one, other in zip(there.sensor_pos_limits, here.sensor_pos_limits, strict=True):
+        assert (one == other).all()
+    one, other = outcome[-1], result[-1]
+    assert one.keys() == other.keys()
+    assert (one["touch_idx"] == other["touch_idx"]).all()
+    np.testing.assert_allclose(other["sensor_pose"], one["sensor_pose"].matrix, rtol=0, atol=1e-15)
+    if len(outcome) > 1:
+        np.testing.assert_allclose(result[0], outcome[0], rtol=1e-5, atol=1e-6)
+        assert (outcome[1] == result[1]).all()
+        assert (outcome[2] == result[2]).all()
+        _same_score(one, other)
+
+
+def _same_score(theirs: dict[str, Any], ours: dict[str, Any]) -> None:
+    np.testing.assert_array_equal(ours["base_reward"], theirs["base_reward"])
+    targets = [info["prediction"]["target"] for info in (theirs, ours)]
+    if isinstance(targets[0], dict):
+        assert (targets[0]["weight"] == targets[1]["weight"]).all()
+        targets = [target["target"] for target in targets]
+    np.testing.assert_allclose(targets[1], targets[0], atol=3e-7, rtol=1e-6)
+    losses = [info["prediction"]["loss"] for info in (theirs, ours)]
+    np.testing.assert_allclose(losses[1], losses[0], rtol=1e-5, atol=1e-6)
+    if "stats" in theirs:
+        _same_stats(theirs["stats"], ours["stats"])
+
+
+OFTEN_CUT = {"step_limit": 8, "approx_truncation_probability": 0.9}
+
+
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(
+    ("env_id", "steps", "config"),
+    [
+        (PLAIN, 500, OFTEN_CUT),
+        (PLAIN, 40, {"timeout_behavior": "truncate", "recalibrate_sensor_z": False}),
+        (VOLUME, 30, {"step_limit": 10, "randomize_initial_sensor_pose": False}),
+        (VOLUME.replace("-v0", "-sparse-v0"), 60, OFTEN_CUT),
+    ],
+)
+def test_same_episodes(env_id, steps, config, published, assets):
+    """Observations exactly, while environments end one by one."""
+    native = make_vector(env_id, num_envs=ENVS, assets=assets, config=config)
+    theirs = published(env_id, **config)
+    _same_beginnings(theirs, native)
+    counts = np.zeros(3, np.int64)
+
+    def compare(one: Any, other: Any) -> None:
+        _same_step(one, other)
+        if len(other) > 3:
+            _, _, _, terminated, truncated, _ = other
+            over = terminated | truncated
+            counts[:] += terminated.sum(), truncated.sum(), over.any() and not over.all()
+
+    _walk((theirs, native), steps, compare)
+    if config is OFTEN_CUT:
+        assert (counts > steps / 20).all()
+
+
+@pytest.mark.sim
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize(
+    ("sensor", "levels", "share"), [("Depth", 1, 0.0), ("Taxim", 26, 1e-3), ("CycleGAN", 1, 0.01)]
+)
+def test_rendered_from_estimated_depth(sensor, levels, share, published, assets):
+    """Images within a level, but for what is known of Taxim: see `test_taxim_within_a_level`."""
+    pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
+    name, config = f"TactileMNISTRealSnap-{sensor}-train-v0", {"step_limit": 2}
+    native = make_vector(name, num_envs=2, assets=assets, config=config)
+    theirs = published(name, 2, **config, depth_estimator_backend="torch")
+    _same_beginnings(theirs, native)
+    _walk((theirs, native), 1, lambda *steps: _same_step(*steps, levels, share))
+    assert np.std(native._observation["sensor_img"]) > 0.01
+
+
+def test_window_is_the_published_one(packages):
+    from tactile_mnist.util import compute_touch_window_size
+
+    assert window_size(256, 16, 0.1) == 23
+    # Of probabilities that occur exactly, such as 0.5, rounding decides.
+    for case in itertools.product((18, 24, 57, 256), (1, 3, 16), (0.0131, 0.1173, 0.4871, 0.9337)):
+        assert window_size(*case) == compute_touch_window_size(*case), case
+
+
+def test_images_are_those_of_the_round(assets):
+    """Each observation is the image of a touch of the window, the nearest to the target, as it is stored."""
+    rounds = {record.id: record for record in realtouch.load(assets / "real-single", "train")}
+    config = {"sensor_output_size": (96, 72), "step_limit": 6}
+    env = make_vector(PLAIN, num_envs=ENVS, assets=assets, config=config, render_mode="rgb_array", threads=2)
+    observation, info = env.reset(seed=0)
+    env.action_space.seed(0)
+    last = np.full(ENVS, -1)
+    over = np.zeros(ENVS, np.bool_)
+    for _ in range(30):
+        targets = env.current_sensor_target_poses_platform_frame.position_m
+        for row, record in enumerate(env.current_data_points):
+            stored, touch = rounds[record.id], int(info["touch_idx"][row])
+            image = stored.sensor_image[touch].astype(np.float32) / 255
+            np.testing.assert_array_equal(observation["sensor_img"][row], image)
+            window = np.arange(last[row] + 1, last[row] + 1 + window_size(24, 6, 0.1))
+            ways = np.linalg.norm(stored.pos_in_cell_m[window] - targets[row, :2], axis=1)
+            assert touch == window[ways.argmin()]
+            height_m = 0.002125 + stored.gel_pose_cell_frame.position_m[touch, 2]
+            height_m -= stored.gel_pose_cell_frame.position_m[:, 2].min()
+            assert info["sensor_pose"][row, 2, 3] == pytest.approx(height_m, abs=1e-15)
+        last = info["touch_idx"]
+        observation, _, terminated, truncated, info = env.step(env.action_space.sample())
+        last = np.where(over, -1, last)
+        over = terminated | truncated
+    pictures = env.render()
+    assert all(np.ptp(picture[:, :240].reshape(-1, 3), axis=0).max() > 60 for picture in pictures)
+    env.close()
+
+
+@pytest.mark.parametrize("env_id", [PLAIN, VOLUME])
+def test_checkers_pass(env_id, assets):
+    single = gym.make(f"tactile_envs:{env_id}", assets=str(assets))
+    check_env(single.unwrapped, skip_render_check=True)
+    env = gym.make_vec(f"tactile_envs:{env_id}", num_envs=3, assets=str(assets))
+    observation, _ = env.reset(seed=0)
+    assert observation in env.observation_space
+    env.close()
+
+
+def test_copies_continue_alike(assets):
+    """Pickled and copied environments take the same steps; a mask resets some of them."""
+    env = make_vector(PLAIN, num_envs=ENVS, assets=assets, config=OFTEN_CUT)
+    env.reset(seed=2)
+    env.action_space.seed(2)
+    for _ in range(7):
+        env.step(env.action_space.sample())
+    twins = [copy.deepcopy(env), pickle.loads(pickle.dumps(env))]
+    action, mask = env.action_space.sample(), np.arange(ENVS) == 1
+    for each in (env, *twins):
+        each.step(action)
+        before = each._scene.numbers.copy()
+        observation, info = each.reset(options={"reset_mask": mask, "datapoint_idx": [None, 2, None, None]})
+        assert (info["_touch_idx"] == mask).all()
+        assert (each._scene.numbers == np.where(mask, 2, before)).all()
+        np.testing.assert_array_equal(observation["sensor_img"], env._observation["sensor_img"])
+
+
+def test_classes_need_no_meshes(assets):
+    """Touches alone will do for classes, and pictures then show the plate; volumes need digits."""
+    touches, digits = assets / "real-single", assets / "mnist3d"
+    seen = []
+    for place in ({"assets": touches}, {"touches": touches}, {"touches": touches, "assets": digits}):
+        env = make_vector(PLAIN, num_envs=2, render_mode="rgb_array", **place)
+        seen.append(env.reset(seed=1)[0]["sensor_img"])
+        colours = [len(np.unique(each[:, :240].reshape(-1, 3), axis=0)) for each in env.render()]
+        # The plate, the frame of the sensor and the cross of its target have a colour each.
+        assert (min(colours) > 20) == (place.get("assets") == digits)
+        assert (max(colours) <= 3) == (place.get("assets") != digits)
+    assert (seen[0] == seen[1]).all()
+    assert (seen[0] == seen[2]).all()
+    with pytest.raises(InputError, match="volumes of the touched digits are not known"):
+        make_vector(VOLUME, assets=touches)
+    apart = make_vector(VOLUME, touches=touches, assets=digits, num_envs=ENVS)
+    together = make_vector(VOLUME, assets=assets, num_envs=ENVS)
+    assert (apart._task._normalized == together._task._normalized).all()
+
+
+def _write_touches(folder: Path, lengths: list[int], **changes: Any) -> None:
+    rounds = [factories.make_round(index, count, (32, 24), (6, 9)) for index, count in enumerate(lengths)]
+    rows = [row | changes for row in factories.single_rows(rounds)]
+    factories.write_set(folder, {"train": rows}, "single", factories.Layout(fixed=False))
+
+
+@pytest.fixture(scope="module")
+def unfit(assets, tmp_path_factory):
+    """A folder of data sets that cannot be used, and of some that can."""
+    root = tmp_path_factory.mktemp("unfit")
+    for name in ("mnist3d", "real-single"):
+        (root / name).symlink_to(assets / name)
+    _write_touches(root / "short", [5])
+    _write_touches(root / "unlike", [18, 20])
+    _write_touches(root / "classless", [18], label=-1)
+    _write_touches(root / "others", [18])
+    clips = factories.seq_rows([factories.make_round(0, 3, (32, 24), (6, 9))])
+    factories.write_set(root / "clips", {"train": clips}, "seq")
+    (root / "digits-alone").mkdir()
+    (root / "digits-alone" / "mnist3d").symlink_to(assets / "mnist3d")
+    return root
+
+
+@pytest.mark.parametrize(
+    ("places", "options", "words"),
+    [
+        ({"assets": "digits-alone"}, {}, "holds no recorded touches; expected a folder 'real-single'"),
+        ({"assets": "mnist3d"}, {}, "is not a data set of touches|holds digits"),
+        ({"touches": "clips"}, {}, "holds clips.*clips-to-images"),
+        ({"touches": "short"}, {}, "rounds of 5 touches; an episode of 16 steps needs 18"),
+        ({"touches": "unlike"}, {}, "rounds of 18 to 20 touches"),
+        ({"touches": "classless"}, {}, "has label -1; expected 0 to 9"),
+        (
+            {"touches": "others", "assets": "mnist3d"},
+            {"render_mode": "rgb_array"},
+            "no mesh of 1 touched obj",
+        ),
+        ({"assets": "real-single"}, {"unit": "mm"}, "unit"),
+        ({"assets": "real-single"}, {"weights": "w.npz"}, "weights were given, but recorded images"),
+        ({"assets": "real-single"}, {"config": {"step_limit": 23}}, "an episode of 23 steps needs 25"),
+        ({"assets": "real-single"}, {"config": {"snap_touch_positions": 3}}, "no setting"),
+    ],
+)
+def test_refusals(places, options, words, unfit):
+    with pytest.raises(InputError, match=words):
+        make_vector(PLAIN, **{name: unfit / place for name, place in places.items()}, **options)
+
+
+def test_sources(assets, tmp_path):
+    digits = "TimSchneider42/tactile-mnist-mnist3d"
+    both, touches = assets, assets / "real-single"
+    (tmp_path / "real-single-320x240").mkdir()
+    expected = {
+        (None, None): (REAL_TOUCHES, digits),
+        ("published", None): (REAL_TOUCHES, digits),
+        (None, touches): (touches, digits),
+        (both, None): (touches, both / "mnist3d"),
+        (both, "published"): (REAL_TOUCHES, both / "mnist3d"),
+        (touches, None): (touches, None),
+        ("someone/touches", None): ("someone/touches", None),
+        ("someone/digits", touches): (touches, "someone/digits"),
+        (tmp_path, None): (tmp_path / "real-single-320x240", None),
+        (tmp_path, touches): (touches, None),
+    }
+    assert {given: RecordedSources.of(*given) for given in expected} == expected
+
+
+def test_options_of_other_environments(assets):
+    with pytest.raises(InputError, match="those of 'TactileMNIST-Depth-train-v0' are simulated"):
+        make_vector("TactileMNIST-Depth-train-v0", assets=assets, touches=assets / "real-single")
+    env = make_vector(PLAIN, assets=assets)
+    for options in ({"initial_object_pose": [[0, 0, 0]]}, {"datapoint_idx": [3]}, {"datapoint_idx": [-1]}):
+        with pytest.raises(InputError, match=r"option|datapoint_idx is .*expected 0 to 2"):
+            env.reset(options=options)
+    env.reset(options={"initial_sensor_target_pose": [[0.01, -0.02]]})
+    position_m = env.current_sensor_target_poses_platform_frame.position_m
+    assert position_m.tolist() == [[0.01, -0.02, 0.0]]
