@@ -106,13 +106,14 @@ class RecordedScene:
             if number is not None and not 0 <= number < count:
                 raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
         for row in np.arange(self.num_envs)[rows].tolist():
-            number, place = options.numbers[row], options.places[row]
+            number, start = options.numbers[row], options.starts[row]
             if number is None:
                 number = int(rng.integers(0, count))
-            if place is None:
-                place = np.zeros(2)
-                if self.config.randomize_initial_sensor_pose:
-                    place = self._motion.random_places(rng)
+            place = np.zeros(2)
+            if start is not None:
+                place = start.position_m[:2]
+            elif self.config.randomize_initial_sensor_pose:
+                place = self._motion.random_places(rng)
             self.numbers[row], self._targets[row] = number, [*place, 0.0]
         self._chosen[rows] = -1
 
