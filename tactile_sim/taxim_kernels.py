@@ -1,7 +1,8 @@
 """Kernels of Taxim, in numba: the surface of the pressed gel, its colours, and shadows.
 
 Sums of a pixel stay in a vector register while LLVM's vector instructions add to them, which numba does not
-do by itself: a picture takes two fifths of the time. The order of operations is that of plain loops. All of them lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+do by itself: a picture takes two fifths of the time. The order of operations is that of plain loops. All
+kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
 """
 
 from __future__ import annotations
@@ -111,7 +112,9 @@ def _weigh_pixels(
         stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
         as_number = builder.bitcast(stays, ir.IntType(LANES))
         with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
-            total = alloca_once_value(builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3])))
+            total = alloca_once_value(
+                builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
+            )
             with for_range_slice(builder, one, count, one) as (tap, _):
                 far = builder.mul(tap, given[4])
                 pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
@@ -142,7 +145,9 @@ def _colour_pixel(
     signature = types.void(out, types.int64, tables, types.int64, types.float64, types.float64)
 
     def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
-        written, read = (context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2))
+        written, read = (
+            context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2)
+        )
         x, y = (spread(builder, value, _COLOURS) for value in given[4:])
         places = [builder.add(given[3], ir.Constant(given[3].type, 3 * number)) for number in range(6)]
         c = [builder.load(_colours_at(builder, read, place), align=8) for place in places]
@@ -180,7 +185,8 @@ def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, st
     """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart.
 
     ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
-    ``margin`` mirrored rows above and below. The last strip begins early enough to be full.
+    ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
+    other out of it. The last strip begins early enough to be full.
     """
     rows, width = image.shape
     high, reach, nothing = (rows + 2 * margin) | 1, (len(across) - 1) * step, np.zeros(LANES, np.bool_)
@@ -206,13 +212,12 @@ def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, st
 
 
 @compiled
-def blur(
-    image: Float64, across: Float64, down: Float64, step: int, kept: Bool, out: Float64
-) -> None:
-    """Blur a map (H, W), whose neighbours are ``step`` values apart, by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
+def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, out: Float64) -> None:
+    """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
-    Pairs are added from the middle outwards, so the sums of a pixel have one order however many are done at
-    once. Pixels of ``out``, which may be the map itself, stay as they are where ``kept`` (H, W).
+    Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
+    pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay as
+    they are where ``kept`` (H, W).
     """
     rows, width = image.shape
     margin, strips = len(down) - 1, (width + LANES - 1) // LANES
@@ -227,6 +232,7 @@ def blur(
         for row in range(rows):
             at = row * width + begin
             weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, stays, at)
+
 
 @compiled
 def _angle(y: float, x: float) -> float:
@@ -256,33 +262,31 @@ def _rim(mask: Bool, windows: Int64) -> Bool:
     ``windows`` (n, 2), width and height; those of even sizes lean to the upper left.
     """
     rows, columns = mask.shape
-    before, after = ((windows - 1) // 2).sum(axis=0), (windows // 2).sum(axis=0)
-    wide, out = mask.copy(), np.empty_like(mask)
+    left, right, above, below = 0, 0, 0, 0
+    for window in range(len(windows)):
+        left, right = left + (windows[window, 0] - 1) // 2, right + windows[window, 0] // 2
+        above, below = above + (windows[window, 1] - 1) // 2, below + windows[window, 1] // 2
+    wide, out = np.zeros((rows, columns), np.bool_), np.zeros((rows, columns), np.bool_)
     for row in range(rows):
-        pixels, near = mask[row], wide[row]
-        for far in range(1, before[0] + 1):
-            for column in range(columns - far):
-                near[column] |= pixels[column + far]
-        for far in range(1, after[0] + 1):
-            for column in range(columns - far):
-                near[column + far] |= pixels[column]
+        for far in range(-left, right + 1):
+            near = wide[row, max(far, 0) :]
+            pixels = mask[row, max(-far, 0) :]
+            for column in range(columns - abs(far)):
+                near[column] |= pixels[column]
     for row in range(rows):
-        pixels, near = mask[row], out[row]
-        near[:] = wide[row]
-        for other in range(max(row - after[1], 0), min(row + before[1], rows - 1) + 1):
+        near, pixels = out[row], mask[row]
+        for other in range(max(row - below, 0), min(row + above, rows - 1) + 1):
             met = wide[other]
             for column in range(columns):
-                near[column] |= met[column]
-        for column in range(columns):
-            near[column] &= not pixels[column]
+                near[column] |= met[column] & (not pixels[column])
     return out
 
 
 @compiled
 def _pressed_gel(
-    depth_m: Float64, gel_m: float, contact_scale: float, picture: PictureTables
+    depth_m: Float64, gel_m: float, gel_mm: Float64, contact_scale: float
 ) -> tuple[Float64, Bool]:
-    """Return the surface of the gel, mm, which leaves the solid smoothly, and where it touches the solid."""
+    """Return the surface of the gel, mm, bent where it meets the solid, and where it is pressed by it."""
     rows, columns = depth_m.shape
     soft, contact = np.empty((rows, columns)), np.empty((rows, columns), np.bool_)
     # One least value for each column, and comparisons as selections: LLVM does several pixels at once.
@@ -294,16 +298,11 @@ def _pressed_gel(
     # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
     touches_mm = (least.min() * 1000.0 - gel_m * 1000.0) * contact_scale
     for row in range(rows):
-        line, level, free, meets = depth_m[row], soft[row], picture.gel_mm[row], contact[row]
+        line, gel, free, meets = depth_m[row], soft[row], gel_mm[row], contact[row]
         for column in range(columns):
             height = line[column] * 1000.0 - gel_m * 1000.0
-            level[column] = height if height < free[column] else free[column]
-            meets[column] = (height < 0.0) & (level[column] - free[column] < touches_mm)
-    pyramid = picture.pyramid
-    for number in range(len(pyramid) - 1):
-        blur(soft, pyramid[number][0], pyramid[number][1], 1, contact, soft)
-    across, down = pyramid[len(pyramid) - 1]
-    blur(soft, across, down, 1, np.zeros_like(contact), soft)
+            gel[column] = height if height < free[column] else free[column]
+            meets[column] = (height < 0.0) & (gel[column] - free[column] < touches_mm)
     return soft, contact
 
 
@@ -416,20 +415,29 @@ def render_taxim(
     rows, columns = depths_m.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
     per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
-    final_across, final_down = picture.pyramid[len(picture.pyramid) - 1]
-    lit, nothing = np.empty((rows, 3 * columns)), np.zeros((rows, 3 * columns), np.bool_)
+    pyramid, none = picture.pyramid, np.zeros((rows, columns), np.bool_)
+    nothing = np.zeros((rows, 3 * columns), np.bool_)
     for number in range(len(depths_m)):
-        soft, contact = _pressed_gel(depths_m[number], gel_m, tables.contact_scale, picture)
+        soft, contact = _pressed_gel(depths_m[number], gel_m, picture.gel_mm, tables.contact_scale)
+        # Around the contact, which stays, the gel leaves the solid smoothly.
+        for level in range(len(pyramid)):
+            kept = contact if level < len(pyramid) - 1 else none
+            blur(soft, pyramid[level][0], pyramid[level][1], 1, kept, soft)
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
         _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)
-        plane = shade[: lit.size].reshape(lit.shape)
-        blur(plane, picture.shadow_blur[0], picture.shadow_blur[1], 3, nothing, lit)
-        blur(lit, final_across, final_down, 3, nothing, lit)
-        for row in range(rows):
-            values, behind = lit[row], picture.background[row]
-            shown = out[number, row].reshape(3 * columns)
-            for place in range(3 * columns):
-                value = values[place] + behind[place]
-                value = value if value > 0.0 else 0.0
-                shown[place] = np.float32(value if value < 1.0 else 1.0)
+        plane = shade[: nothing.size].reshape(nothing.shape)
+        for across, down in (picture.shadow_blur, pyramid[len(pyramid) - 1]):
+            blur(plane, across, down, 3, nothing, plane)
+        _lay_over(plane, picture.background, out[number])
+
+
+@compiled
+def _lay_over(lit: Float64, background: Float64, out: Float32) -> None:
+    rows, width = lit.shape
+    for row in range(rows):
+        values, behind, shown = lit[row], background[row], out[row].reshape(width)
+        for place in range(width):
+            value = values[place] + behind[place]
+            value = value if value > 0.0 else 0.0
+            shown[place] = np.float32(value if value < 1.0 else 1.0)
