@@ -13,7 +13,7 @@ from typing import Any, NamedTuple, TypeAlias
 import numpy as np
 from llvmlite import ir
 from numba import types
-from numba.core.cgutils import alloca_once_value, for_range_slice, unpack_tuple
+from numba.core import cgutils
 from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
@@ -24,6 +24,7 @@ LANES = 16
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
 
+_BUILD: Any = cgutils
 _PIXELS, _MASK = (ir.VectorType(kind, LANES) for kind in (ir.DoubleType(), ir.IntType(8)))
 
 _COLOURS = ir.VectorType(ir.DoubleType(), 4)
@@ -99,7 +100,7 @@ def _weigh_pixels(
     def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
         arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5, 6)]
         written, read, weighed, mask = (array.data for array in arrays)
-        count = unpack_tuple(builder, arrays[2].shape, 1)[0]
+        count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
         one = ir.Constant(count.type, 1)
 
         def values(place: Any) -> Any:
@@ -112,10 +113,10 @@ def _weigh_pixels(
         stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
         as_number = builder.bitcast(stays, ir.IntType(LANES))
         with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
-            total = alloca_once_value(
+            total = _BUILD.alloca_once_value(
                 builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
             )
-            with for_range_slice(builder, one, count, one) as (tap, _):
+            with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
                 far = builder.mul(tap, given[4])
                 pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
                 builder.store(builder.fadd(builder.load(total), builder.fmul(weight(tap), pair)), total)
@@ -216,8 +217,8 @@ def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, 
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
     Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
-    pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay as
-    they are where ``kept`` (H, W).
+    pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay
+    as they are where ``kept`` (H, W).
     """
     rows, width = image.shape
     margin, strips = len(down) - 1, (width + LANES - 1) // LANES
