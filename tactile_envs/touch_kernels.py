@@ -286,18 +286,19 @@ def _prepare(heights: Float32, room: Room, placed: ObjectPlace) -> None:
         bx, by = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
         x, y = np.float64(corners[6 * _BATCH + i]), np.float64(corners[7 * _BATCH + i])
         cx, cy = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        left, right = _least(_least(ax, bx), cx), -_least(_least(-ax, -bx), -cx)
-        low, high = _least(_least(ay, by), cy), -_least(_least(-ay, -by), -cy)
-        first_column, first_row = (
-            -_least(-np.ceil(left - _EDGE_PX), 0.0),
-            -_least(-np.ceil(low - _EDGE_PX), 0.0),
-        )
+        left, right = _least(_least(ax, bx), cx), _most(_most(ax, bx), cx)
+        low, high = _least(_least(ay, by), cy), _most(_most(ay, by), cy)
+        first_column = _most(np.ceil(left - _EDGE_PX), 0.0)
+        first_row = _most(np.ceil(low - _EDGE_PX), 0.0)
+        abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
+        area = abx * acy - aby * acx
+        # Triangles that do not face upwards cover no pixel.
+        last_row = _least(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
         boxes[i] = np.int32(first_column)
         boxes[_BATCH + i] = np.int32(_least(np.floor(right + _EDGE_PX), columns))
         boxes[2 * _BATCH + i] = np.int32(first_row)
-        boxes[3 * _BATCH + i] = np.int32(_least(np.floor(high + _EDGE_PX), rows))
-        abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
-        per_area = 1.0 / (abx * acy - aby * acx)
+        boxes[3 * _BATCH + i] = np.int32(last_row)
+        per_area = 1.0 / area
         # Weights of the second and the third corner, and what they grow by along x and y.
         b_step, c_step = acy * per_area, -aby * per_area
         b_up, c_up = -acx * per_area, abx * per_area
@@ -315,6 +316,11 @@ def _prepare(heights: Float32, room: Room, placed: ObjectPlace) -> None:
 @compiled
 def _least(one: float, other: float) -> float:
     return one if one < other else other
+
+
+@compiled
+def _most(one: float, other: float) -> float:
+    return one if one > other else other
 
 
 @compiled
