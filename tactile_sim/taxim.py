@@ -46,8 +46,7 @@ class TaximOptics(Optics):
         """Return shades of red, green and blue, in the size of the depth maps."""
         tables = _picture_tables(*depth_m.shape[1:])
         out = np.empty((*depth_m.shape, 3), np.float32)
-        # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
-        render_taxim(out, depth_m * 1000.0 - sensor.gel_m * 1000.0, self._calibration, tables)
+        render_taxim(out, depth_m, sensor.gel_m, self._calibration, tables)
         return out
 
 
@@ -75,11 +74,12 @@ def taxim_package() -> TaximPackage:
         np.load(folder / f"{name}.npz", allow_pickle=True) for name in ("polycalib", "shadowTable")
     )
     # Blue and red change places in the file.
-    colours = np.concatenate([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=2)
+    colours = np.stack([gradients[f"grad_{colour}"] / 255 for colour in "bgr"], axis=3)
     directions = np.asarray(stored["shadowDirections"], np.float64)
     calibration = Calibration(
-        colours,
+        np.append(colours, 0.0),  # colours are read by four
         *_shadow_tables(simulator, directions, stored["shadowTable"][::-1]),
+        len(colours),
         sensor["pixmm"],
         sensor["w"],
         sensor["h"],
@@ -137,7 +137,7 @@ def _picture_tables(height: int, width: int) -> PictureTables:
     step = np.array(simulator["shadow_step_rel"]) * [width, height]
     return PictureTables(
         _resized(taxim.gel_mm, height, width),
-        np.stack(maps),
+        np.stack(maps, axis=2).reshape(height, -1),
         (*pyramid, final),
         _kernels(simulator["shadow_blur_sigma_rel"], height, width),
         np.maximum(np.stack([both // 2, both - both // 2]), 1),
@@ -164,8 +164,8 @@ def _half_kernel(sigma_px: float) -> Float64:
 
 
 def _blurred(image: Float64, kernels: Pair) -> Float64:
-    out = np.empty_like(image)
-    blur(np.ascontiguousarray(image), out, np.empty_like(out), kernels[0], kernels[1])
+    out = np.empty(image.shape)
+    blur(np.ascontiguousarray(image), *kernels, 1, np.zeros(image.shape, np.bool_), out)
     return out
 
 

@@ -1,19 +1,33 @@
 """Kernels of Taxim, in numba: the surface of the pressed gel, its colours, and shadows.
 
-All of them lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+Sums of a pixel stay in a vector register while LLVM's vector instructions add to them, which numba does not
+do by itself: a picture takes two fifths of the time. The order of operations is that of plain loops. All
+kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.compiled import compiled
 
+LANES = 16
+"""Values that are weighed at once; a row of a map has no fewer."""
+
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
+
+_BUILD: Any = cgutils
+_PIXELS, _MASK = (ir.VectorType(kind, LANES) for kind in (ir.DoubleType(), ir.IntType(8)))
+
+_COLOURS = ir.VectorType(ir.DoubleType(), 4)
 
 Pair: TypeAlias = tuple[Float64, Float64]
 """Halves of Gaussian kernels across and down, from the middle on."""
@@ -22,16 +36,18 @@ Pair: TypeAlias = tuple[Float64, Float64]
 class Calibration(NamedTuple):
     """Tables of Taxim, whatever the size of the picture; lengths in mm.
 
-    ``colours`` (125, 125, 18): six coefficients of three colours by slope and direction; ``fan``
-    (63, rays, 2) float32: cosine and sine of the rays of each direction; ``shadows`` (63, 25, steps, 3) and
-    ``shadow_lengths`` (63, 25); then the pixel, width and height of the calibration, the scale of contacts,
-    the steps of directions and heights, and where heights begin.
+    ``colours`` (bins * bins * 18 + 1,): six coefficients of three colours, by slope and direction, with one
+    value more; ``fan`` (63, rays, 2) float32: cosine and sine of the rays of each direction; ``shadows``
+    (63, 25, steps, 3) and ``shadow_lengths`` (63, 25); then the bins of slopes and of directions, the pixel,
+    width and height of the calibration, the scale of contacts, the steps of directions and heights, and where
+    heights begin.
     """
 
     colours: Float64
     fan: Float32
     shadows: Float64
     shadow_lengths: Int64
+    bins: int
     pixel_mm: float
     width: int
     height: int
@@ -44,7 +60,7 @@ class Calibration(NamedTuple):
 
 
 class PictureTables(NamedTuple):
-    """Tables that follow from the size of a picture."""
+    """Tables that follow from the size of a picture: the gel (H, W), the background (H, 3 W), and kernels."""
 
     gel_mm: Float64
     background: Float64
@@ -54,45 +70,169 @@ class PictureTables(NamedTuple):
     shadow_step: Float32
 
 
-@compiled
-def _mirrored(place: int, count: int) -> int:
-    if place < 0:
-        return -place
-    return place if place < count else 2 * count - 2 - place
+def _weigh_pixels(
+    _typing: Any,
+    out: Any,
+    at: Any,
+    source: Any,
+    middle: Any,
+    step: Any,
+    weights: Any,
+    kept: Any,
+    kept_at: Any,
+) -> tuple[Any, Any]:
+    """Weigh :data:`LANES` neighbouring values of ``source`` and those on both sides of each.
+
+    ``out``, ``source`` and ``weights`` are contiguous, float64; ``kept``, bool, says which values of ``out``
+    stay as they are, from ``kept_at`` on. In plain numba::
+
+        for lane in range(LANES):
+            total = weights[0] * source[middle + lane]
+            for tap in range(1, len(weights)):
+                pair = source[middle + lane - tap * step] + source[middle + lane + tap * step]
+                total += weights[tap] * pair
+            if not kept[kept_at + lane]:
+                out[at + lane] = total
+    """
+    place = types.int64
+    signature = types.void(out, place, source, place, place, weights, kept, place)
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5, 6)]
+        written, read, weighed, mask = (array.data for array in arrays)
+        count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
+        one = ir.Constant(count.type, 1)
+
+        def values(place: Any) -> Any:
+            return builder.load(builder.bitcast(builder.gep(read, [place]), _PIXELS.as_pointer()), align=8)
+
+        def weight(tap: Any) -> Any:
+            return spread(builder, builder.load(builder.gep(weighed, [tap])), _PIXELS)
+
+        stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
+        stays = builder.icmp_unsigned("!=", builder.load(stays, align=1), ir.Constant(_MASK, [0] * LANES))
+        as_number = builder.bitcast(stays, ir.IntType(LANES))
+        with builder.if_then(builder.icmp_unsigned("!=", as_number, ir.Constant(ir.IntType(LANES), -1))):
+            total = _BUILD.alloca_once_value(
+                builder, builder.fmul(weight(ir.Constant(count.type, 0)), values(given[3]))
+            )
+            with _BUILD.for_range_slice(builder, one, count, one) as (tap, _):
+                far = builder.mul(tap, given[4])
+                pair = builder.fadd(values(builder.sub(given[3], far)), values(builder.add(given[3], far)))
+                builder.store(builder.fadd(builder.load(total), builder.fmul(weight(tap), pair)), total)
+            target = builder.bitcast(builder.gep(written, [given[1]]), _PIXELS.as_pointer())
+            held = builder.load(target, align=8)
+            builder.store(builder.select(stays, held, builder.load(total)), target, align=8)
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+weigh_pixels: Any = intrinsic(_weigh_pixels)
+
+
+def _colour_pixel(
+    _typing: Any, out: Any, at: Any, tables: Any, first: Any, x: Any, y: Any
+) -> tuple[Any, Any]:
+    """Write three colours of a pixel, from six coefficients of each, and a fourth value.
+
+    In plain numba::
+
+        for colour in range(4):
+            c = tables[first + colour :: 3]
+            squares = (x * x * c[0] + y * y * c[1]) + x * y * c[2]
+            out[at + colour] = ((squares + x * c[3]) + y * c[4]) + c[5]
+    """
+    signature = types.void(out, types.int64, tables, types.int64, types.float64, types.float64)
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        written, read = (
+            context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2)
+        )
+        x, y = (spread(builder, value, _COLOURS) for value in given[4:])
+        places = [builder.add(given[3], ir.Constant(given[3].type, 3 * number)) for number in range(6)]
+        c = [builder.load(_colours_at(builder, read, place), align=8) for place in places]
+        terms = [
+            builder.fmul(factor, each)
+            for factor, each in zip(
+                (builder.fmul(x, x), builder.fmul(y, y), builder.fmul(x, y), x, y), c, strict=False
+            )
+        ]
+        total = terms[0]
+        for term in (*terms[1:], c[5]):
+            total = builder.fadd(total, term)
+        builder.store(total, _colours_at(builder, written, given[1]), align=8)
+        return context.get_dummy_value()
+
+    return signature, build
+
+
+colour_pixel: Any = intrinsic(_colour_pixel)
+
+
+def _colours_at(builder: Any, values: Any, place: Any) -> Any:
+    return builder.bitcast(builder.gep(values, [place]), _COLOURS.as_pointer())
+
+
+def spread(builder: Any, value: Any, lanes: ir.VectorType) -> Any:
+    """Put one number into all lanes."""
+    empty, first = ir.Constant(lanes, ir.Undefined), ir.Constant(ir.IntType(32), 0)
+    single = builder.insert_element(empty, value, first)
+    return builder.shuffle_vector(single, empty, ir.Constant(ir.VectorType(first.type, lanes.count), None))
 
 
 @compiled
-def blur(image: Float64, out: Float64, between: Float64, across: Float64, down: Float64) -> None:
+def _blur_across(image: Float64, room: Float64, across: Float64, margin: int, step: int) -> None:
+    """Blur the rows of a map (H, W), whose neighbours are ``step`` values apart.
+
+    ``room`` gets its columns in strips of :data:`LANES`, which stay in the processor's cache, each with
+    ``margin`` mirrored rows above and below; an odd number of rows apart, so that neighbours do not push each
+    other out of it. The last strip begins early enough to be full.
+    """
+    rows, width = image.shape
+    high, reach, nothing = (rows + 2 * margin) | 1, (len(across) - 1) * step, np.zeros(LANES, np.bool_)
+    line = np.empty(width + 2 * reach)
+    middle = line[reach:]
+    for row in range(rows):
+        pixels = image[row]
+        for place in range(width):
+            middle[place] = pixels[place]
+        for far in range(step, reach + step, step):
+            for place in range(step):
+                line[reach - far + place] = pixels[far + place]
+                middle[width - step + far + place] = pixels[width - step - far + place]
+        for begin in range(0, width, LANES):
+            at = (begin // LANES * high + margin + row) * LANES
+            weigh_pixels(room, at, line, min(begin, width - LANES) + reach, step, across, nothing, 0)
+    for top in range(0, (width + LANES - 1) // LANES * high, high):
+        for far in range(1, margin + 1):
+            for place in range(LANES):
+                first, last = (top + margin) * LANES + place, (top + margin + rows - 1) * LANES + place
+                room[first - far * LANES] = room[first + far * LANES]
+                room[last + far * LANES] = room[last - far * LANES]
+
+
+@compiled
+def blur(image: Float64, across: Float64, down: Float64, step: int, kept: Bool, out: Float64) -> None:
     """Blur a map (H, W) by halves of symmetric kernels; beyond its edge it is mirrored, without the edge.
 
-    Pairs are added from the middle outwards, so the sums of a pixel have one order however many are done at
-    once.
+    Neighbours in a row are ``step`` values apart. Pairs are added from the middle outwards, so the sums of a
+    pixel have one order however many are done at once. Pixels of ``out``, which may be the map itself, stay
+    as they are where ``kept`` (H, W).
     """
-    rows, columns = image.shape
-    half = len(across) - 1
-    padded = np.empty(columns + 2 * half)
-    for row in range(rows):
-        for place in range(-half, columns + half):
-            padded[place + half] = image[row, _mirrored(place, columns)]
-        line = between[row]
-        weight = across[0]
-        for column in range(columns):
-            line[column] = weight * padded[column + half]
-        for tap in range(1, half + 1):
-            weight = across[tap]
-            left, right = padded[half - tap :], padded[half + tap :]
-            for column in range(columns):
-                line[column] += weight * (left[column] + right[column])
-    for row in range(rows):
-        line, middle = out[row], between[row]
-        weight = down[0]
-        for column in range(columns):
-            line[column] = weight * middle[column]
-        for tap in range(1, len(down)):
-            weight = down[tap]
-            above, below = between[_mirrored(row - tap, rows)], between[_mirrored(row + tap, rows)]
-            for column in range(columns):
-                line[column] += weight * (above[column] + below[column])
+    rows, width = image.shape
+    margin, strips = len(down) - 1, (width + LANES - 1) // LANES
+    high = (rows + 2 * margin) | 1
+    # From a line of the processor's cache on.
+    room = np.empty(strips * high * LANES + 8)
+    room = room[8 - (room.ctypes.data // 8) % 8 :]
+    _blur_across(image, room, across, margin, step)
+    pixels, stays = out.reshape(out.size), kept.reshape(kept.size)
+    for strip in range(strips):
+        begin = min(strip * LANES, width - LANES)
+        for row in range(rows):
+            at = row * width + begin
+            weigh_pixels(pixels, at, room, (strip * high + margin + row) * LANES, LANES, down, stays, at)
 
 
 @compiled
@@ -117,33 +257,53 @@ def _angle(y: float, x: float) -> float:
 
 
 @compiled
-def _dilated(mask: Bool, wide: int, high: int) -> Bool:
-    """Return where a window, which leans to the upper left where it is even, meets the mask."""
+def _rim(mask: Bool, windows: Int64) -> Bool:
+    """Return where windows around pixels of the mask, one after the other, reach outside of it.
+
+    ``windows`` (n, 2), width and height; those of even sizes lean to the upper left.
+    """
     rows, columns = mask.shape
-    out = np.zeros_like(mask)
+    left, right, above, below = 0, 0, 0, 0
+    for window in range(len(windows)):
+        left, right = left + (windows[window, 0] - 1) // 2, right + windows[window, 0] // 2
+        above, below = above + (windows[window, 1] - 1) // 2, below + windows[window, 1] // 2
+    wide, out = np.zeros((rows, columns), np.bool_), np.zeros((rows, columns), np.bool_)
     for row in range(rows):
-        for column in range(columns):
-            if mask[row, column]:
-                for other in range(max(row - (high - 1) // 2, 0), min(row + high // 2, rows - 1) + 1):
-                    for place in range(
-                        max(column - (wide - 1) // 2, 0), min(column + wide // 2, columns - 1) + 1
-                    ):
-                        out[other, place] = True
+        for far in range(-left, right + 1):
+            near = wide[row, max(far, 0) :]
+            pixels = mask[row, max(-far, 0) :]
+            for column in range(columns - abs(far)):
+                near[column] |= pixels[column]
+    for row in range(rows):
+        near, pixels = out[row], mask[row]
+        for other in range(max(row - below, 0), min(row + above, rows - 1) + 1):
+            met = wide[other]
+            for column in range(columns):
+                near[column] |= met[column] & (not pixels[column])
     return out
 
 
 @compiled
 def _pressed_gel(
-    height_mm: Float64, gel_mm: Float64, contact_scale: float, pyramid: tuple[Pair, ...]
+    depth_m: Float64, gel_m: float, gel_mm: Float64, contact_scale: float
 ) -> tuple[Float64, Bool]:
-    """Return the surface of the gel, which leaves the solid smoothly, and where it touches the solid."""
-    joined = np.minimum(height_mm, gel_mm)
-    contact = (height_mm < 0.0) & (joined - gel_mm < height_mm.min() * contact_scale)
-    blurred, between, soft = joined.copy(), np.empty_like(joined), np.empty_like(joined)
-    for level in range(len(pyramid)):
-        blur(blurred, soft, between, pyramid[level][0], pyramid[level][1])
-        for place in range(soft.size if level < len(pyramid) - 1 else 0):
-            blurred.flat[place] = joined.flat[place] if contact.flat[place] else soft.flat[place]
+    """Return the surface of the gel, mm, bent where it meets the solid, and where it is pressed by it."""
+    rows, columns = depth_m.shape
+    soft, contact = np.empty((rows, columns)), np.empty((rows, columns), np.bool_)
+    # One least value for each column, and comparisons as selections: LLVM does several pixels at once.
+    least = depth_m[0].copy()
+    for row in range(1, rows):
+        line = depth_m[row]
+        for column in range(columns):
+            least[column] = line[column] if line[column] < least[column] else least[column]
+    # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
+    touches_mm = (least.min() * 1000.0 - gel_m * 1000.0) * contact_scale
+    for row in range(rows):
+        line, gel, free, meets = depth_m[row], soft[row], gel_mm[row], contact[row]
+        for column in range(columns):
+            height = line[column] * 1000.0 - gel_m * 1000.0
+            gel[column] = height if height < free[column] else free[column]
+            meets[column] = (height < 0.0) & (gel[column] - free[column] < touches_mm)
     return soft, contact
 
 
@@ -174,28 +334,26 @@ def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float)
 
 @compiled
 def _shades(slope: Float64, direction: Float64, tables: Calibration) -> Float64:
-    """Return the colours (3, H, W) of the calibration for slopes in their place.
+    """Return the colours (H, 3 W + 1) of the calibration for slopes in their place.
 
     Directions are rounded up as in single precision: the last bin of the package holds those of pi alone, and
     that of a flat pixel is the middle of the table exactly.
     """
     rows, columns = slope.shape
-    bins = len(tables.colours)
+    bins = tables.bins
     per_slope, per_direction = (bins - 1) / (0.5 * math.pi), (bins - 1) / (2.0 * math.pi)
-    shade = np.empty((3, rows, columns))
+    # One value more: colours are written by four.
+    shade = np.empty(rows * columns * 3 + 1)
+    chosen = np.empty(columns, np.int64)
     for row in range(rows):
         y = row * (float(tables.height) / rows)
+        steep, turned = slope[row], direction[row]
+        for column in range(columns):
+            last = min(int(turned[column] * per_direction + 4e-6), bins - 1)
+            chosen[column] = (int(steep[column] * per_slope) * bins + last) * 18
         for column in range(columns):
             x = column * (float(tables.width) / columns)
-            steep = int(slope[row, column] * per_slope)
-            turned = min(int(direction[row, column] * per_direction + 4e-6), bins - 1)
-            chosen = tables.colours[steep, turned]
-            for colour in range(3):
-                c = 6 * colour
-                squares = (x * x * chosen[c] + y * y * chosen[c + 1]) + x * y * chosen[c + 2]
-                shade[colour, row, column] = ((squares + x * chosen[c + 3]) + y * chosen[c + 4]) + chosen[
-                    c + 5
-                ]
+            colour_pixel(shade, (row * columns + column) * 3, tables.colours, chosen[column], x, y)
     return shade
 
 
@@ -210,6 +368,7 @@ def _cast_shadows(
 ) -> None:
     """Darken lower pixels behind each pixel at the rim of the contact, along a fan of rays."""
     rows, columns = soft.shape
+    surface, places = soft.reshape(soft.size), np.empty(tables.shadows.shape[2], np.int32)
     for row in range(rows):
         for column in range(columns):
             if not sources[row, column]:
@@ -221,44 +380,65 @@ def _cast_shadows(
             level = math.floor(depth / tables.height_step) + tables.first_height
             if level < 0 or level >= tables.shadow_lengths.shape[1] - 1:
                 continue
-            dark = tables.shadows[toward, level]
-            for step in range(tables.shadow_lengths[toward, level]):
-                along_x = picture.shadow_step[0] * np.float32(step + 1)
-                along_y = picture.shadow_step[1] * np.float32(step + 1)
-                for ray in range(tables.fan.shape[1]):
-                    x_px = np.float32(column) + along_x * tables.fan[toward, ray, 0]
-                    y_px = np.float32(row) + along_y * tables.fan[toward, ray, 1]
-                    if x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows:
-                        continue
-                    # Towards 0, like the package's cast: less than a pixel outside the picture still counts.
-                    other_column, other_row = int(x_px), int(y_px)
-                    if here < soft[other_row, other_column]:
+            dark, met = tables.shadows[toward, level], places[: tables.shadow_lengths[toward, level]]
+            for ray in range(tables.fan.shape[1]):
+                _follow(met, row, column, picture.shadow_step, tables.fan[toward, ray], soft.shape)
+                for step in range(len(met)):
+                    at = met[step]
+                    if at >= 0 and here < surface[at]:
                         for colour in range(3):
-                            if dark[step, colour] < shade[colour, other_row, other_column]:
-                                shade[colour, other_row, other_column] = dark[step, colour]
+                            held = shade[3 * at + colour]
+                            shade[3 * at + colour] = dark[step, colour] if dark[step, colour] < held else held
 
 
 @compiled
-def render_taxim(out: Float32, heights_mm: Float64, tables: Calibration, picture: PictureTables) -> None:
-    """Render pictures (n, H, W, 3), 0 to 1, of heights over the gel, mm; see :mod:`tactile_sim.optics`."""
-    rows, columns = heights_mm.shape[1:]
+def _follow(
+    met: Int32, row: int, column: int, steps_px: Float32, ray: Float32, shape: tuple[int, int]
+) -> None:
+    """Write numbers of the pixels that the steps of a ray meet, -1 outside of the picture."""
+    rows, columns = np.int32(shape[0]), np.int32(shape[1])
+    begin_x, begin_y, along_x, along_y = np.float32(column), np.float32(row), steps_px[0], steps_px[1]
+    cosine, sine = ray[0], ray[1]
+    for step in range(len(met)):
+        far = np.float32(step + 1)
+        x_px, y_px = begin_x + along_x * far * cosine, begin_y + along_y * far * sine
+        is_outside = x_px <= -1.0 or y_px <= -1.0 or x_px >= columns or y_px >= rows
+        # Towards 0, like the package's cast: less than a pixel outside the picture still counts.
+        place = np.int32(y_px) * columns + np.int32(x_px)
+        met[step] = -1 if is_outside else place
+
+
+@compiled
+def render_taxim(
+    out: Float32, depths_m: Float64, gel_m: float, tables: Calibration, picture: PictureTables
+) -> None:
+    """Render pictures (n, H, W, 3), 0 to 1, of depth, metres; see :mod:`tactile_sim.optics`."""
+    rows, columns = depths_m.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
     per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
-    final_across, final_down = picture.pyramid[len(picture.pyramid) - 1]
-    between, lit = np.empty((rows, columns)), np.empty((rows, columns))
-    for number in range(len(heights_mm)):
-        soft, contact = _pressed_gel(
-            heights_mm[number], picture.gel_mm, tables.contact_scale, picture.pyramid
-        )
+    pyramid, none = picture.pyramid, np.zeros((rows, columns), np.bool_)
+    nothing = np.zeros((rows, 3 * columns), np.bool_)
+    for number in range(len(depths_m)):
+        soft, contact = _pressed_gel(depths_m[number], gel_m, picture.gel_mm, tables.contact_scale)
+        # Around the contact, which stays, the gel leaves the solid smoothly.
+        for level in range(len(pyramid)):
+            kept = contact if level < len(pyramid) - 1 else none
+            blur(soft, pyramid[level][0], pyramid[level][1], 1, kept, soft)
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
-        near = _dilated(contact, picture.windows[0, 0], picture.windows[0, 1])
-        near = _dilated(near, picture.windows[1, 0], picture.windows[1, 1])
-        _cast_shadows(shade, soft, direction, near & ~contact, tables, picture)
-        for colour in range(3):
-            blur(shade[colour], soft, between, picture.shadow_blur[0], picture.shadow_blur[1])
-            blur(soft, lit, between, final_across, final_down)
-            for row in range(rows):
-                for column in range(columns):
-                    value = lit[row, column] + picture.background[colour, row, column]
-                    out[number, row, column, colour] = np.float32(min(max(value, 0.0), 1.0))
+        _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)
+        plane = shade[: nothing.size].reshape(nothing.shape)
+        for across, down in (picture.shadow_blur, pyramid[len(pyramid) - 1]):
+            blur(plane, across, down, 3, nothing, plane)
+        _lay_over(plane, picture.background, out[number])
+
+
+@compiled
+def _lay_over(lit: Float64, background: Float64, out: Float32) -> None:
+    rows, width = lit.shape
+    for row in range(rows):
+        values, behind, shown = lit[row], background[row], out[row].reshape(width)
+        for place in range(width):
+            value = values[place] + behind[place]
+            value = value if value > 0.0 else 0.0
+            shown[place] = np.float32(value if value < 1.0 else 1.0)

@@ -12,7 +12,7 @@ import pytest
 import env_assets
 import mnist3d
 from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import LANES, PADDING, raise_object, raise_pixels
+from tactile_envs.touch_kernels import LANES, PADDING, ROWS, raise_block, raise_object
 from tactile_sim.poses import pose
 from tactile_sim.pressable import Pressable
 from tactile_sim.pressing import render_touch
@@ -21,31 +21,38 @@ from tests.env_assets.shapes import box
 
 
 @numba.njit(error_model="numpy")
-def _plain(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
-    for lane in range(LANES):
-        b_here, c_here = b + b_step * np.float32(lane), c + c_step * np.float32(lane)
-        height = low + (b_here * b_rise + c_here * c_rise)
-        inside = b_here + b_slack >= 0 and c_here + c_slack >= 0
-        inside = inside and (np.float32(1) + (b_slack + c_slack)) - (b_here + c_here) >= 0
-        if inside and height > heights[at + lane]:
-            heights[at + lane] = height
+def _plain(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
+    for row in range(ROWS):
+        for lane in range(LANES):
+            b_here, c_here = (
+                np.float32(b) + b_step * np.float32(lane),
+                np.float32(c) + c_step * np.float32(lane),
+            )
+            height = low + (b_here * b_rise + c_here * c_rise)
+            inside = b_here + b_slack >= 0 and c_here + c_slack >= 0
+            inside = inside and (np.float32(1) + (b_slack + c_slack)) - (b_here + c_here) >= 0
+            if inside and height > heights[places[row] + lane]:
+                heights[places[row] + lane] = height
+        b, c = b + b_up, c + c_up
 
 
 @numba.njit(error_model="numpy")
-def _eight(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
-    raise_pixels(heights, at, b, c, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise)
+def _at_once(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise):
+    raise_block(heights, places, b, c, b_up, c_up, b_step, c_step, b_slack, c_slack, low, b_rise, c_rise)
 
 
-def test_eight_pixels_at_once_are_as_one_after_the_other():
+def test_a_block_at_once_is_as_one_pixel_after_the_other():
     random = np.random.default_rng(0)
     heights = random.normal(size=4000).astype(np.float32)
     one, other = heights.copy(), heights.copy()
     for _ in range(2000):
-        numbers = random.normal(size=9).astype(np.float32)
-        numbers[4:6] = np.abs(numbers[4:6]) * 1e-6
-        at = int(random.integers(len(heights) - LANES))
-        _plain(one, at, *numbers)
-        _eight(other, at, *numbers)
+        doubles = random.normal(size=4) * [1, 1, 0.3, 0.3]
+        singles = random.normal(size=7).astype(np.float32)
+        singles[2:4] = np.abs(singles[2:4]) * 1e-6
+        at, pitch = int(random.integers(3000)), int(random.integers(LANES, 200))
+        places = tuple(at + row * pitch for row in range(ROWS))
+        _plain(one, places, *doubles, *singles)
+        _at_once(other, places, *doubles, *singles)
     assert (one == other).all()
     assert (one != heights).any()
 

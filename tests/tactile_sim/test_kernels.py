@@ -1,4 +1,4 @@
-"""Steps of the Taxim kernels one by one, as Python runs them: whole pictures need the extra `sim`."""
+"""Steps of the Taxim kernels one by one: whole pictures need the extra `sim`."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import sys
 
 import numpy as np
 import pytest
-from scipy.ndimage import correlate1d
+from scipy.ndimage import binary_dilation, correlate1d
 
 from tactile_sim import taxim_kernels
 from tests.tactile_sim import made_up_sensor
@@ -39,15 +39,29 @@ def test_compiled_kernels_give_the_bits_of_python(in_python):
     assert (made_up_sensor.pictures(package) == shades).all()
 
 
+@pytest.mark.parametrize("step", [1, 3])
 @pytest.mark.parametrize(("across", "down"), [([0.5, 0.3, -0.1], [0.7, 0.2]), ([1.0], [0.4, 0.3, 0.2, 0.1])])
-def test_blur_is_that_of_scipy_with_the_edge_mirrored(across, down):
-    image = np.random.default_rng(0).random((5, 7))
+@pytest.mark.parametrize("columns", [16, 21, 32])
+def test_blur_is_that_of_scipy_with_the_edge_mirrored(across, down, columns, step):
+    random = np.random.default_rng(0)
+    image = random.random((5, columns, step))
     expected = image
     for axis, half in enumerate((down, across)):
         expected = correlate1d(expected, [*half[:0:-1], *half], axis, mode="mirror")
-    out = np.empty_like(image)
-    taxim_kernels.blur.py_func(image, out, np.empty_like(image), np.array(across), np.array(down))
-    np.testing.assert_allclose(out, expected, rtol=1e-12)
+    flat, kept = image.reshape(5, -1), random.random((5, columns * step)) < 0.5
+    taxim_kernels.blur(flat, np.array(across), np.array(down), step, kept, out := flat.copy())
+    np.testing.assert_allclose(out, np.where(kept, flat, expected.reshape(flat.shape)), rtol=1e-12)
+
+
+@pytest.mark.parametrize("windows", [[[2, 2], [3, 3]], [[1, 4], [5, 2]], [[1, 1], [1, 1]]])
+def test_the_rim_is_where_two_windows_reach(windows):
+    mask = np.random.default_rng(1).random((30, 40)) < 0.01
+    near = mask
+    for width, height in windows:
+        # A window of an even size leans to the upper left, as scipy's does to the lower right.
+        origin = [-((side + 1) % 2) for side in (height, width)]
+        near = binary_dilation(near, np.ones((height, width)), origin=origin)
+    assert (taxim_kernels._rim(mask, np.array(windows)) == near & ~mask).all()
 
 
 def test_slopes_of_a_plane_and_of_what_is_level():
