@@ -1,6 +1,6 @@
 """Make the pictures of synthetic touches that the documents show.
 
-Usage: python docs/touches.py [FOLDER]      (extras sim, env and torch; FOLDER is docs by default)
+Usage: python docs/touches.py [FOLDER]      (extras sim, oracle and torch; FOLDER is docs by default)
 
 ``touches.png``: a digit, the gel on it, depth, Taxim and CycleGAN side by side. ``sensor_windows.png``: what
 ``full_view`` and ``center_view`` see of the same touch.
