@@ -43,8 +43,13 @@ SPARSE = [
     for family in dict.fromkeys(name.split("-Depth")[0] for name in env_specs() if "-Depth" in name)
 ]
 """One of each family: the splits differ in their objects, and sensors in pictures."""
-DRAWN = ("renderer_", "show_", "enable_rendering", "render_")
-"""How names of settings begin that only pictures for people follow from."""
+OTHERS = {
+    *("dataset", "mesh_dataset"),
+    *("sensor_backend", "sensor_device", "sensor_device_index", "convert_image_to_numpy"),
+    *("depth_estimator_backend", "depth_estimator_type"),
+    *("show_sensor_target_pos", "enable_rendering"),
+}
+"""Settings that we do not have, beside ``render...``: of data, of what computes an image, and of pictures."""
 HALF_MICROMETRE = 0.5e-6 / 2.125e-3
 
 
@@ -236,9 +241,8 @@ def test_settings_are_those_of_the_registration(packages):
         _same_noise(theirs.pop("sensor_noise", None), ours)
         for setting in ours.keys() & theirs.keys():
             np.testing.assert_array_equal(ours[setting], theirs[setting], f"{name} {setting}")
-        # What we have no setting for is of pictures alone, or says what computes an image.
-        rest = theirs.keys() - ours.keys() - {"dataset", "mesh_dataset", "sensor_backend", "sensor_device"}
-        assert all(setting.startswith(DRAWN) for setting in rest), rest
+        rest = theirs.keys() - ours.keys()
+        assert all(setting in OTHERS or setting.startswith("render") for setting in rest), rest
 
 
 def _same_noise(theirs: Any, ours: dict[str, Any]) -> None:
