@@ -37,7 +37,13 @@ PAGES = (
 NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
 
-NEEDED = {"dev": "grain", "envs": "ap_gym", "simulators": "mujoco", "torch": "torchdata"}
+NEEDED = {
+    "dev": "grain",
+    "envs": "ap_gym",
+    "oracle": "tactile_mnist",
+    "simulators": "mujoco",
+    "torch": "torchdata",
+}
 """A package of each extra that blocks name."""
 
 

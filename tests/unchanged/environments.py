@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_envs.config import Config
+from tactile_envs.config import EpisodeConfig
 from tactile_envs.env_specs import env_specs
 
 COURSES = {
@@ -38,10 +38,10 @@ def ids() -> dict[str, str]:
     }
 
 
-def _changed(config: Config) -> str:
-    kept = Config()
+def _changed(config: EpisodeConfig) -> str:
+    kept = type(config)()
     changed = [
-        field.name for field in fields(Config) if getattr(config, field.name) != getattr(kept, field.name)
+        field.name for field in fields(config) if getattr(config, field.name) != getattr(kept, field.name)
     ]
     return ", ".join(f"{name}={getattr(config, name)!r}" for name in changed)
 
