@@ -15,8 +15,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
-sys.path.insert(0, str(ROOT))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import trimesh
@@ -106,4 +105,4 @@ def _guess(env: Any, answer: Any, certainty: float, rng: np.random.Generator) ->
 
 
 if __name__ == "__main__":
-    write(Path(sys.argv[1]) if len(sys.argv) > 1 else ROOT / "docs" / "_generated" / "episodes")
+    write(Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "_generated" / "episodes")

@@ -4,13 +4,18 @@ from __future__ import annotations
 
 import json
 import re
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
 
 import pytest
+from PIL import Image
 from typer.testing import CliRunner
 
 import tactile_envs
 from cli.env_assets import app
 from tactile_toolkit.errors import InputError
+from tests.pages import ROOT
 from tests.processes import printed_by
 
 SENSORS = {"Depth": "depth", "CycleGAN": "cycle_gan", "Taxim": "taxim"}
@@ -93,6 +98,33 @@ def test_words_choose_ids_and_objects_that_are_not_made_are_named() -> None:
 def test_words_that_no_environment_has(words: list[str], told: str) -> None:
     with pytest.raises(InputError, match=re.escape(told)):
         tactile_envs.ids(*words)
+
+
+def test_the_page_describes_every_family() -> None:
+    """By its name, with every picture that CI makes."""
+    text = (ROOT / "docs/howto/environments.md").read_text(encoding="utf-8")
+    for family in {each.id.partition("-")[0] for each in tactile_envs.ids()}:
+        assert re.search(rf"### {family}\n|`{family}`", text), family
+    episodes = pytest.importorskip("docs.episodes", exc_type=InputError)
+    assert set(re.findall(r"episodes/(\w+)\.webp", text)) == set(episodes.EPISODES)
+
+
+def test_a_moving_picture_shows_an_episode(
+    provider: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """From the first touch to the last; what is there is not made again."""
+    pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
+    from docs import episodes
+
+    frames = episodes.episode("TactileMNIST-Depth-test-v0", provider)
+    assert [frame.shape for frame in frames] == [(240, 336, 3)] * 17
+    assert all((one != other).any() for one, other in pairwise(frames))
+    monkeypatch.setattr(episodes, "EPISODES", {"one": "MinecraftPose-Depth-v0"})
+    for _ in range(2):
+        episodes.write(tmp_path)
+        with Image.open(tmp_path / "one.webp") as picture:
+            assert (picture.n_frames, picture.size) == (33, (336, 240))
+        monkeypatch.setattr(episodes, "episode", None)
 
 
 @pytest.mark.oracle
