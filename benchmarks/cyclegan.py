@@ -1,4 +1,4 @@
-"""Learned rendering on a domain whose truth is known (extras torch, env, sim): figures for README.md here.
+"""Learned rendering on a domain whose truth is known (extras torch, oracle, sim): figures for README.md here.
 
 No real touch is involved: pictures of the published generator, with sensor noise, stand for real touches. The
 depth of each of them is known, though no training sees it. A small CycleGAN is trained on them, without

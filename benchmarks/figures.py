@@ -91,10 +91,9 @@ BENCHMARKS = {
             "tactile_toolkit/mesh/raster.py",
         )
     ),
-    "env_adapter": Benchmark(("env_assets/published", "env_assets/provider.py", *_READ)),
     "native_environments": Benchmark(("tactile_envs",)),
     "learned_optics": Benchmark(("tactile_sim/learned",)),
-    "touches": Benchmark(("tactile_sim", "env_assets/published/environments.py")),
+    "touches": Benchmark(("tactile_sim",)),
     "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }
@@ -142,8 +141,6 @@ COMPARED = (
     ("native_environments.depth_16", "step, depth, 16 environments", ""),
     ("native_environments.Taxim_1", "step, Taxim, 1 environment", ""),
     ("native_environments.Taxim_64", "step, Taxim, 64 environments", ""),
-    ("env_adapter.reset", "reset of 4 environments", ""),
-    ("env_adapter.statistics", "statistics of 300 volumes", ""),
     ("height_maps.made", "height map, 0.2 mm", "by triangle"),
     ("scale.nodes", "600 digits, two Ray nodes", "two local processes"),
 )  # fmt: skip

@@ -2,8 +2,7 @@
 
 python benchmarks/height_maps.py [--assets DIR] [--count 40] [--repeats 7] [--pitch-mm 0.2]
 
-Without --assets, digits are made from the embedded source first. How fast the published environments fetch
-meshes through the adapter is in env_adapter.py.
+Without --assets, digits are made from the embedded source first.
 """
 
 from __future__ import annotations

@@ -5,31 +5,32 @@
     python benchmarks/learned_optics.py               # 1, 4 and 16 images at a time, on one thread
     python benchmarks/learned_optics.py --repeats 5 --threads 2
 
-Both take turns in one process; each figure is the median of several, for one image. Needs the extras `env`
+Both take turns in one process; each figure is the median of several, for one image. Needs the extras `oracle`
 and `torch`.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import statistics
+import sys
 import time
 import warnings
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 
-os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 import numpy as np
 import torch
 from figures import tell
 from scipy.ndimage import gaussian_filter
 
-from env_assets.published.packages import published_package
 from tactile_sim import center_view
 from tactile_sim.learned import DepthEstimator
 from tactile_sim.learned.cyclegan_optics import CycleganOptics
+from tests.published_envs import published_package
 
 SIZE = (64, 64)
 COUNTS = (1, 4, 16)

@@ -1,4 +1,4 @@
-"""Native environments next to the published ones, a step of a random policy, on one thread.
+"""Our environments next to the published ones, a step of a random policy, on one thread.
 
 ::
 
@@ -6,7 +6,7 @@
     python benchmarks/native_environments.py --repeats 3
 
 Both take turns in one process; each figure is the median of several, in processor time. At 256 environments
-the task is the volume: the published classification fails there. Needs the extras `env` and `sim`.
+the task is the volume: the published classification fails there. Needs the extras `oracle` and `sim`.
 """
 
 from __future__ import annotations
@@ -14,13 +14,14 @@ from __future__ import annotations
 import argparse
 import os
 import statistics
+import sys
 import tempfile
 import time
 import warnings
 from pathlib import Path
 from typing import Any
 
-os.environ.setdefault("PYOPENGL_PLATFORM", "egl")
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_name, "1")
 
@@ -36,15 +37,16 @@ FIELDS = ((1, 60), (16, 100), (64, 100), (256, 100))
 
 def report_beside_published(root: Path, sensor: str, repeats: int, numbers: Any) -> None:
     """Time a step of one environment out of n."""
-    import env_assets
+    from env_assets import AssetProvider
     from tactile_envs import make_vector
+    from tests.published_envs import make
 
-    provider = env_assets.AssetProvider(root)
+    provider = AssetProvider(root)
     word = "-Depth" if sensor == "depth" else ""
     for count, target in numbers:
         family = "TactileMNISTVolume" if count == 256 else "TactileMNIST"
         env_id = f"{family}{word}-train-v0"
-        theirs = env_assets.make(env_id, provider=provider, num_envs=count)
+        theirs = make(env_id, provider=provider, num_envs=count)
         ours = make_vector(env_id, num_envs=count, assets=root)
         ours.action_space.seed(0)
         actions = [ours.action_space.sample() for _ in range(2 * EPISODE)]

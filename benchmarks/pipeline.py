@@ -8,7 +8,7 @@
 
 Digits are compared with the plain implementation of `plain_digit.py`, which needs PyVista and is fastest with
 fast-simplification. Loading is compared with `tactile_mnist.SimpleMeshDataset` where the extra
-`env` is installed.
+`oracle` is installed.
 """
 
 from __future__ import annotations

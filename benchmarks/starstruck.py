@@ -1,7 +1,7 @@
 """How fast Starstruck scenes are made, and how small they are stored, next to the published generator.
 
-Run ``python benchmarks/starstruck.py`` with the extra `env` installed. One run prints, each as the median of
-several repetitions in this process:
+Run ``python benchmarks/starstruck.py`` (extra `oracle`). One run prints, each as the median of several
+repetitions in this process:
 
 - scenes per second of the published generator (``generate_starstruck_scene`` of
   ``tactile_mnist.starstruck_dataset``), of ours in batches (``sample_scenes`` and ``build_meshes``), and of

@@ -59,7 +59,7 @@ def touches_of(digits: Any, count: int) -> tuple[list[Any], np.ndarray, np.ndarr
 
 def depth_and_taxim(digits: Any) -> None:
     """Time depth maps and pictures of single sizes."""
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     backend = published_package("tactile_mnist.tactile_renderer.taxim_renderer_jax")
     device = published_package("tactile_mnist.tactile_renderer.tactile_renderer").Device("cpu")

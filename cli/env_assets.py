@@ -1,10 +1,12 @@
-"""``env-assets``: the wrench, folders of assets, and the published environments."""
+"""``env-assets``: the wrench, folders of assets, and the list of environments."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import asdict, fields
 from functools import partial
-from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
 import env_assets
 from cli.application import command, new_app, run
@@ -16,6 +18,7 @@ from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_pl
 from cli.output import Sink
 from cli.upkeep import cache
 from env_assets import WrenchSpec
+from env_assets.asset_kinds import THIRD_PARTY_ASSETS
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import text
@@ -23,7 +26,7 @@ from tactile_toolkit.wording import with_count
 
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
-app = new_app("env-assets", "Assets of environments: the wrench, and the published environments.")
+app = new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
 
 
 @command(app)
@@ -72,22 +75,28 @@ def list_environments(
     ),
     sink: Sink,
 ) -> None:
-    """List the published environments, and what each needs to run here.
+    """List the ids of environments, and what each of them is.
 
     Example: env-assets list Minecraft
     """
     # Imported here: it registers the environments, and imports numpy.
     import tactile_envs
 
-    found = [{**each, "native": each["id"] in tactile_envs.IDS} for each in env_assets.overview(words or ())]
-    sink.document(found)
-    columns = ("task", "split", "sensor", "assets", "state", "native")
-    sink.table(("environment", *columns), [[each[name] for name in ("id", *columns)] for each in found])
-    sink.line(f"{with_count(len(found), 'environments')} of tactile-mnist {version('tactile-mnist')}")
-    for note in dict.fromkeys(each["note"] for each in found if each["note"]):
-        sink.line(note)
-    if any(each["native"] for each in found):
-        sink.line("native: `tactile_envs:ID` runs the same episodes without OpenGL, many times faster")
+    found = tactile_envs.ids(*words or ())
+    sink.document([asdict(each) for each in found])
+    names = [field.name for field in fields(tactile_envs.EnvId)]
+    sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
+    sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
+    for assets in dict.fromkeys(each.assets for each in found):
+        if assets in THIRD_PARTY_ASSETS:
+            sink.line(f"{assets}: give `assets`, a folder of meshes; {THIRD_PARTY_ASSETS[assets]}")
+
+
+def _shown(value: Any) -> Any:
+    """Return parts of an observation or an action with their shapes as text, other values as they are."""
+    if not isinstance(value, Mapping):
+        return value
+    return " ".join(f"{name}{list(shape)}" for name, shape in value.items())
 
 
 for _shared in (export, verify, merge, split, show, cache):

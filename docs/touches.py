@@ -1,6 +1,6 @@
 """Make the pictures of synthetic touches that the documents show.
 
-Usage: python docs/touches.py [FOLDER]      (extras sim, env and torch; FOLDER is docs by default)
+Usage: python docs/touches.py [FOLDER]      (extras sim, oracle and torch; FOLDER is docs by default)
 
 ``touches.png``: a digit, the gel on it, depth, Taxim and CycleGAN side by side. ``sensor_windows.png``: what
 ``full_view`` and ``center_view`` see of the same touch.
@@ -23,7 +23,7 @@ import mnist3d
 import tactile_sim
 from mnist3d.sources.synthetic import SyntheticSource
 from tactile_sim.optics import make_optics
-from tactile_toolkit.errors import MissingExtraError
+from tactile_toolkit.errors import InputError
 
 DIGIT, AT_M = 1234, (0.008, 0.016)
 TURN_RAD = 0.2
@@ -77,7 +77,7 @@ def touches(solids: list[tactile_sim.Pressable]) -> Figure:
             axes = figure.add_subplot(2, 4, 4 * row + 2 + column)
             try:
                 optics = make_optics(name)
-            except MissingExtraError as error:
+            except InputError as error:
                 axes.text(0.5, 0.5, str(error), wrap=True, ha="center", fontsize=6)
                 continue
             sensor = tactile_sim.full_view(*optics.depth_size(320, 240))

@@ -9,12 +9,6 @@ from .provider import (
     AssetSource as AssetSource,
     meshes_at as meshes_at,
 )
-from .published.datasets import (
-    as_mesh_dataset as as_mesh_dataset,
-    as_touch_dataset as as_touch_dataset,
-)
-from .published.environments import make as make
-from .published.ids import overview as overview
 from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench
 from .wrench.records import WrenchDataset as WrenchDataset, WrenchRecord as WrenchRecord
 from .wrench.shape import wrench_mesh as wrench_mesh

@@ -1,9 +1,9 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
 from .config import Config as Config
+from .env_specs import EnvId as EnvId, ids as ids
 from .entry_points import make_one as make_one, make_vector as make_vector
 from .environment import TactileVectorEnv as TactileVectorEnv
-from .ids import IDS as IDS, register as register
 from .single_environment import TactileEnv as TactileEnv
 
 __version__: str

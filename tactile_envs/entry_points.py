@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 
 from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
-from tactile_envs.ids import IDS, EnvSpec
+from tactile_envs.env_specs import EnvSpec, env_specs
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, needs_extra
 
-with needs_extra("native environments", "ap-gym", "native"):
+with needs_extra("making environments", "ap-gym", "envs"):
     from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
     from tactile_envs.mesh_scene import MeshScene
@@ -84,7 +84,7 @@ def make_vector(
     InputError
         The id or a setting does not exist; meshes or weights are missing or do not fit.
     """
-    spec = IDS[name]
+    spec = env_specs()[name]
     settings = configured(spec.config, config)
     num_envs, threads = checked_counts(settings, num_envs, threads)
     if isinstance(settings, RecordedConfig):

@@ -17,7 +17,7 @@ from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fittin
 from env_assets.asset_kinds import THIRD_PARTY_ASSETS, MeshSet, published_meshes
 from env_assets.mesh_view import PlannedView
 from tactile_envs.config import Config
-from tactile_envs.ids import EnvSpec
+from tactile_envs.env_specs import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError

@@ -14,7 +14,7 @@ import numpy as np
 import realtouch
 from env_assets import KINDS, MeshView, meshes_at, require_fitting_meshes
 from tactile_envs.config import RecordedConfig
-from tactile_envs.ids import REAL_TOUCHES
+from tactile_envs.env_specs import REAL_TOUCHES
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import PUBLISHED
 from tactile_toolkit import store

@@ -37,7 +37,13 @@ PAGES = (
 NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
 
-NEEDED = {"dev": "grain", "env": "tactile_mnist", "simulators": "mujoco", "torch": "torchdata"}
+NEEDED = {
+    "dev": "grain",
+    "envs": "ap_gym",
+    "oracle": "tactile_mnist",
+    "simulators": "mujoco",
+    "torch": "torchdata",
+}
 """A package of each extra that blocks name."""
 
 
@@ -91,10 +97,10 @@ def test_readme_runs(surroundings):
 
 
 @pytest.mark.thorough
-@pytest.mark.env
+@pytest.mark.envs
 def test_the_block_with_environments_runs(surroundings):
-    pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
-    (block,) = [block for block in blocks("README.md") if block.extra == "env"]
+    pytest.importorskip("ap_gym", reason="needs ap-gym, of the extra envs")
+    (block,) = [block for block in blocks("README.md") if block.extra == "envs"]
     run([sys.executable, "-c", block.text], surroundings, "environments")
 
 

@@ -24,7 +24,7 @@ from tactile_sim.learned.networks import GeneratorNetwork
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float32
 from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.errors import InputError, MissingExtraError
+from tactile_toolkit.errors import InputError
 
 Direction = Literal["touch", "depth"]
 """Output of a generator: touches from depth, or depth from touches."""
@@ -85,7 +85,7 @@ def weights_of(network: GeneratorNetwork, size_px: tuple[int, int]) -> Generator
 def published_weights(direction: Direction) -> Path:
     """Return the file of the published weights, which `tactile-mnist` ships, without importing the package.
 
-    Raises MissingExtraError if the package is not installed.
+    Raises InputError if the package is not installed.
     """
     found = find_spec("tactile_mnist")
     if found is not None and found.origin is not None:
@@ -93,8 +93,10 @@ def published_weights(direction: Direction) -> Path:
         if file.is_file():
             return file
     user = {"touch": "the optics 'cyclegan'", "depth": "DepthEstimator"}[direction]
-    raise MissingExtraError(
-        feature=f"{user} without weights of your own", package="tactile-mnist", extra="env"
+    raise InputError(
+        f"{user} without weights of your own needs a file of the package 'tactile-mnist', which is not "
+        "installed",
+        next="give `weights`, or run `pip install --no-deps tactile-mnist==0.13.0`",
     )
 
 

@@ -152,7 +152,7 @@ def test_the_lines_that_load_it_work(folders, kind, monkeypatch, capsys):
     assert capsys.readouterr().out.strip()
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 @pytest.mark.parametrize("name", ["mnist3d", "starstruck", "single", "synthetic", "seq"])
 def test_the_lines_with_tactile_mnist_work(folders, name, monkeypatch, capsys):
     pytest.importorskip("tactile_mnist", reason="the package tactile-mnist is not installed")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +26,15 @@ def assets(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="session")
-def packages() -> Any:
+def packages(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     """The published package; what it warns of while it is imported is not ours."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        return pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `env`) is not installed")
+        found = pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `oracle`) is not installed")
+    with pytest.MonkeyPatch.context() as patch:
+        # Statistics of data sets, which it keeps in the user's home otherwise.
+        patch.setattr(found.util, "CACHE_BASE_DIR", tmp_path_factory.mktemp("statistics"))
+        yield found
 
 
 @pytest.fixture

@@ -131,3 +131,25 @@ def test_a_link_out_of_a_folder_of_meshes_is_not_followed(tmp_path: Path) -> Non
     (tmp_path / "folder" / "a.stl").symlink_to(tmp_path / "own.stl")
     with pytest.raises(InputError, match="a link leads out of the folder"):
         _ = meshes_at(tmp_path / "folder", "train").bounds_m
+
+
+@pytest.mark.oracle
+def test_objects_are_laid_flat_as_the_package_does(packages: Any) -> None:
+    """Its own code runs on corners that may be written to, which trimesh no longer gives out."""
+    from tactile_mnist.tactile_perception_vector_env import TactilePerceptionVectorEnv
+
+    for seed in range(5):
+        mesh = trimesh.creation.box(np.array([3, 7, 1 + seed]) * 5e-3)
+        mesh.apply_transform(
+            trimesh.transformations.random_rotation_matrix(np.random.default_rng(seed).random(3))
+        )
+        box = mesh.bounding_box_oriented
+        theirs = SimpleNamespace(
+            bounding_box_oriented=SimpleNamespace(
+                transform=np.array(box.transform), vertices=np.array(box.vertices)
+            ),
+            copy=lambda mesh=mesh: SimpleNamespace(vertices=np.array(mesh.vertices)),
+        )
+        laid = TactilePerceptionVectorEnv._pre_process_dp(SimpleNamespace(mesh=theirs, id=0, label=0), True)
+        assert np.allclose(laid.mesh.vertices, mesh.vertices @ flat_turn(mesh).T, atol=1e-9)
+        assert np.linalg.det(flat_turn(mesh)) == pytest.approx(1)

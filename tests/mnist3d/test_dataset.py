@@ -74,10 +74,10 @@ def test_other_columns_are_refused(tmp_path):
         mnist3d.load(str(tmp_path))
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 @pytest.mark.filterwarnings("ignore")
 def test_published_loader_reads_every_row(folder):
-    reason = "needs the extra `env` (tactile-mnist, aiohttp)"
+    reason = "needs the extra `oracle` (tactile-mnist, aiohttp)"
     tactile_mnist = pytest.importorskip("tactile_mnist", reason=reason, exc_type=ImportError)
     import datasets
 

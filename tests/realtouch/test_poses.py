@@ -79,10 +79,10 @@ def test_poses_pickle_copy_and_change() -> None:
     np.testing.assert_allclose(several.rotation[0].as_matrix(), pose.rotation.as_matrix())
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 @given(st.lists(st.tuples(positions, quaternions), min_size=1, max_size=4))
 def test_the_published_type_says_the_same(parts: list[tuple[list[float], list[float]]]) -> None:
-    package = pytest.importorskip("transformation", reason="transformation3d (extra `env`) is not installed")
+    package = pytest.importorskip("transformation", reason="transformation3d is not installed")
     published = package.Transformation
     position, quaternion = (np.array(part) for part in zip(*parts, strict=True))
     pairs = [

@@ -11,7 +11,7 @@ import pytest
 import realtouch
 
 pytestmark = [
-    pytest.mark.env,
+    pytest.mark.oracle,
     # The published packages and what they import warn of their own future.
     pytest.mark.filterwarnings("ignore"),
 ]
@@ -20,7 +20,7 @@ pytestmark = [
 @pytest.fixture(scope="module")
 def published() -> Any:
     pytest.importorskip("torchcodec", reason="torchcodec decodes the published clips; it is not installed")
-    return pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `env`) is not installed")
+    return pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `oracle`) is not installed")
 
 
 def hub_dataset(folder: Path, split: str = "train") -> Any:

@@ -13,14 +13,14 @@ from starstruck_gen.scene_generation import SceneSetSpec, generate
 from starstruck_gen.scenes_on_the_fly import SceneDataset
 
 # The package's own imports warn; what they warn about is not ours.
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.oracle, pytest.mark.filterwarnings("ignore")]
 
 LEVEL = 0.01
 SCENES = 900
 
 
 def importorskip(name: str):
-    return pytest.importorskip(name, reason="needs the extra `env`: the published package")
+    return pytest.importorskip(name, reason="needs the extra `oracle`: the published package")
 
 
 def bodies(mesh) -> list[np.ndarray]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 from types import SimpleNamespace
 
 from tactile_envs.drawing import EnvDrawing, PredictionView, draw_environment
@@ -14,7 +14,7 @@ from tactile_envs.tasks import Classification
 from tactile_sim import center_view
 from tests.env_assets.shapes import box
 
-pytestmark = pytest.mark.env
+pytestmark = pytest.mark.envs
 GREEN, BLUE = (33, 140, 76), (89, 115, 178)
 
 

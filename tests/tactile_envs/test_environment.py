@@ -1,4 +1,4 @@
-"""What holds of a native environment by itself, without the published package."""
+"""What holds of an environment by itself, without the published package."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym  # noqa: E402
 import trimesh  # noqa: E402
 from gymnasium.utils.env_checker import check_env  # noqa: E402
@@ -20,13 +20,13 @@ from hypothesis import (  # noqa: E402
     strategies as st,
 )
 
-import tactile_envs  # noqa: E402
 import tactile_sim  # noqa: E402
 from tactile_envs.config import Config  # noqa: E402
 from tactile_envs.entry_points import make_vector  # noqa: E402
+from tactile_envs.env_specs import env_specs  # noqa: E402
 from tactile_toolkit.errors import InputError  # noqa: E402
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 DEPTH = "TactileMNIST-Depth-train-v0"
 TASKS = (
@@ -392,7 +392,7 @@ def test_an_unwritable_cache_costs_time_alone(assets, tmp_path, monkeypatch):
 
 
 def test_ids_are_registered():
-    assert all(gym.spec(f"tactile_envs/{name}").vector_entry_point for name in tactile_envs.IDS)
+    assert all(gym.spec(f"tactile_envs/{name}").vector_entry_point for name in env_specs())
 
 
 def test_a_picture_shows_a_bar_for_the_probability_of_each_class(assets):

@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
-import env_assets
-from env_assets.published.ids import published_environments
-from tactile_envs.config import Config
+import tactile_envs
+from tactile_envs.config import RecordedConfig
 from tactile_envs.entry_points import make_vector
-from tactile_envs.ids import IDS
+from tactile_envs.env_specs import env_specs
+from tests.published_envs import make, registrations
 
-pytestmark = [pytest.mark.env, pytest.mark.sim, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.oracle, pytest.mark.sim, pytest.mark.filterwarnings("ignore")]
 
 ENVS = 4
 SPACES = (
@@ -40,16 +40,23 @@ CASES = (
 )
 SPARSE = [
     f"{family}-Depth-sparse-v0"
-    for family in dict.fromkeys(name.split("-Depth")[0] for name in IDS if "-Depth" in name)
+    for family in dict.fromkeys(name.split("-Depth")[0] for name in env_specs() if "-Depth" in name)
 ]
 """One of each family: the splits differ in their objects, and sensors in pictures."""
+OTHERS = {
+    *("dataset", "mesh_dataset"),
+    *("sensor_backend", "sensor_device", "sensor_device_index", "convert_image_to_numpy"),
+    *("depth_estimator_backend", "depth_estimator_type"),
+    *("show_sensor_target_pos", "enable_rendering"),
+}
+"""Settings that we do not have, beside ``render...``: of data, of what computes an image, and of pictures."""
 HALF_MICROMETRE = 0.5e-6 / 2.125e-3
 
 
 @pytest.fixture(params=CASES)
 def pair(request, provider, assets, packages):
     """The published environment and ours."""
-    published = env_assets.make(request.param, provider=provider, num_envs=ENVS)
+    published = make(request.param, provider=provider, num_envs=ENVS)
     native = make_vector(request.param, num_envs=ENVS, assets=assets, config={"depth_in_info": True})
     yield published, native
     published.close()
@@ -101,7 +108,7 @@ def test_sparse_forms(env_id, provider, assets, packages, tmp_path):
         folder, source = tmp_path, None
     own = None if source else folder
     config = {"step_limit": 3}
-    published = env_assets.make(env_id, provider=source, assets=own, num_envs=ENVS, config=config)
+    published = make(env_id, provider=source, assets=own, num_envs=ENVS, config=config)
     native = make_vector(env_id, num_envs=ENVS, assets=folder, config={**config, "depth_in_info": True})
     _same_spaces(published, native)
     ends = []
@@ -120,9 +127,7 @@ def test_cycle_gan(provider, assets, packages):
     env_id = "TactileMNISTVolumeSnap-CycleGAN-v0"
     pytest.importorskip("torchvision", reason="torchvision (extra `torch`) is not installed")
     config = {"step_limit": 2}
-    published = env_assets.make(
-        env_id, provider=provider, num_envs=2, config={**config, "sensor_backend": "torch"}
-    )
+    published = make(env_id, provider=provider, num_envs=2, config={**config, "sensor_backend": "torch"})
     native = make_vector(env_id, num_envs=2, assets=assets, config={**config, "depth_in_info": True})
     _same_spaces(published, native)
 
@@ -222,23 +227,48 @@ def test_same_reward_by_the_loss_function(pair):
 
 
 def test_settings_are_those_of_the_registration(packages):
-    """Every id that runs natively exists, with the same settings."""
-    published = {each.spec.id: each for each in published_environments()}
-    defaults = {field.name: field.default for field in fields(packages.TactilePerceptionConfig)}
-    for name, registered in IDS.items():
-        assert published[name].sparse == registered.sparse
-        assert published[name].split == registered.split
-        settings = {**defaults, **published[name].settings}
-        for field in fields(Config):
-            if field.name in settings:
-                given = getattr(registered.config, field.name)
-                np.testing.assert_array_equal(given, settings[field.name], f"{name} {field.name}")
-        # What we have no setting for is off.
-        assert not settings["sensor_noise"]
-        assert not settings["allow_sensor_rotation"]
-        assert not settings["smallest_dimension_up"]
-        assert not settings["penetration_depth_reduction_std"]
-        assert settings["max_platform_penetration"] is None
+    """Every published id is here, with the same settings, and no other."""
+    published = registrations()
+    assert env_specs().keys() == published.keys()
+    assert len(published) == 356
+    for name, spec in env_specs().items():
+        kind = packages.TactilePerceptionConfig
+        if isinstance(spec.config, RecordedConfig):
+            kind = packages.TactileRealSnapConfig
+        theirs = {field.name: field.default for field in fields(kind)}
+        theirs |= published[name].kwargs["default_config"]
+        ours = {field.name: getattr(spec.config, field.name) for field in fields(spec.config)}
+        _same_noise(theirs.pop("sensor_noise", None), ours)
+        for setting in ours.keys() & theirs.keys():
+            np.testing.assert_array_equal(ours[setting], theirs[setting], f"{name} {setting}")
+        rest = theirs.keys() - ours.keys()
+        assert all(setting in OTHERS or setting.startswith("render") for setting in rest), rest
+
+
+def _same_noise(theirs: Any, ours: dict[str, Any]) -> None:
+    """Compare noise; for depth the package gives one without an effect on images, for its base depth."""
+    noise, base_depth = ours.pop("sensor_noise", None), ours.pop("real_base_depth_dataset", None)
+    assert base_depth == getattr(theirs, "real_base_depth_dataset", None)
+    if noise is not None:
+        assert noise.to_dict() == {name: getattr(theirs, name) for name in noise.to_dict()}
+    elif theirs is not None:
+        assert not any(value for name, value in vars(theirs).items() if name.endswith("_std"))
+
+
+def test_every_id_says_what_its_environment_is(packages, provider, assets, tmp_path):
+    """One of each family and sensor, beside the spaces of the published environment."""
+    for number, side_mm in enumerate((20, 30)):
+        trimesh.creation.box([side_mm, 30, 6]).export(tmp_path / f"{number}.stl")
+    for each in tactile_envs.ids("sparse", "Depth"):
+        if each.split == "test" or "RealSnap" in each.id or "-train" in each.id:
+            continue
+        own = tmp_path if each.assets in ("abc", "minecraft") else None
+        env = make(each.id, provider=provider, assets=own, num_envs=1)
+        seen, action = env.single_observation_space, env.single_action_space["action"]
+        assert each.observation == {name: space.shape for name, space in seen.items()}, each
+        assert each.action == {name: space.shape for name, space in action.items()}, each
+        assert env.unwrapped.config.step_limit == each.episode_length
+        env.close()
 
 
 @pytest.mark.parametrize("env_id", ["TactileMNIST-train-v0", "Starstruck-train-v0"])
@@ -248,7 +278,7 @@ def test_taxim_within_a_level(env_id, provider, assets, packages):
     Where the gel is flat, the package looks colours up by rounding noise, 26 levels apart at most; pixels
     beside upright walls may be further off.
     """
-    published = env_assets.make(env_id, provider=provider, num_envs=ENVS)
+    published = make(env_id, provider=provider, num_envs=ENVS)
     native = make_vector(env_id, num_envs=ENVS, assets=assets)
     near, seen = 0, 0
 

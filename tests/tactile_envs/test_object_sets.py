@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym
 import trimesh
 
@@ -24,7 +24,7 @@ from tactile_toolkit.errors import InputError
 from tests.env_assets.factories import write_meshes
 from tests.env_assets.shapes import box
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 DEPTH, VOLUME = "TactileMNIST-Depth-train-v0", "TactileMNISTVolume-Depth-train-v0"
 

@@ -12,23 +12,23 @@ from typing import Any
 import numpy as np
 import pytest
 
-pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
 import gymnasium as gym
 from gymnasium.utils.env_checker import check_env
 
-import env_assets
 import realtouch
 from tactile_envs.config import RecordedConfig
 from tactile_envs.entry_points import make_vector
-from tactile_envs.ids import REAL_TOUCHES
+from tactile_envs.env_specs import REAL_TOUCHES
 from tactile_envs.recorded_scene import window_size
 from tactile_envs.recorded_sets import RecordedSources
 from tactile_toolkit.errors import InputError
+from tests.published_envs import make
 from tests.realtouch import factories
 from tests.tactile_envs.test_lockstep import _same_spaces, _same_stats, _walk
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 ENVS = 4
 PLAIN = "TactileMNISTRealSnap-train-v0"
@@ -40,11 +40,11 @@ def published(provider, packages):
     """A function that makes published environments on the same touches."""
     made = []
 
-    def make(name: str, num_envs: int = ENVS, **config: Any) -> Any:
-        made.append(env_assets.make(name, provider=provider, num_envs=num_envs, config=config))
+    def make_one(name: str, num_envs: int = ENVS, **config: Any) -> Any:
+        made.append(make(name, provider=provider, num_envs=num_envs, config=config))
         return made[-1]
 
-    yield make
+    yield make_one
     for env in made:
         env.close()
 

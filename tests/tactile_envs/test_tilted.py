@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 
 from hypothesis import (
     given,
@@ -25,8 +25,9 @@ from realtouch import Poses
 from tactile_envs.entry_points import make_vector
 from tactile_sim import center_view
 from tactile_toolkit.errors import InputError
+from tests.published_envs import make
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 ENVS = 2
 VOLUME, CENTRE = "ABCVolume-Depth-train-v0", "ABCCenterOfMass-Depth-train-v0"
@@ -68,12 +69,9 @@ def solids(tmp_path_factory: pytest.TempPathFactory, assets: Path) -> Path:
 
 
 @pytest.fixture
-def published(packages: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Make published environments on meshes; their statistics stay out of the user's home."""
-    import env_assets
-
-    monkeypatch.setattr(packages.util, "CACHE_BASE_DIR", tmp_path / "statistics")
-    return env_assets.make
+def published(packages: Any) -> Callable[..., Any]:
+    """Make published environments on meshes."""
+    return make
 
 
 def _walk(theirs: Any, ours: Any, steps: int, compare: Callable[[Any, Any], None]) -> None:

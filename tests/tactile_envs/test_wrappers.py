@@ -1,4 +1,4 @@
-"""Training code drives native environments: the wrappers of gymnasium, of ap-gym, and those of APPLE.
+"""Training code drives environments: the wrappers of gymnasium, of ap-gym, and those of APPLE.
 
 APPLE (https://github.com/TimSchneider42/apple) is the training code of the paper. Its wrappers need JAX and
 modules of its own; what they ask of an environment is asked here in the same order (``__prepare_env``).
@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym  # noqa: E402
 from gymnasium.vector.utils import batch_space  # noqa: E402
 from gymnasium.wrappers import vector as wrappers  # noqa: E402
 
 import tactile_envs  # noqa: E402, F401
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
 DEPTH = "tactile_envs:TactileMNIST-Depth-train-v0"
 ENVS, STEPS = 3, 20

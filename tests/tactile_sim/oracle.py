@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from env_assets.published.packages import published_package
 from tactile_sim.sensor import Sensor, center_view
 from tactile_toolkit.errors import MissingExtraError
+from tests.published_envs import published_package
 
 PRESS_M, GEL_M = 0.002125, 0.00425
 
@@ -77,4 +77,4 @@ def require_package() -> None:
     try:
         published_package("tactile_mnist")
     except MissingExtraError as error:
-        pytest.skip(f"needs tactile-mnist, of the extra env ({error})")
+        pytest.skip(f"needs tactile-mnist, of the extra oracle ({error})")

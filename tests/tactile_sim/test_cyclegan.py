@@ -11,9 +11,9 @@ import pytest
 import tactile_sim
 from tests.tactile_sim.solids import ball, block
 
-pytestmark = [pytest.mark.torch, pytest.mark.sim, pytest.mark.env]
+pytestmark = [pytest.mark.torch, pytest.mark.sim, pytest.mark.oracle]
 torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
-pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra env")
+pytest.importorskip("tactile_mnist", reason="needs tactile-mnist, of the extra oracle")
 
 from tactile_sim.generation import optics_of  # noqa: E402
 from tactile_sim.learned import DepthEstimator, weights as files  # noqa: E402
@@ -21,7 +21,7 @@ from tactile_sim.learned.cyclegan_optics import CycleganOptics  # noqa: E402
 from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
 from tactile_sim.learned.weights import generator_of, weights_of  # noqa: E402
 from tactile_sim.optics import make_optics  # noqa: E402
-from tactile_toolkit.errors import InputError, MissingExtraError, ToolkitError  # noqa: E402
+from tactile_toolkit.errors import InputError, ToolkitError  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
 
 
@@ -35,7 +35,7 @@ def _depths(size):
 @pytest.fixture(scope="module")
 def package():
     """The package's renderer and estimator, on PyTorch and the CPU."""
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     cpu = published_package("tactile_mnist.tactile_renderer").Device("cpu")
     renderer = published_package("tactile_mnist.tactile_renderer.cycle_gan_renderer_torch")
@@ -120,7 +120,7 @@ def test_weights_survive_the_file_and_are_the_same_bytes(small):
 
 def test_our_weights_run_in_the_package(small):
     """Nine blocks are what it has; the number of filters is free in its JAX half."""
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     file = small(size_px=(256, 256), blocks=9)
     jax = published_package("tactile_mnist.tactile_renderer.cycle_gan_jax")
@@ -174,7 +174,7 @@ def test_files_that_are_no_weights_are_named(small, tmp_path, monkeypatch):
         with pytest.raises(InputError, match=text):
             files.read_weights(good)
     monkeypatch.setattr(files, "find_spec", lambda _: None)
-    with pytest.raises(MissingExtraError, match="the extra `env`"):
+    with pytest.raises(InputError, match="next: give `weights`, or run `pip install --no-deps tactile-mnist"):
         make_optics("cyclegan")
 
 

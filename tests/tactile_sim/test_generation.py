@@ -120,7 +120,7 @@ def test_published_is_the_whole_sensor_rendered_large_and_scaled(scenes, tmp_pat
     assert contacts
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path):
     """Where the sensor was, and how the object lay, as a table of given touches: the same images."""
     require_package()
@@ -153,12 +153,12 @@ def test_touches_of_the_published_renderer_are_made_again_from_a_table(tmp_path)
     assert (made < 255).any()
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 def test_the_published_loader_reads_it(touches):
     require_package()
     import datasets
 
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     stored = datasets.load_dataset(str(touches), split="test")
     theirs = published_package("tactile_mnist").TouchSingleDataset(stored)

@@ -33,11 +33,11 @@ def _rng(*key):
     return np.random.default_rng(key)
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 @pytest.mark.parametrize("size", [(64, 64), (33, 20), (320, 240), (1, 7)], ids=str)
 def test_the_same_random_numbers_give_what_the_package_gives(size):
     require_package()
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     module = published_package("tactile_mnist.sensor_noise")
     strong = {**VALUES, "frame_noise_std": 0.03, "episode_gain_std": 0.2}
@@ -52,10 +52,10 @@ def test_the_same_random_numbers_give_what_the_package_gives(size):
         assert (ours != pictures).mean() > (0.5 if min(size) > 1 else 0.2)
 
 
-@pytest.mark.env
+@pytest.mark.oracle
 def test_calibrated_values_are_those_of_the_installed_package():
     require_package()
-    from env_assets.published.packages import published_package
+    from tests.published_envs import published_package
 
     config = published_package("tactile_mnist.sensor_noise").SensorNoiseConfig()
     found = tactile_sim.SensorNoise.calibrated().to_dict()

@@ -12,7 +12,7 @@ import tactile_sim
 from tactile_toolkit.mesh import Mesh
 from tests.tactile_sim.oracle import GEL_M, PRESS_M, Oracle, require_package
 
-pytestmark = [pytest.mark.env, pytest.mark.sim]
+pytestmark = [pytest.mark.oracle, pytest.mark.sim]
 
 OBJECTS = int(os.environ.get("ORACLE_OBJECTS", "5"))
 """Objects of each kind; `ORACLE_OBJECTS=400` makes the whole proof, in some minutes."""

@@ -17,7 +17,7 @@ PACKAGES = sorted(
     for pattern in ("*/__init__.pyi", "tactile_toolkit/*/__init__.pyi")
     for stub in ROOT.glob(pattern)
 )
-NEEDS = {"as_mesh_dataset": "tactile_mnist", "as_touch_dataset": "tactile_mnist", "RayRunner": "ray"}
+NEEDS = {"RayRunner"}
 """Names that need a package of an extra."""
 TORCH = ("MeshBatch", "MeshItem", "REPRESENTATIONS", "SolidTensors", "TARGETS", "TrainingBatches")
 

@@ -1,4 +1,4 @@
-"""What native environments do, as numbers that do not depend on the processor: to five digits."""
+"""What environments do, as numbers that do not depend on the processor: to five digits."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from tactile_envs.config import Config
-from tactile_envs.ids import IDS
+from tactile_envs.config import EpisodeConfig
+from tactile_envs.env_specs import env_specs
 
 COURSES = {
     "TactileMNIST-Depth-train-v0": {},
@@ -34,14 +34,14 @@ def ids() -> dict[str, str]:
     """Return what each id stands for, where it is not as it is by default."""
     return {
         name: f"{each.task} {each.assets} {each.split} {each.frame} {_changed(each.config)}"
-        for name, each in IDS.items()
+        for name, each in env_specs().items()
     }
 
 
-def _changed(config: Config) -> str:
-    kept = Config()
+def _changed(config: EpisodeConfig) -> str:
+    kept = type(config)()
     changed = [
-        field.name for field in fields(Config) if getattr(config, field.name) != getattr(kept, field.name)
+        field.name for field in fields(config) if getattr(config, field.name) != getattr(kept, field.name)
     ]
     return ", ".join(f"{name}={getattr(config, name)!r}" for name in changed)
 

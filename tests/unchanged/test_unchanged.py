@@ -105,17 +105,17 @@ def test_bytes_of_synthetic_touches_are_unchanged(tmp_path):
     assert synthetic_touches(tmp_path) == RECORD["touches"]
 
 
-@pytest.mark.env
+@pytest.mark.envs
 def test_what_ids_of_environments_stand_for_is_unchanged():
     assert environments.ids() == RECORD["environments"]
 
 
 @pytest.mark.one_at_a_desk
-@pytest.mark.env
+@pytest.mark.envs
 @pytest.mark.parametrize("name", environments.COURSES)
 def test_courses_of_environments_are_unchanged(name, assets):  # noqa: F811
     """Compared with the published environments elsewhere, which only CI can."""
-    pytest.importorskip("ap_gym", reason="ap-gym (extra `native`) is not installed")
+    pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
     found, course = environments.course(name, assets), RECORD["courses"][name]
     assert found.keys() == course.keys()
     for key, values in found.items():

@@ -1,8 +1,8 @@
 """By the front door: our data sets under the published names on a Hub, and the published code unmodified.
 
 A process pushes generated sets to a Hub on 127.0.0.1 with the Hub's own client, makes environments with
-``ap_gym.make`` as anyone would, and next to them the same environments on our provider. With one seed both
-must show the same.
+``ap_gym.make`` as anyone would, and next to them those that other tests compare with (``make``). With one
+seed both must show the same.
 """
 
 from __future__ import annotations
@@ -14,10 +14,11 @@ from typing import Any
 import pytest
 
 from tests.hub_server import hub
+from tests.pages import ROOT
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.hub.client import settings, start_python
 
-pytestmark = [pytest.mark.env, pytest.mark.filterwarnings("ignore")]
+pytestmark = [pytest.mark.oracle, pytest.mark.filterwarnings("ignore")]
 
 OWNER = "TimSchneider42"
 PUBLISHED = {
@@ -54,9 +55,10 @@ while not ended:
 env.close()
 
 import numpy as np
-import env_assets
+from env_assets import AssetProvider
+from tests.published_envs import make
 
-provider = env_assets.AssetProvider("nowhere", places=published)
+provider = AssetProvider(assets)
 
 def seen(env):
     observation, _ = env.reset(seed=3)
@@ -71,7 +73,7 @@ def seen(env):
 
 def same(env_id):
     theirs, their_answers = seen(ap_gym.make_vec(f"tactile_mnist:{{env_id}}", num_envs=2))
-    ours, our_answers = seen(env_assets.make(env_id, provider=provider, num_envs=2))
+    ours, our_answers = seen(make(env_id, provider=provider, num_envs=2))
     alike = all(np.array_equal(one, other) for one, other in zip(ours, theirs, strict=True))
     # The package adds up its statistics in the order in which processes finish, so last digits may differ.
     pairs = zip(our_answers, their_answers, strict=True)
@@ -84,12 +86,14 @@ print("REPORT" + json.dumps(report))
 
 @pytest.fixture(scope="module")
 def report(assets: Path, tmp_path_factory: pytest.TempPathFactory) -> Any:
-    pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `env`) is not installed")
+    pytest.importorskip("tactile_mnist", reason="tactile-mnist (extra `oracle`) is not installed")
     home = tmp_path_factory.mktemp("home")
     names = {name: f"{OWNER}/{repository}" for name, repository in PUBLISHED.items()}
     with hub(home / "repositories") as server:
         token = server.account(OWNER)
-        environment = settings(server, home, token, HOME=str(home), PYOPENGL_PLATFORM="egl")
+        environment = settings(
+            server, home, token, HOME=str(home), PYOPENGL_PLATFORM="egl", PYTHONPATH=str(ROOT)
+        )
         script = SCRIPT.format(arguments=repr((str(assets), names, IDS)))
         with start_python(script, environment, home) as process:
             out, err = process.communicate(timeout=PATIENCE_S)
@@ -103,3 +107,8 @@ def test_the_published_environment_runs_on_our_data_set(report):
     assert report["steps"] == 16
     assert report["image"] == [64, 64, 1]
     assert "data/train-00000-of-00001.parquet" in report["fetched"]
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_what_other_tests_compare_with_is_the_same(report, env_id):
+    assert report["same"][env_id]

@@ -1,15 +1,18 @@
-"""Ids of environments, and their registration with gymnasium."""
+"""Ids of environments, and what they stand for."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from importlib.util import find_spec
+from functools import cache
 from math import pi
+from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from tactile_envs.config import DIRECT, GELSIGHT_M, SENSORS, Config, RecordedConfig
 from tactile_sim import SensorNoise
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import did_you_mean
 
 Task = Literal["classification", "volume", "pose"]
 Frame = Literal["model", "mass"]
@@ -18,7 +21,6 @@ Frame = Literal["model", "mass"]
 _SNAP = {"": None, "Snap": 23}
 # The sensor of recorded touches whose image is rendered from its estimated depth, or shown as it is.
 _RECORDED = {"": DIRECT, "-Taxim": "taxim", "-CycleGAN": "cycle_gan", "-Depth": "depth"}
-_MAKE_ONE = "tactile_envs.entry_points:make_one"
 
 REAL_TOUCHES = "TimSchneider42/tactile-mnist-touch-real-single-t256-320x240"
 """The published touches with one image each, 256 a round."""
@@ -41,6 +43,42 @@ class EnvSpec:
     config: Config | RecordedConfig
     frame: Frame = "model"
     sparse: bool = False
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EnvId:
+    """An id, and what its environment is.
+
+    Attributes
+    ----------
+    id : str
+        Such as ``"TactileMNIST-Depth-train-v0"``.
+    task : "classification", "volume" or "pose"
+        What is predicted of an object: its class, its volume, or its position and, in Toolbox and
+        MinecraftPose, its direction.
+    sensor : "taxim", "depth", "cycle_gan" or "direct"
+        How the images are made; "direct" shows recorded images as they are.
+    observation, action : dict of str to tuple of int
+        Names of the parts of an observation and of an action, and their shapes.
+    episode_length : int
+        Steps of an episode: touches after the first one.
+    assets : str
+        Objects that are touched: "mnist3d", "starstruck", "wrench", "abc" or "minecraft".
+    split : "train" or "test"
+        Split of the objects.
+    sparse : bool
+        Whether the prediction counts at the end of an episode only.
+    """
+
+    id: str
+    task: Task
+    sensor: str
+    observation: Mapping[str, tuple[int, ...]]
+    action: Mapping[str, tuple[int, ...]]
+    episode_length: int
+    assets: str
+    split: str
+    sparse: bool
 
 
 class _Family(NamedTuple):
@@ -107,7 +145,9 @@ def _randomized(config: Config, base_depth: str | None) -> Config:
     )
 
 
-def _ids() -> dict[str, EnvSpec]:
+@cache
+def env_specs() -> Mapping[str, EnvSpec]:
+    """Return the environments of all ids of `tactile-mnist` 0.13.0."""
     found = {}
     for family in _families():
         for part, sensor in family.sensors.items():
@@ -121,34 +161,52 @@ def _ids() -> dict[str, EnvSpec]:
                     begin = f"{family.name}{part}{form}{split}"
                     found[f"{begin}-v0"] = each
                     found[f"{begin}-sparse-v0"] = replace(each, sparse=True)
-    return found
+    return MappingProxyType(found)
 
 
-IDS: dict[str, EnvSpec] = _ids()
-"""Ids of `tactile-mnist` 0.13.0, and their environments."""
+def ids(*words: str) -> tuple[EnvId, ...]:
+    """Return the ids of environments that hold all of these words, such as ``"ABCVolume"`` and ``"DR"``.
 
-
-def register() -> None:
-    """Register the environments with gymnasium, as importing the package does.
-
-    `tactile-mnist` registers the same ids. Imported by hand after this package, it takes the plain ones, such
-    as ``TactileMNIST-Depth-train-v0``; this call takes them back. Ids that begin with ``tactile_envs/``
-    always name the environments of this package, and ``tactile_mnist/`` then those of the other.
+    Raises
+    ------
+    InputError
+        No id holds them all.
     """
-    if find_spec("gymnasium") is None:  # reported when an environment is made
-        return
-    import gymnasium  # an extra
+    parts = {name: name.split("-") for name in env_specs()}
+    found = [name for name, those in parts.items() if set(words) <= set(those)]
+    if not found:
+        known = {word for those in parts.values() for word in those}
+        strange = [word for word in words if word not in known]
+        near = "".join(did_you_mean(word, known) for word in strange[:1])
+        families = ", ".join(dict.fromkeys(those[0] for those in parts.values()))
+        raise InputError(
+            f"no environment has {' and '.join(map(repr, strange or words))} in its id{near}",
+            next=f"choose fewer words, or others such as {families}, Depth, CycleGAN, DR or test",
+        )
+    return tuple(_row(name, env_specs()[name]) for name in found)
 
-    registry = gymnasium.registry
-    for name in IDS:
-        # The environment of the other package stays available, for `env_assets.make`.
-        if name in registry and registry[name].entry_point != _MAKE_ONE:
-            registry[f"tactile_mnist/{name}"] = registry.pop(name)
-        for registered in (name, f"tactile_envs/{name}"):
-            registry.pop(registered, None)  # registered twice, gymnasium warns
-            gymnasium.register(
-                registered,
-                entry_point=_MAKE_ONE,
-                vector_entry_point="tactile_envs.entry_points:make_vector",
-                kwargs={"name": name},
-            )
+
+def _row(name: str, spec: EnvSpec) -> EnvId:
+    config = spec.config
+    width, height = config.sensor_output_size
+    channels = 3
+    if config.sensor_type == "depth":
+        channels = 1
+    observation: dict[str, tuple[int, ...]] = {"sensor_img": (height, width, channels), "sensor_pos": (3,)}
+    action: dict[str, tuple[int, ...]] = {"sensor_target_pos_rel": (3,)}
+    if isinstance(config, Config) and config.allow_sensor_rotation:
+        observation["sensor_rot"] = (6,)
+        action["sensor_target_rot_rel"] = (3,)
+    if config.timeout_behavior == "terminate":
+        observation["time_step"] = ()
+    return EnvId(
+        id=name,
+        task=spec.task,
+        sensor=config.sensor_type,
+        observation=observation,
+        action=action,
+        episode_length=config.step_limit,
+        assets=spec.assets,
+        split=spec.split,
+        sparse=spec.sparse,
+    )
