@@ -6,8 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_sim import center_view, make_optics
-from tactile_toolkit.array_types import Bool, Float32
+from tactile_envs.config import Config
+from tactile_envs.toucher import SensorReadings
+from tactile_sim import make_optics
+from tactile_sim.pressing import depth_image
+from tactile_toolkit.array_types import Float32, Floating, Int64
 
 OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
 """Optics of each simulated sensor."""
@@ -18,10 +21,8 @@ class Camera:
 
     Parameters
     ----------
-    sensor : str
-        ``sensor_type`` of a configuration.
-    size : tuple of int
-        Width and height of the images, pixels.
+    config : Config
+        Names the sensor, the size of images, and the gel.
     weights : str or path, optional
         Weights of the generator of ``"cycle_gan"``; the published ones by default.
 
@@ -31,8 +32,8 @@ class Camera:
         Number of colours.
     sees_depth : bool
         Whether it needs depth in metres in addition to the depth image.
-    depth_size : tuple of int
-        Width and height of the depth images that it needs, pixels.
+    sensor : Sensor
+        The sensor, with the size of the depth images that are needed.
 
     Raises
     ------
@@ -40,27 +41,55 @@ class Camera:
         The weights do not fit the sensor; packages are not installed.
     """
 
-    def __init__(self, sensor: str, size: tuple[int, int], weights: str | Path | None = None) -> None:
-        self._optics = make_optics(OPTICS[sensor], weights)
-        self.sees_depth, self.channels = sensor != "depth", 1 + 2 * (sensor != "depth")
-        self._size, self.depth_size = size, self._optics.depth_size(*size)
-        self._sensor = center_view(*self.depth_size)
-        width, height = self.depth_size
-        # The plate alone is pressed in evenly.
-        plate_m = np.full((1, height, width), self._sensor.press_m)
-        self._bare = self._optics.shades(plate_m, self._sensor, size)[0]
+    def __init__(self, config: Config, weights: str | Path | None = None) -> None:
+        self._optics = make_optics(OPTICS[config.sensor_type], weights)
+        self.sees_depth = config.sensor_type != "depth"
+        self.channels = 1 + 2 * self.sees_depth
+        self._size = config.sensor_output_size
+        self.sensor = config.sensor(self._optics.depth_size(*self._size))
+        self._plate_m = max(self.sensor.press_m, config.least_height_m)
+        self._behind: Float32 | None = None
+        self._bare: dict[int, Float32] = {}
 
-    def pictures(self, images: Float32, depths_m: Float32, is_bare: Bool) -> Float32:
-        """Return images (n, H, W, channels), 0 to 1, of depth images and depth (n, h, w), metres.
-
-        ``is_bare`` marks touches of the plate alone, whose images are all alike.
-        """
+    def put_behind(self, bases_m: Float32) -> None:
+        """Show depth maps (k, h, w), metres, wherever a touch presses the gel in less than they do."""
+        self._behind = bases_m
         if not self.sees_depth:
+            self._behind = depth_image(bases_m.astype(np.float64), self.sensor)
+
+    @property
+    def bases(self) -> int:
+        """Number of depth maps behind."""
+        return 0 if self._behind is None else len(self._behind)
+
+    def pictures(self, touches: SensorReadings, bases: Int64) -> Float32:
+        """Return images (n, H, W, channels), 0 to 1; ``bases`` (n,) are the numbers of the maps behind."""
+        if not self.sees_depth:
+            images = touches.images
+            if self._behind is not None:
+                np.minimum(images, self._behind[bases], out=images)
             return images[..., None]
-        found = np.empty((len(images), *self._bare.shape), np.float32)
-        found[is_bare] = self._bare
-        touched = np.flatnonzero(~is_bare)
+        width, height = self._size
+        found = np.empty((len(bases), height, width, self.channels), np.float32)
+        # All touches of the plate alone with one map behind share an image.
+        for base in np.unique(bases[touches.is_bare]).tolist():
+            found[touches.is_bare & (bases == base)] = self._bare_picture(base)
+        touched = np.flatnonzero(~touches.is_bare)
         if len(touched):
-            depth_m = depths_m[touched].astype(np.float64)
-            found[touched] = self._optics.shades(depth_m, self._sensor, self._size)
+            found[touched] = self._shades(touches.depths_m[touched], bases[touched])
         return found
+
+    def _bare_picture(self, base: int) -> Float32:
+        """Return the image of the plate alone with a map behind."""
+        if base not in self._bare:
+            width, height = self.sensor.size_px
+            # The plate is pressed in evenly.
+            plate_m = np.full((1, height, width), self._plate_m)
+            self._bare[base] = self._shades(plate_m, np.array([base]))[0]
+        return self._bare[base]
+
+    def _shades(self, depths_m: Floating, bases: Int64) -> Float32:
+        depth_m = depths_m.astype(np.float64)
+        if self._behind is not None:
+            np.minimum(depth_m, self._behind[bases], out=depth_m)
+        return self._optics.shades(depth_m, self.sensor, self._size)

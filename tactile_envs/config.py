@@ -4,15 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from math import pi
-from typing import Any, TypeVar
+from math import inf, pi
+from os import PathLike, fspath
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from tactile_sim import Sensor, SensorNoise
+from tactile_sim import Sensor, SensorNoise, center_view
+from tactile_sim.sensor import GEL_M
 from tactile_sim.sensor_noise import checked_noise
 from tactile_toolkit.checked_fields import check_fields, checked_integer, choice, integer, real, switch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CELL_M
+from tactile_toolkit.touch import CELL_M, PRESS_DEPTH_M
 from tactile_toolkit.wording import did_you_mean
+
+if TYPE_CHECKING:
+    from realtouch import TouchSingleDataset
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
@@ -105,14 +110,23 @@ class Config(EpisodeConfig):
         Whether actions turn the sensor, by at most ``max_tilt_angle`` (radians) from upright.
     angular_velocity, angular_acceleration : float
         How far the sensor turns from touch to touch: radians, seconds.
+    gel_thickness, penetration_depth : float
+        Thickness of the gel, and how far the highest point under it is pressed in, metres; ``gel_m`` and
+        ``press_m`` of :class:`tactile_sim.Sensor`. The published environments have no such settings.
     penetration_depth_reduction_std : float
         Standard deviation of how much higher than it is the sensor is observed, metres.
     max_platform_penetration : float, optional
         How deep the plate presses into the gel at most, metres.
-    sensor_noise : tactile_sim.SensorNoise, optional
-        Noise of a real sensor on the images.
-    real_base_depth_dataset : str, optional
-        Data set of real touches; their images without contact are the background of all depth maps.
+    sensor_noise : tactile_sim.SensorNoise, str, path or mapping, optional
+        Noise of a real sensor on the images; also ``"calibrated"``, ``"none"``, a JSON file, or a mapping
+        with a value for each attribute of :class:`tactile_sim.SensorNoise`.
+    real_base_depth_dataset : str, path or realtouch.TouchSingleDataset, optional
+        Real touches, of which the split ``train`` is read: the depth of one without contact, as a network
+        estimates it, lies before each depth map; what the object presses in deeper still shows.
+    real_base_depth_touches : int
+        Number of real touches without contact that are chosen for this, at random with a fixed seed. Each is
+        estimated once, which takes about a second, and kept in the cache folder. The published environments
+        choose another one of the whole data set for each touch.
     snap_touch_positions : int, optional
         Number of random places, of which the sensor goes to the nearest instead of its target.
     depth_in_info : bool
@@ -131,22 +145,44 @@ class Config(EpisodeConfig):
     angular_velocity: float = real(pi / 2, 0, 1000)
     angular_acceleration: float = real(10 * pi, above=0, most=1e6)
     max_tilt_angle: float = real(pi / 4, 0, pi / 4)
+    gel_thickness: float = real(GEL_M, above=0, most=0.1)
+    penetration_depth: float = real(PRESS_DEPTH_M, above=0, most=0.1)
     penetration_depth_reduction_std: float = real(0.0, 0, 1)
     max_platform_penetration: float | None = real(None, 0, 1, optional=True)
     sensor_noise: SensorNoise | None = None
-    real_base_depth_dataset: str | None = None
+    real_base_depth_dataset: str | PathLike[str] | TouchSingleDataset | None = None
+    real_base_depth_touches: int = integer(64, 1, 1024)
     snap_touch_positions: int | None = integer(None, 1, 100_000, optional=True)
     depth_in_info: bool = switch(False)
 
     def __post_init__(self) -> None:
         EpisodeConfig.__post_init__(self)
-        noise = checked_noise(self.sensor_noise, "sensor_noise of the environment")
-        object.__setattr__(self, "sensor_noise", noise)
+        object.__setattr__(self, "sensor_noise", _noise_of(self.sensor_noise))
+        self.sensor(self.sensor_output_size)
         if self.sensor_type == DIRECT:
             raise InputError(
                 f"sensor_type of the environment is {DIRECT!r}; expected one of {', '.join(SENSORS)}",
                 next="choose an id with RealSnap, which shows recorded images",
             )
+
+    def sensor(self, size_px: tuple[int, int]) -> Sensor:
+        """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
+        view = center_view(*size_px)
+        return replace(view, gel_m=self.gel_thickness, press_m=self.penetration_depth)
+
+    @property
+    def least_height_m(self) -> float:
+        """Least height of the sensor: the gel reaches from there to the plate, metres."""
+        if self.max_platform_penetration is None:
+            return -inf
+        return self.gel_thickness - self.max_platform_penetration
+
+
+def _noise_of(given: object) -> SensorNoise | None:
+    """Return the noise of a setting: as of a specification, or as an option names it."""
+    if isinstance(given, (str, PathLike)):
+        return SensorNoise.named(fspath(given))
+    return checked_noise(given, "sensor_noise of the environment")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

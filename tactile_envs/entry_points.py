@@ -10,18 +10,19 @@ from typing import Any
 import numpy as np
 
 from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
-from tactile_envs.env_specs import EnvSpec, env_specs
+from tactile_envs.env_specs import REAL_TOUCHES, EnvSpec, env_specs
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, needs_extra
 
 with needs_extra("making environments", "ap-gym", "envs"):
+    from tactile_envs.base_depth import Source, base_depths_m
     from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.recorded_scene import RecordedScene
-    from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects
+    from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects, touches_in
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
     from tactile_envs.tilted_scene import TiltedScene
@@ -97,12 +98,15 @@ def make_vector(
         raise InputError(
             f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
         )
-    camera = Camera(settings.sensor_type, settings.sensor_output_size, weights)
+    camera = Camera(settings, weights)
     kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
     try:
         records = open_objects(spec, settings, assets, unit)
+        if settings.real_base_depth_dataset is not None:
+            real = _real_touches(settings.real_base_depth_dataset, assets)
+            camera.put_behind(base_depths_m(real, settings.real_base_depth_touches, camera.sensor.size_px))
         scene = kind_of_scene(settings, records, num_envs, threads, camera)
-    except KeyboardInterrupt as error:  # while objects are made or packed: without the frames of that
+    except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
         raise error.with_traceback(None) from None
     task = _task(spec, settings, scene.pool, records.label_names)
     return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
@@ -133,6 +137,13 @@ def _recorded(
             next='give them as `assets` and the touches as `touches`, or "published" as either',
         )
     return scene, Volume(objects.pool.measure("volume_m3"), objects.which)
+
+
+def _real_touches(given: Source, assets: str | PathLike[str] | None) -> Source:
+    """Return the touches of a setting; the published ones may lie in the folder of the assets."""
+    if given != REAL_TOUCHES:
+        return given
+    return touches_in(assets or "tactile-assets") or given
 
 
 def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: Sequence[str]) -> Task:

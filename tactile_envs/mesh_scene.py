@@ -16,6 +16,7 @@ from tactile_envs.drawing import EnvDrawing
 from tactile_envs.episode_kernels import place
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion, require_move
+from tactile_envs.randomization import Randomization
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
 from tactile_envs.scene import Action, Readings
 from tactile_envs.toucher import SensorReadings, Toucher
@@ -53,7 +54,7 @@ class MeshScene:
         self.config, self.num_envs = config, num_envs
         self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
-        self._toucher = Toucher(camera.depth_size, num_envs, threads)
+        self._toucher = Toucher(camera.sensor, config.least_height_m, num_envs, threads)
         self._motion = Motion.of(config)
         self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
         self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
@@ -62,6 +63,8 @@ class MeshScene:
         corner = np.ones(3, np.float32)
         width, height = config.sensor_output_size
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
+        shape = (num_envs, height, width, camera.channels)
+        self._randomization = Randomization(config, shape, camera.bases)
         self.action_parts: dict[str, gym.Space[Any]] = {
             "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
         }
@@ -101,6 +104,7 @@ class MeshScene:
                     raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
                 self._upcoming[row] = number
         self._place_objects(rows, chosen, rng, options.poses)
+        self._randomization.begin(rows, rng)
         self._aim_at_start(rows, rng)
         for row in chosen:
             start = options.starts[row]
@@ -173,9 +177,11 @@ class MeshScene:
             drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
         has_depth = config.depth_in_info or self._camera.sees_depth
         sensors, places = self._sensors[rows], self.places[rows]
-        touches = self._press(rows, sensors, places, drift, has_depth)
+        draws = self._randomization.touch(len(sensors), rng)
+        touches = self._press(rows, draws.lifts_m, sensors, places, drift, has_depth)
         self._sensors[rows], self.places[rows] = sensors, places
-        images = self._camera.pictures(touches.images, touches.depths_m, touches.is_bare)
+        images = self._camera.pictures(touches, draws.bases)
+        images = self._randomization.add_noise(images, rows, draws)
         self._keep(rows, images)
         poses: AnyArray = np.tile(np.eye(4), (len(sensors), 1, 1))
         poses[:, :3, :3], poses[:, :3, 3] = self._axes[rows], sensors
@@ -185,12 +191,12 @@ class MeshScene:
         return Readings({"sensor_pos": touches.positions, "sensor_img": images}, info)
 
     def _press(
-        self, rows: Rows, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
+        self, rows: Rows, lifts_m: Float64, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
     ) -> SensorReadings:
         """Bring sensors down on objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
         return self._toucher.touch(
-            self._pool, numbers, sensors, places, self._motion, drift, with_depth=has_depth
+            self._pool, numbers, lifts_m, sensors, places, self._motion, drift, with_depth=has_depth
         )
 
     def _keep(self, rows: Rows, images: Float32) -> None:

@@ -53,15 +53,21 @@ class RecordedSources(NamedTuple):
             return cls(touches, digits if inside else assets)
         if not inside:
             return cls(assets, None)
-        recorded = [inside[name] for name in _FOLDERS if name in inside]
-        if not recorded:
+        recorded = touches_in(assets)
+        if recorded is None:
             name = _FOLDERS[0]
             command = f"realtouch download {name} --out {shlex.quote(str(Path(assets) / name))}"
             raise InputError(
                 f"{fspath(assets)!r} holds no recorded touches; expected a folder {name!r} in it",
                 next=f"run `{command}`, or give `touches`",
             )
-        return cls(recorded[0], digits)
+        return cls(recorded, digits)
+
+
+def touches_in(assets: Place) -> Path | None:
+    """Return the data set of touches in a folder of data sets; None if there is none."""
+    inside = _sets_in(assets)
+    return next((inside[name] for name in _FOLDERS if name in inside), None)
 
 
 def _sets_in(assets: Place) -> dict[str, Path]:

@@ -36,6 +36,7 @@ def touch_tilted(
     plate: Pool,
     far: float,
     chosen: Int64,
+    lifts: Float64,
     axes: Float64,
     sensors: Float64,
     objects: Float64,
@@ -53,6 +54,7 @@ def touch_tilted(
     in. The rest is as of :func:`tactile_envs.touch_kernels.touch`.
     """
     greatest = np.empty(images.shape[2], np.float32)
+    press_m, gel_m = window[3], window[4]
     view, lying = np.empty((3, 4)), np.empty((3, 4))
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
@@ -69,11 +71,15 @@ def touch_tilted(
         raise_mesh(heights, pool, chosen[i], view)
         highest = _highest(heights, greatest)
         is_bare[i] = False  # a tilted plate is seen, too
-        _show(images[i], heights, highest, window[3])
+        # The sensor may not go below a height: how far along its axis that is.
+        least_m = (window[5] - sensors[i, 2]) / axes[i, 2, 2]
+        pressed = max(highest, np.float32(least_m - press_m))
+        _show(images[i], heights, pressed, gel_m - press_m)
         if len(depths):
-            _measure(depths[i], heights, highest, window[3])
+            _measure(depths[i], heights, pressed, press_m)
+        observed_m = max(highest + press_m + lifts[i], least_m)
         for axis in range(3):
-            sensors[i, axis] += axes[i, axis, 2] * (highest + window[3])
+            sensors[i, axis] += axes[i, axis, 2] * observed_m
             low, high = motion[axis], motion[axis + 3]
             share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
             positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))

@@ -97,14 +97,14 @@ class TiltedScene(MeshScene):
         return Readings({**readings.observation, _TURNED: turned}, readings.info)
 
     def _press(
-        self, rows: Rows, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
+        self, rows: Rows, lifts_m: Float64, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
     ) -> SensorReadings:
         numbers, axes = self.numbers[rows], self._axes[rows]
         pools = (self._pool.arrays, self._plate.arrays)
         read = (self._toucher.window, self._motion.numbers, drift, *pools, self._far_m)
 
         def press(begin: int, end: int, room: Float32, readings: SensorReadings) -> None:
-            touch_tilted(begin, end, *read, numbers, axes, sensors, places, room, *readings)
+            touch_tilted(begin, end, *read, numbers, lifts_m, axes, sensors, places, room, *readings)
 
         return self._toucher.shared(len(numbers), press, with_depth=has_depth)
 

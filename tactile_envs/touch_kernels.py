@@ -365,6 +365,7 @@ def touch(
     drift: Float64,
     pool: Pool,
     chosen: Int64,
+    lifts: Float64,
     sensors: Float64,
     objects: Float64,
     heights: Float32,
@@ -375,16 +376,19 @@ def touch(
 ) -> None:
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
-    ``window`` (4,) is pixels a metre, column and row of the middle, counted from the bottom, and press depth,
-    metres; ``motion`` is as of :func:`aim`; ``drift`` (3,) how objects slip afterwards, in their own frame,
-    metres and radians; ``chosen`` which mesh of the pool each object is; ``heights`` (H, W + PADDING) room to
-    work in. Of ``sensors`` (n, 3), metres, the height is written; ``objects`` (n, 3), position, metres, and
-    turn, radians, slip in place. Written are depth images (n, H, W); ``depths``, likewise or (0, 0, 0) where
-    not wanted, distances from the gel's camera, metres; ``positions`` (n, 3), what sensors observe of
-    theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone was met.
+    ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, press depth and
+    thickness of the gel, and the least height of sensors, metres; ``motion`` is as of :func:`aim`; ``drift``
+    (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh of the
+    pool each object is; ``lifts`` (n,) how much higher sensors are observed than they are, metres;
+    ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
+    written; ``objects`` (n, 3), position, metres, and turn, radians, slip in place. Written are depth images
+    (n, H, W); ``depths``, likewise or (0, 0, 0) where not wanted, distances from the gel's camera, metres;
+    ``positions`` (n, 3), what sensors observe of theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone
+    was met.
     """
     greatest, room = np.empty(images.shape[2], np.float32), _room()
     heights[:, :] = 0.0
+    press_m, gel_m, least_m = window[3], window[4], window[5]
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
         x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
@@ -394,12 +398,14 @@ def touch(
         if is_near:
             highest = _highest(heights, greatest)
         is_bare[i] = highest == 0.0
-        _show(images[i], heights, highest, window[3])
+        # The plate may hold the sensor up before the object is pressed in fully.
+        pressed = max(highest, np.float32(least_m - press_m))
+        _show(images[i], heights, pressed, gel_m - press_m)
         if len(depths):
-            _measure(depths[i], heights, highest, window[3])
+            _measure(depths[i], heights, pressed, press_m)
         if is_near:
             heights[:, :] = 0.0
-        sensors[i, 2] = highest + window[3]
+        sensors[i, 2] = max(highest + press_m + lifts[i], least_m)
         for axis in range(3):
             low, high = motion[axis], motion[axis + 3]
             share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
@@ -423,10 +429,10 @@ def _highest(heights: Float32, greatest: Float32) -> np.float32:
 
 
 @compiled
-def _show(image: Float32, heights: Float32, highest: np.float32, press_m: float) -> None:
-    """Draw the depth image: 0 where the gel is pressed in most, 1 where it is not."""
+def _show(image: Float32, heights: Float32, highest: np.float32, span_m: float) -> None:
+    """Draw the depth image: 0 at the greatest height, 1 from ``span_m`` below it on."""
     rows, columns = image.shape
-    scale, top = np.float32(1.0 / press_m), np.float32(1.0)
+    scale, top = np.float32(1.0 / span_m), np.float32(1.0)
     if highest == 0.0:
         image[:, :] = 0.0
         return

@@ -11,7 +11,7 @@ import numpy as np
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion
 from tactile_envs.touch_kernels import PADDING, touch
-from tactile_sim import center_view
+from tactile_sim import Sensor
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
 _PARTS_A_THREAD = 8
@@ -40,8 +40,10 @@ class Toucher:
 
     Parameters
     ----------
-    size_px : tuple of int
-        Width and height of the depth images, pixels.
+    sensor : Sensor
+        What is brought down; its image is the depth image.
+    least_m : float
+        Least height of sensors, metres.
     num_envs : int
         How many environments.
     threads : int
@@ -49,18 +51,19 @@ class Toucher:
 
     Attributes
     ----------
-    window : ndarray of float64, shape (4,)
+    window : ndarray of float64, shape (6,)
         Of the gel, as kernels take it.
     window_m : tuple of float
         Its width and height, metres.
     """
 
-    def __init__(self, size_px: tuple[int, int], num_envs: int, threads: int) -> None:
+    def __init__(self, sensor: Sensor, least_m: float, num_envs: int, threads: int) -> None:
+        size_px = sensor.size_px
         self._image_shape = size_px[::-1]
-        view = center_view(*size_px)
-        self.window_m = view.window_m
-        middle = [size / 2 - 0.5 - at for size, at in zip(size_px, view.sample_px, strict=True)]
-        self.window = np.array([size_px[0] / view.window_m[0], *middle, view.press_m])
+        self.window_m = sensor.window_m
+        middle = [size / 2 - 0.5 - at for size, at in zip(size_px, sensor.sample_px, strict=True)]
+        per_m = size_px[0] / sensor.window_m[0]
+        self.window = np.array([per_m, *middle, sensor.press_m, sensor.gel_m, least_m])
         self._most_parts = max(1, (threads > 1) * threads * _PARTS_A_THREAD)
         room = (size_px[1], size_px[0] + PADDING)
         self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
@@ -74,6 +77,7 @@ class Toucher:
         self,
         pool: MeshPool,
         numbers: Int64,
+        lifts: Float64,
         sensors: Float64,
         objects: Float64,
         motion: Motion,
@@ -83,9 +87,10 @@ class Toucher:
     ) -> SensorReadings:
         """Bring sensors (n, 3) down on objects (n, 3) of the meshes ``numbers``, (n,).
 
-        The heights of the sensors are written, and the objects slip by ``drift``, as of the kernel.
+        The heights of the sensors are written, and the objects slip by ``drift``; ``lifts``, shape (n,), as
+        of the kernel.
         """
-        read = (self.window, motion.numbers, drift, pool.arrays, numbers)
+        read = (self.window, motion.numbers, drift, pool.arrays, numbers, lifts)
 
         def press(begin: int, end: int, room: Float32, readings: SensorReadings) -> None:
             touch(begin, end, *read, sensors, objects, room, *readings)

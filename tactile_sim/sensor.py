@@ -14,7 +14,8 @@ MESA_SAMPLE_PX = (-0.125, -0.375)
 of its samples, in pixels from the centre, x right and y up. It depends on the graphics driver."""
 
 _SURFACE_M = (0.01888, 0.01416)  # tactile-mnist 0.13.0, GELSIGHT_MINI_SENSOR_SURFACE_SIZE
-_GEL_M = 0.00425  # tactile-mnist 0.13.0, GELSIGHT_MINI_GEL_THICKNESS_MM
+GEL_M = 0.00425
+"""Thickness of the gel, metres (tactile-mnist 0.13.0, GELSIGHT_MINI_GEL_THICKNESS_MM)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +44,7 @@ class Sensor:
 
     size_px: tuple[int, int]
     window_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
-    gel_m: float = real(_GEL_M, above=0, most=0.1)
+    gel_m: float = real(GEL_M, above=0, most=0.1)
     press_m: float = real(PRESS_DEPTH_M, above=0)
     sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
 

@@ -9,15 +9,16 @@ Gaussian fields with a spectrum of ``1 / f^exponent``. Changes of the depth maps
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 
 import msgspec
 import numpy as np
+from numpy.typing import DTypeLike
 
-from tactile_toolkit.array_types import Float32, Float64, UInt8
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 
@@ -95,7 +96,10 @@ class SensorNoise:
 
 def checked_noise(noise: object, name: str) -> SensorNoise | None:
     """Return the noise of a specification, also from JSON values; InputError for anything else."""
-    if isinstance(noise, dict):
+    if isinstance(noise, Mapping):
+        names = [each.name for each in fields(SensorNoise)]
+        if set(noise) != set(names):
+            raise InputError(f"{name} has {', '.join(map(str, noise))}; expected {', '.join(names)}")
         return SensorNoise(**noise)
     if noise is None or isinstance(noise, SensorNoise):
         return noise
@@ -125,6 +129,54 @@ def add_noise(
     return noisy
 
 
+class EpisodeNoise:
+    """Noise of sensors side by side, each with a gain, an offset and a pattern for its episode.
+
+    Random numbers are drawn in the order of the package, and values are its own to single precision.
+
+    Parameters
+    ----------
+    noise : SensorNoise
+        The noise.
+    shape : tuple of int
+        Shape (n, H, W, C) of the images of all sensors.
+    """
+
+    def __init__(self, noise: SensorNoise, shape: tuple[int, int, int, int]) -> None:
+        self._noise = noise
+        self._gains = np.ones((shape[0], 1, 1, 1), np.float32)
+        self._added = np.zeros(shape, np.float32)
+
+    def begin(self, rows: slice | Int64, rng: np.random.Generator) -> None:
+        """Draw gain, offset and pattern of some sensors, whose episode begins."""
+        noise = self._noise
+        count, *shape = self._added[rows].shape
+        each = (count, 1, 1, 1)
+        self._gains[rows] = 1 + rng.normal(scale=noise.episode_gain_std, size=each)
+        added = rng.normal(scale=noise.episode_offset_std, size=each)
+        if noise.episode_pattern_std:
+            added = added + noise.episode_pattern_std * _field(
+                rng,
+                (count, *shape),
+                noise.episode_pattern_spectrum_exponent,
+                noise.episode_pattern_channel_correlation,
+            )
+        self._added[rows] = added
+
+    def add(self, images: Float32, rows: slice | Int64, rng: np.random.Generator) -> Float32:
+        """Return images of some sensors, (m, H, W, C), 0 to 1, with noise; works in place."""
+        added = self._added[rows]
+        if self._noise.frame_noise_std:
+            added = added + _of_touch(self._noise, rng, images.shape, np.float32)
+        # A mean for each image, and numbers in place: images of many sensors do not fit the cache.
+        means = images.mean(axis=(1, 2, 3), keepdims=True)
+        images -= means
+        images *= self._gains[rows]
+        images += means
+        images += added
+        return images.clip(0, 1, out=images)
+
+
 def draw_noise(
     noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]
 ) -> tuple[Float32, Float32]:
@@ -148,22 +200,40 @@ def _of_round(
     return gain, offset, noise.episode_pattern_std * field
 
 
-def _of_touch(noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...]) -> Float64:
+def _of_touch(
+    noise: SensorNoise, rng: np.random.Generator, shape: tuple[int, ...], dtype: DTypeLike = np.float64
+) -> AnyArray:
     exponent, correlation = noise.frame_noise_spectrum_exponent, noise.frame_noise_channel_correlation
-    return noise.frame_noise_std * _field(rng, shape, exponent, correlation)
+    return noise.frame_noise_std * _field(rng, shape, exponent, correlation, dtype)
 
 
-def _field(rng: np.random.Generator, shape: tuple[int, ...], exponent: float, correlation: float) -> Float64:
-    """Draw a field (H, W, C) of standard deviation 1, partly common to all colours."""
+def _field(
+    rng: np.random.Generator,
+    shape: tuple[int, ...],
+    exponent: float,
+    correlation: float,
+    dtype: DTypeLike = np.float64,
+) -> AnyArray:
+    """Draw fields (..., H, W, C) of standard deviation 1, partly common to all colours.
+
+    They are drawn in double precision, and computed in that of ``dtype``.
+    """
     from scipy.fft import irfft2, rfft2  # importing scipy takes a fifth of a second
 
-    height, width = shape[:2]
+    *_, height, width, colours = shape
     # The common field first, as in the package.
-    white = np.concatenate([rng.normal(size=(height, width, 1)), rng.normal(size=shape)], axis=2)
+    common = rng.standard_normal((*shape[:-1], 1)).astype(dtype)
+    white = np.empty(shape, dtype)
+    # One image at a time, which fits the cache of the processor: the same numbers in two thirds of the time.
+    for image in white.reshape(-1, height, width, colours):
+        image[:] = rng.standard_normal(image.shape)
+    # The sum of filtered fields is the filtered sum, which is one field less.
+    white *= math.sqrt(1 - correlation)
+    white += math.sqrt(correlation) * common
     # Transforms of real numbers, several at once, take a sixth of the time of numpy's complex ones.
-    spectrum = rfft2(white, axes=(0, 1)) * _amplitudes(height, width, exponent)[..., None]
-    filtered = irfft2(spectrum, s=(height, width), axes=(0, 1))
-    return math.sqrt(correlation) * filtered[..., :1] + math.sqrt(1 - correlation) * filtered[..., 1:]
+    spectrum = rfft2(white, axes=(-3, -2))
+    spectrum *= _amplitudes(height, width, exponent)[..., None].astype(dtype)
+    return np.asarray(irfft2(spectrum, s=(height, width), axes=(-3, -2)))
 
 
 @cache

@@ -33,7 +33,7 @@ LOCKS = "locks"
 # Patterns of the files in each folder that may be removed; the folders of locks and links hold no data.
 _NAMES = {
     "blocks": "[0-9a-f]{32}-[0-9]{5}-[0-9]{5}[.]arrow",
-    "environments": "meshes-[0-9a-f]{32}",
+    "environments": "(?:meshes|base-depth)-[0-9a-f]{32}",
 }
 
 CACHE_VARIABLE = "TACTILE_TOOLKIT_CACHE"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import tactile_sim
-from tactile_sim.sensor_noise import add_noise
+from tactile_sim.sensor_noise import EpisodeNoise, add_noise
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.oracle import require_package
 
@@ -53,6 +53,31 @@ def test_the_same_random_numbers_give_what_the_package_gives(size):
 
 
 @pytest.mark.oracle
+@pytest.mark.parametrize("size", [(64, 64), (33, 20), (1, 7)], ids=str)
+@pytest.mark.parametrize("channels", [1, 3])
+def test_sensors_side_by_side_have_the_noise_of_the_package(size, channels):
+    """Over resets of some of them, to single precision."""
+    require_package()
+    from tests.published_envs import published_package
+
+    module = published_package("tactile_mnist.sensor_noise")
+    images = np.random.default_rng(1).random((5, size[1], size[0], channels), np.float32)
+    for values in (VALUES, {**VALUES, "episode_pattern_std": 0.0}, {**VALUES, "frame_noise_std": 0.0}):
+        theirs = module.SensorNoiseModel(module.SensorNoiseConfig(**values), 5, size, channels)
+        ours = EpisodeNoise(tactile_sim.SensorNoise(**values), images.shape)
+        for number, rows in enumerate((np.arange(5), np.array([1, 4]), slice(None))):
+            mask = np.zeros(5, np.bool_)
+            mask[rows] = True
+            theirs.reset(mask, _rng(number))
+            ours.begin(rows, _rng(number))
+            for touch in range(2):
+                expected = theirs.apply(images, _rng(8, touch))
+                made = ours.add(images.copy(), slice(None), _rng(8, touch))
+                assert made.dtype == np.float32
+                np.testing.assert_allclose(made, expected, atol=1e-6)
+
+
+@pytest.mark.oracle
 def test_calibrated_values_are_those_of_the_installed_package():
     require_package()
     from tests.published_envs import published_package
@@ -65,24 +90,30 @@ def test_calibrated_values_are_those_of_the_installed_package():
     assert config.real_base_depth_dataset is None
 
 
-def test_noise_is_as_large_and_as_correlated_as_asked_for():
+@pytest.mark.parametrize("part", ["frame_noise", "episode_pattern"])
+def test_noise_is_as_large_and_as_correlated_as_asked_for(part):
     """Against the definition: deviation, correlation of colours and slope of the spectrum."""
-    values = {
-        **VALUES,
-        "frame_noise_std": 0.05,
-        "episode_pattern_std": 0.0,
-        "episode_gain_std": 0.0,
-        "episode_offset_std": 0.0,
-    }
+    values = {name: 0.0 if name.endswith("_std") else value for name, value in VALUES.items()}
+    noise = tactile_sim.SensorNoise(**values | {f"{part}_std": 0.05})
     grey = np.full((200, 64, 64, 3), 128, np.uint8)
-    made = add_noise(grey, tactile_sim.SensorNoise(**values), _rng(0), lambda touch: _rng(touch)) / 255.0
-    noise = made - 128 / 255
-    assert noise.std() == pytest.approx(0.05, rel=0.01)
-    flat = noise.reshape(-1, 3)
-    assert np.corrcoef(flat.T)[0, 1] == pytest.approx(0.3, abs=0.02)
-    power = (np.abs(np.fft.fft2(noise[..., 0], axes=(1, 2))) ** 2).mean(axis=0)
-    slope = np.log(power[0, 2] / power[0, 16]) / np.log(16 / 2)
-    assert slope == pytest.approx(1.4, abs=0.1)
+    of_rounds = np.concatenate(
+        [
+            add_noise(grey[[number]], noise, _rng(number), lambda touch: _rng(3, touch))
+            for number in range(200)
+        ]
+    )
+    if part == "frame_noise":
+        of_rounds = add_noise(grey, noise, _rng(0), lambda touch: _rng(touch))
+    side_by_side = EpisodeNoise(noise, grey.shape)
+    side_by_side.begin(slice(None), _rng(0))
+    shown = side_by_side.add(np.full(grey.shape, 128 / 255, np.float32), slice(None), _rng(1))
+    for made in (of_rounds / 255.0, shown):
+        added = made - 128 / 255
+        assert added.std() == pytest.approx(0.05, rel=0.05)
+        assert np.corrcoef(added.reshape(-1, 3).T)[0, 1] == pytest.approx(0.3, abs=0.05)
+        power = (np.abs(np.fft.fft2(added[..., 0], axes=(1, 2))) ** 2).mean(axis=0)
+        slope = np.log(power[0, 2] / power[0, 8]) / np.log(8 / 2)
+        assert slope == pytest.approx(values[f"{part}_spectrum_exponent"], abs=0.2)
 
 
 @pytest.mark.thorough
