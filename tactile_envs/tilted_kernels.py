@@ -15,11 +15,12 @@ from tactile_envs.touch_kernels import (
     _SLACK,
     LANES,
     PADDING,
+    ROWS,
     Pool,
     _highest,
     _measure,
     _show,
-    raise_pixels,
+    raise_block,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
@@ -187,6 +188,7 @@ def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int,
     vertices, faces, _, grids = pool
     first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
     rows, columns = heights.shape[0], heights.shape[1] - PADDING
+    pitch, spare = heights.shape[1], heights.size - PADDING
     for face in range(first, last):
         a = first_vertex + np.int64(faces[face, 0])
         b = first_vertex + np.int64(faces[face, 1])
@@ -213,26 +215,19 @@ def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int,
         low = _seen(vertices, a, view, 2)
         b_rise = np.float32(_seen(vertices, b, view, 2) - low)
         c_rise = np.float32(_seen(vertices, c, view, 2) - low)
-        for row in range(first_row, last_row + 1):
+        rest = np.float32(b_step), np.float32(c_step), b_slack, c_slack, np.float32(low), b_rise, c_rise
+        for row in range(first_row, last_row + 1, ROWS):
             b_here, c_here = b_row, c_row
             for column in range(first_column, last_column + 1, LANES):
-                raise_pixels(
-                    pixels,
-                    row * heights.shape[1] + column,
-                    np.float32(b_here),
-                    np.float32(c_here),
-                    np.float32(b_step),
-                    np.float32(c_step),
-                    b_slack,
-                    c_slack,
-                    np.float32(low),
-                    b_rise,
-                    c_rise,
-                )
+                at = row * pitch + column
+                one, two, three = at + pitch, at + 2 * pitch, at + 3 * pitch
+                # Rows above the window are drawn into spare pixels.
+                places = at, min(one, spare), min(two, spare), min(three, spare)
+                raise_block(pixels, places, b_here, c_here, b_up, c_up, *rest)
                 b_here += LANES * b_step
                 c_here += LANES * c_step
-            b_row += b_up
-            c_row += c_up
+            b_row += ROWS * b_up
+            c_row += ROWS * c_up
 
 
 @compiled
