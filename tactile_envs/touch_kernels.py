@@ -417,10 +417,10 @@ def touch(
 
 @compiled
 def _highest(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the columns that ``greatest`` has room for, 0 at least."""
+    """Return the greatest height of the columns that ``greatest`` has room for; it may be negative."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
-    greatest[:] = 0.0
-    for row in range(len(heights)):
+    greatest[:] = heights[0, : len(greatest)]
+    for row in range(1, len(heights)):
         for column in range(len(greatest)):
             here = heights[row, column]
             greatest[column] = here if here > greatest[column] else greatest[column]

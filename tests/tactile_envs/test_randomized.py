@@ -115,6 +115,7 @@ def _boxes(folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.oracle
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("env_id", FAMILIES)
 def test_same_episodes(env_id, assets, packages, envs, one_empty, estimator, monkeypatch, tmp_path):
@@ -148,6 +149,7 @@ def test_same_episodes(env_id, assets, packages, envs, one_empty, estimator, mon
     assert estimator.images == has_real_depth
 
 
+@pytest.mark.oracle
 @pytest.mark.sim
 def test_taxim_within_a_level(assets, packages, envs, monkeypatch):
     """Where the gel is pressed in, within a level at 99 %; else as without noise."""
@@ -171,6 +173,7 @@ def test_taxim_within_a_level(assets, packages, envs, monkeypatch):
     assert min(clean) > 0
 
 
+@pytest.mark.oracle
 @pytest.mark.thorough
 def test_networks_of_both_packages_agree(assets, packages, envs, one_empty):
     """The network that estimates depth, and the one that renders it, with noise on top."""
