@@ -30,6 +30,8 @@ EPISODES = {
     "TactileMNISTCenterOfMass": "TactileMNISTCenterOfMass-Depth-test-v0",
     "Starstruck": "Starstruck-Depth-test-v0",
     "Toolbox": "Toolbox-Depth-v0",
+    "ABCVolume": "ABCVolume-Depth-v0",
+    "ABCCenterOfMass": "ABCCenterOfMass-Depth-v0",
     "Minecraft": "Minecraft-Depth-v0",
     "MinecraftPose": "MinecraftPose-Depth-v0",
 }
@@ -63,7 +65,7 @@ def write(folder: Path) -> None:
 def episode(env_id: str, provider: env_assets.AssetProvider) -> list[np.ndarray]:
     """Return the pictures of an episode, from the first touch to the last."""
     assets = provider.root / "own"
-    if not env_id.startswith("Minecraft"):
+    if not env_id.startswith(("ABC", "Minecraft")):
         assets = provider.root
         for kind in ("mnist3d", "starstruck"):
             provider.meshes(kind, "test")

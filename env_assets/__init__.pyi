@@ -6,7 +6,6 @@ from .height_map import HeightMap as HeightMap, top_surface as top_surface
 from .mesh_view import MeshView as MeshView
 from .provider import (
     AssetProvider as AssetProvider,
-    AssetSource as AssetSource,
     meshes_at as meshes_at,
 )
 from .wrench.dataset import wrench_facts as wrench_facts, write_wrench as write_wrench

@@ -18,8 +18,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.read import RecordDataset, picks_several, positions
 
-_FIELDS = ("id", "label", "vertices_m", "faces", "mesh")
-
 
 @dataclass(frozen=True, eq=False)
 class LazyMesh:
@@ -56,7 +54,7 @@ class MeshView(Sequence[Any]):
     Attributes
     ----------
     records : sequence
-        Records as :meth:`env_assets.AssetSource.meshes` describes them.
+        Records with ``id``, ``label``, ``vertices_m``, ``faces`` and ``mesh``.
     label_names : tuple of str
         Classes, in order.
     flat : bool
@@ -68,32 +66,11 @@ class MeshView(Sequence[Any]):
     flat: bool = False
 
     @classmethod
-    def of(cls, meshes: Any, label_names: Sequence[str] = ()) -> MeshView:
-        """Return a view of a sequence of meshes.
-
-        ``label_names`` are the classes of a sequence that does not name its own; numbers by default.
-        InputError if it holds something else, or a label is not a number.
-        """
+    def of(cls, meshes: MeshView | RecordDataset[Any]) -> MeshView:
+        """Return a view of a data set of meshes; a view as it is."""
         if isinstance(meshes, MeshView):
             return meshes
-        if isinstance(meshes, RecordDataset) and hasattr(meshes.record_class, "mesh"):
-            return cls(meshes, tuple(meshes.label_names))
-        is_plain = isinstance(meshes, Sequence) and not isinstance(meshes, (str, bytes, RecordDataset))
-        # Of the first alone: reading all fields of a lazy sequence would read all meshes.
-        if not (is_plain and meshes and all(hasattr(meshes[0], name) for name in _FIELDS)):
-            raise InputError(
-                f"a data set of meshes was expected, found {type(meshes).__name__}",
-                next="open one by `mnist3d.load`, or give a folder of meshes or a sequence of records with "
-                "id, label, vertices_m, faces and mesh",
-            )
-        labels: list[Any] = [getattr(record, "label", None) for record in meshes]
-        for row, label in enumerate(labels):
-            if not isinstance(label, (int, np.integer)):
-                raise InputError(
-                    f"record {row} has label {label!r}; expected the number of its class, from 0 on"
-                )
-        names = tuple(getattr(meshes, "label_names", label_names))
-        return cls(meshes, names or tuple(map(str, range(max(labels) + 1))))
+        return cls(meshes, tuple(meshes.label_names))
 
     def __len__(self) -> int:
         return len(self.records)

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from functools import partial
 from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, Protocol, overload, runtime_checkable
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import realtouch
 from env_assets.asset_kinds import KINDS, THIRD_PARTY_ASSETS, MeshSet, open_meshes
@@ -31,32 +31,8 @@ if TYPE_CHECKING:
 _QUIET_S = 2.0
 
 
-@runtime_checkable
-class AssetSource(Protocol):
-    """Provides assets by name, like :class:`env_assets.AssetProvider`; an environment needs nothing else.
-
-    Data sets keep order and length for as long as the source lives. All methods may be called from several
-    threads, and in processes that were forked or spawned after the source was made.
-    """
-
-    def meshes(self, name: str, split: str = "train") -> Sequence[Any]:
-        """Return the meshes of a split: records with ``id``, ``label``, ``vertices_m``, ``faces``, ``mesh``.
-
-        Vertices are (V, 3) float32 in metres, faces (F, 3) int32, counter-clockwise seen from outside,
-        ``mesh`` is a ``trimesh.Trimesh``. A plain list of such records will do: their classes are then those
-        of the name.
-        """
-        ...
-
-    def touches(
-        self, name: str, split: str = "train"
-    ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset:
-        """Return the rounds of real touches of a split, such as ``realtouch.load`` opens them."""
-        ...
-
-
 class AssetProvider:
-    """Provides assets to environments; an :class:`env_assets.AssetSource`.
+    """Provides assets to environments.
 
     A name is looked for in this order: in ``places``; as a folder in ``root``; as the path of a folder or
     Parquet file, or a repository of the Hub (``USER/NAME``). The names ``"mnist3d"``, ``"starstruck"`` and

@@ -11,7 +11,6 @@ import pytest
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from env_assets.fitting import require_fitting_meshes
 from env_assets.mesh_view import MeshView, flat_turn
 from env_assets.provider import meshes_at
 from tactile_toolkit.errors import InputError
@@ -24,12 +23,6 @@ def write(folder: Path, *names: str) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for name in names:
         SOLID.copy().apply_scale(1000).export(folder / name)
-
-
-def record(number: int, label: Any) -> Any:
-    return SimpleNamespace(
-        id=number, label=label, vertices_m=SOLID.vertices, faces=SOLID.faces, mesh=SOLID.copy()
-    )
 
 
 def test_folders_are_classes_and_loose_files_a_class_each(tmp_path: Path) -> None:
@@ -53,32 +46,6 @@ def test_folders_of_another_split_or_of_two_kinds_are_refused(tmp_path: Path) ->
     write(tmp_path / "train" / "screws", "a.stl")
     with pytest.raises(InputError, match=r"holds mesh files \(nut.stl\) next to folders of them \(screws\)"):
         meshes_at(tmp_path, "train")
-
-
-def test_a_list_of_records_is_taken_with_its_numbers_of_classes() -> None:
-    view = MeshView.of([record(number, label) for number, label in enumerate((0, 2, 2))])
-    assert view.label_names == ("0", "1", "2")
-    assert [each.id for each in view[[2, 0]]] == [2, 0]
-    assert view[1:].column("label").tolist() == [2, 2]
-    require_fitting_meshes(view, None, "mine", (0.1, 0.1))
-    with pytest.raises(InputError, match="mine holds no mesh; next: choose another split"):
-        require_fitting_meshes(view[:0], None, "mine", (0.1, 0.1))
-    assert MeshView.of([record(0, 0)], ("nut", "bolt")).label_names == ("nut", "bolt")
-
-
-@pytest.mark.parametrize(
-    ("given", "words"),
-    [
-        (7, "a data set of meshes was expected, found int; next: open one"),
-        ("nuts", "a data set of meshes was expected, found str"),
-        ([], "a data set of meshes was expected, found list"),
-        ([SOLID], "a data set of meshes was expected, found list"),
-        ([record(0, 0), record(1, "nut")], "record 1 has label 'nut'; expected the number of its class"),
-    ],
-)
-def test_what_is_no_list_of_meshes_is_refused(given: Any, words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        MeshView.of(given)
 
 
 @pytest.mark.parametrize("sides", [(0.02, 0.03, 0.01), (0.03, 0.02, 0.01)])

@@ -16,11 +16,6 @@ from tests.env_assets.shapes import box
 from tests.forked import run_forked
 
 
-def test_it_has_the_shape_that_environments_depend_on(provider):
-    assert isinstance(provider, env_assets.AssetSource)
-    assert not isinstance(object(), env_assets.AssetSource)
-
-
 @pytest.mark.parametrize(
     ("name", "split", "kind", "loader"),
     [

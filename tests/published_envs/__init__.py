@@ -56,8 +56,8 @@ def make(
 ) -> Any:
     """Make a published environment, or ``num_envs`` as a vector, as ``ap_gym.make`` does.
 
-    Its objects are those of a provider, or ``assets``: a place of meshes, or records. Recorded touches are
-    those of the provider. ``config`` has settings that differ from those of the registration.
+    Its objects are those of a provider, or ``assets``: a place of meshes, or a data set of them. Recorded
+    touches are those of the provider. ``config`` has settings that differ from those of the registration.
     """
     tactile_mnist, ap_gym = published_package("tactile_mnist"), published_package("ap_gym")
 
