@@ -192,9 +192,13 @@ def _raise_near(heights: Float32, pool: Pool, number: int, placed: ObjectPlace, 
     view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
     edges = room[3]
     _lay_edges(edges, heights, grid, placed)
-    lowest, highest = edges[1].min() - reach_m, edges[1].max() + reach_m
-    if edges[0].min() - reach_m > across * cell_m or edges[0].max() + reach_m < 0.0:
+    left, lowest, right, highest = np.inf, np.inf, -np.inf, -np.inf
+    for corner in range(4):
+        left, right = min(left, edges[0, corner]), max(right, edges[0, corner])
+        lowest, highest = min(lowest, edges[1, corner]), max(highest, edges[1, corner])
+    if left - reach_m > across * cell_m or right + reach_m < 0.0:
         up = 0
+    lowest, highest = lowest - reach_m, highest + reach_m
     runs = new_runs(first_face, small, up)
     for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
@@ -299,16 +303,16 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
         ax, ay, az = _seen(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
         bx, by, bz = _seen(view, corners[3 * _BATCH + i], corners[4 * _BATCH + i], corners[5 * _BATCH + i])
         cx, cy, cz = _seen(view, corners[6 * _BATCH + i], corners[7 * _BATCH + i], corners[8 * _BATCH + i])
-        left, right = _least(_least(ax, bx), cx), _most(_most(ax, bx), cx)
-        low, high = _least(_least(ay, by), cy), _most(_most(ay, by), cy)
-        first_column = _most(np.ceil(left - _EDGE_PX), 0.0)
-        first_row = _most(np.ceil(low - _EDGE_PX), 0.0)
+        left, right = min(min(ax, bx), cx), max(max(ax, bx), cx)
+        low, high = min(min(ay, by), cy), max(max(ay, by), cy)
+        first_column = max(np.ceil(left - _EDGE_PX), 0.0)
+        first_row = max(np.ceil(low - _EDGE_PX), 0.0)
         abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
         area = abx * acy - aby * acx
         # Triangles that do not face the sensor cover no pixel.
-        last_row = _least(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
+        last_row = min(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
         boxes[i] = np.int32(first_column)
-        boxes[_BATCH + i] = np.int32(_least(np.floor(right + _EDGE_PX), columns))
+        boxes[_BATCH + i] = np.int32(min(np.floor(right + _EDGE_PX), columns))
         boxes[2 * _BATCH + i] = np.int32(first_row)
         boxes[3 * _BATCH + i] = np.int32(last_row)
         per_area = 1.0 / area
@@ -336,16 +340,6 @@ def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[floa
     column = np.float64(across[0] * x + across[1] * y + across[2] * z + across[3])
     row = np.float64(up[0] * x + up[1] * y + up[2] * z + up[3])
     return column, row, np.float64(high[0] * x + high[1] * y + high[2] * z + high[3])
-
-
-@compiled
-def _least(one: float, other: float) -> float:
-    return one if one < other else other
-
-
-@compiled
-def _most(one: float, other: float) -> float:
-    return one if one > other else other
 
 
 @compiled
@@ -444,12 +438,15 @@ def touch(
 def _highest(heights: Float32, greatest: Float32) -> np.float32:
     """Return the greatest height of the columns that ``greatest`` has room for."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
-    greatest[:] = heights[0, : len(greatest)]
+    for column in range(len(greatest)):
+        greatest[column] = heights[0, column]
     for row in range(1, len(heights)):
         for column in range(len(greatest)):
             here = heights[row, column]
             greatest[column] = here if here > greatest[column] else greatest[column]
-    highest: np.float32 = greatest.max()
+    highest: np.float32 = greatest[0]
+    for column in range(1, len(greatest)):
+        highest = max(highest, greatest[column])
     return highest
 
 
