@@ -12,15 +12,15 @@ import numpy as np
 
 from tactile_envs.touch_kernels import (
     _EDGE_PX,
-    _SLACK,
-    LANES,
     PADDING,
-    ROWS,
     Pool,
+    Room,
     _highest,
     _measure,
     _show,
-    raise_block,
+    batch_room,
+    new_runs,
+    raise_runs,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
@@ -54,7 +54,7 @@ def touch_tilted(
     axis of each sensor in its columns; ``sensors`` (n, 3), metres, are moved along z until the gel is pressed
     in. The rest is as of :func:`tactile_envs.touch_kernels.touch`.
     """
-    greatest = np.empty(images.shape[2], np.float32)
+    greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     press_m, gel_m = window[3], window[4]
     view, lying = np.empty((3, 4)), np.empty((3, 4))
     for i in range(begin, end):
@@ -64,12 +64,12 @@ def touch_tilted(
         heights[:, :] = -far
         lying[2, 3] = -plate[3][0, 12]
         _look(view, window, axes[i], sensors[i], lying)
-        raise_mesh(heights, plate, 0, view)
+        raise_mesh(heights, plate, 0, view, room)
         lying[0, 0], lying[0, 1], lying[0, 3] = cosine, -sine, objects[i, 0]
         lying[1, 0], lying[1, 1], lying[1, 3] = sine, cosine, objects[i, 1]
         lying[2, 3] = 0.0
         _look(view, window, axes[i], sensors[i], lying)
-        raise_mesh(heights, pool, chosen[i], view)
+        raise_mesh(heights, pool, chosen[i], view, room)
         highest = _highest(heights, greatest)
         is_bare[i] = False  # a tilted plate is seen, too
         # The sensor may not go below a height: how far along its axis that is.
@@ -111,7 +111,7 @@ def _look(view: Float64, window: Float64, axes: Float64, sensor: Float64, lying:
 
 
 @compiled
-def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64) -> None:
+def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64, room: Room) -> None:
     """Raise pixels to the nearest triangle of mesh ``number`` at each of them.
 
     ``heights``, shape (H, W + PADDING), metres towards the sensor, has its first row at the bottom; pixels
@@ -122,10 +122,14 @@ def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64) -> None
     across, up = int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
     small = first_face + large
-    _raise_run(heights, pool, number, first_face, small, view)
+    seen_by = (
+        (view[0, 0], view[0, 1], view[0, 2], view[0, 3]),
+        (view[1, 0], view[1, 1], view[1, 2], view[1, 3]),
+        (view[2, 0], view[2, 1], view[2, 2], view[2, 3]),
+    )
     if starts[first_start + across * up] == 0:
-        return
-    seen = _seen_in_grid(heights, grid, view)
+        up = 0
+    seen, runs = _seen_in_grid(heights, grid, view), new_runs(first_face, small, up)
     lowest, highest = seen[:, 1].min() - reach_m, seen[:, 1].max() + reach_m
     for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
@@ -134,8 +138,9 @@ def raise_mesh(heights: Float32, pool: Pool, number: int, view: Float64) -> None
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
             cell = first_start + line * across
-            first, last = starts[cell + begin_cell], starts[cell + end_cell + 1]
-            _raise_run(heights, pool, number, small + first, small + last, view)
+            runs[line + 1, 0] = small + starts[cell + begin_cell]
+            runs[line + 1, 1] = small + starts[cell + end_cell + 1]
+    raise_runs(heights, pool, number, runs, seen_by, room)
 
 
 @compiled
@@ -180,59 +185,3 @@ def _extent_between(seen: Float64, from_y: float, to_y: float) -> tuple[float, f
             least = min(least, x + min(begin * along_x, end * along_x))
             most = max(most, x + max(begin * along_x, end * along_x))
     return least, most
-
-
-@compiled
-def _raise_run(heights: Float32, pool: Pool, number: int, first: int, last: int, view: Float64) -> None:
-    """Raise pixels to those of some triangles that face the sensor."""
-    vertices, faces, _, grids = pool
-    first_vertex, pixels = int(grids[number, 0]), heights.reshape(heights.size)
-    rows, columns = heights.shape[0], heights.shape[1] - PADDING
-    pitch, spare = heights.shape[1], heights.size - PADDING
-    for face in range(first, last):
-        a = first_vertex + np.int64(faces[face, 0])
-        b = first_vertex + np.int64(faces[face, 1])
-        c = first_vertex + np.int64(faces[face, 2])
-        ax, bx, cx = _seen(vertices, a, view, 0), _seen(vertices, b, view, 0), _seen(vertices, c, view, 0)
-        first_column = max(math.ceil(min(min(ax, bx), cx) - _EDGE_PX), 0)
-        last_column = min(math.floor(max(max(ax, bx), cx) + _EDGE_PX), columns - 1)
-        if first_column > last_column:
-            continue
-        ay, by, cy = _seen(vertices, a, view, 1), _seen(vertices, b, view, 1), _seen(vertices, c, view, 1)
-        first_row = max(math.ceil(min(min(ay, by), cy) - _EDGE_PX), 0)
-        last_row = min(math.floor(max(max(ay, by), cy) + _EDGE_PX), rows - 1)
-        abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
-        area = abx * acy - aby * acx
-        if first_row > last_row or area <= 0.0:
-            continue
-        # Weights of the second and the third corner, and what they grow by along x and y.
-        b_step, c_step = acy / area, -aby / area
-        b_up, c_up = -acx / area, abx / area
-        b_slack = np.float32(_SLACK * abs(b_step) + _SLACK)
-        c_slack = np.float32(_SLACK * abs(c_step) + _SLACK)
-        away_x, away_y = first_column - ax, first_row - ay
-        b_row, c_row = b_step * away_x + b_up * away_y, c_step * away_x + c_up * away_y
-        low = _seen(vertices, a, view, 2)
-        b_rise = np.float32(_seen(vertices, b, view, 2) - low)
-        c_rise = np.float32(_seen(vertices, c, view, 2) - low)
-        rest = np.float32(b_step), np.float32(c_step), b_slack, c_slack, np.float32(low), b_rise, c_rise
-        for row in range(first_row, last_row + 1, ROWS):
-            b_here, c_here = b_row, c_row
-            for column in range(first_column, last_column + 1, LANES):
-                at = row * pitch + column
-                one, two, three = at + pitch, at + 2 * pitch, at + 3 * pitch
-                # Rows above the window are drawn into spare pixels.
-                places = at, min(one, spare), min(two, spare), min(three, spare)
-                raise_block(pixels, places, b_here, c_here, b_up, c_up, *rest)
-                b_here += LANES * b_step
-                c_here += LANES * c_step
-            b_row += ROWS * b_up
-            c_row += ROWS * c_up
-
-
-@compiled
-def _seen(vertices: Float32, vertex: np.int64, view: Float64, row: int) -> float:
-    """Return column (0), row (1) or height (2) of a vertex."""
-    x, y, z = vertices[vertex, 0], vertices[vertex, 1], vertices[vertex, 2]
-    seen: float = view[row, 0] * x + view[row, 1] * y + view[row, 2] * z + view[row, 3]
-    return seen

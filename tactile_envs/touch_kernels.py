@@ -35,12 +35,12 @@ Pool = tuple[Float32, AnyArray, Int32, Float64]
 ObjectPlace = tuple[float, float, float, float, float]
 """Place of an object: cosine and sine of its turn, column and row of its origin, pixels per metre."""
 
-Run = tuple[int, int]
-"""First of some triangles, and the one after the last."""
-
 Room = tuple[Float32, Float64, Int32, Float64]
-"""Of a batch of triangles corners, metres, weights of corners, and first and last columns and rows; and edges
-of the window."""
+"""Of a batch of triangles corners, metres, weights and heights of corners, and first and last columns and
+rows; and edges of the window."""
+
+View = tuple[tuple[float, float, float, float], ...]
+"""How a mesh is seen: column, row and height, metres, of its points x, y, z, 1."""
 
 _EDGE_PX = 1e-6
 # Distance outside of an edge at which a pixel still counts as on it, as a share of the change of its weight
@@ -169,13 +169,14 @@ def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace)
     ``heights``, shape (H, W + PADDING), metres above the plate, has its first row at the bottom; pixels look
     at integers.
     """
-    _raise_near(heights, pool, number, placed, _room())
+    _raise_near(heights, pool, number, placed, batch_room())
 
 
 @compiled
-def _room() -> Room:
+def batch_room() -> Room:
+    """Return room for a batch of triangles."""
     corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
-    return corners, np.empty(8 * _BATCH), boxes, np.empty((5, 4))
+    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, 4))
 
 
 @compiled
@@ -186,12 +187,19 @@ def _raise_near(heights: Float32, pool: Pool, number: int, placed: ObjectPlace, 
     across, up = int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
     small = first_face + large
-    waiting, is_near = _raise_run(heights, pool, number, (first_face, small), placed, room, 0), large > 0
+    cosine, sine, x_px, y_px, px_per_m = placed
+    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
+    view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
     edges = room[3]
     _lay_edges(edges, heights, grid, placed)
-    lowest, highest = edges[1].min() - reach_m, edges[1].max() + reach_m
-    if edges[0].min() - reach_m > across * cell_m or edges[0].max() + reach_m < 0.0:
+    left, lowest, right, highest = np.inf, np.inf, -np.inf, -np.inf
+    for corner in range(4):
+        left, right = min(left, edges[0, corner]), max(right, edges[0, corner])
+        lowest, highest = min(lowest, edges[1, corner]), max(highest, edges[1, corner])
+    if left - reach_m > across * cell_m or right + reach_m < 0.0:
         up = 0
+    lowest, highest = lowest - reach_m, highest + reach_m
+    runs = new_runs(first_face, small, up)
     for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
         from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
@@ -200,12 +208,9 @@ def _raise_near(heights: Float32, pool: Pool, number: int, placed: ObjectPlace, 
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
             cell = first_start + line * across
-            run = small + starts[cell + begin_cell], small + starts[cell + end_cell + 1]
-            is_near = is_near or run[0] < run[1]
-            waiting = _raise_run(heights, pool, number, run, placed, room, waiting)
-    if waiting:
-        _raise_waiting(heights, room, placed, waiting)
-    return is_near
+            runs[line + 1, 0] = small + starts[cell + begin_cell]
+            runs[line + 1, 1] = small + starts[cell + end_cell + 1]
+    return raise_runs(heights, pool, number, runs, view, room)
 
 
 @compiled
@@ -248,54 +253,66 @@ def _extent_between(edges: Float64, from_y: float, to_y: float) -> tuple[float, 
 
 
 @compiled
-def _raise_run(
-    heights: Float32, pool: Pool, number: int, run: Run, placed: ObjectPlace, room: Room, waiting: int
-) -> int:
-    """Raise pixels to some triangles, once there are enough of them; return how many wait."""
-    vertices, faces, _, grids = pool
-    first_vertex, corners = np.uint64(grids[number, 0]), room[0]
-    for face in range(run[0], run[1]):
-        # Unsigned: numba need not ask whether they count from the end.
-        begin, at = np.uint64(face), np.uint64(waiting)
-        for corner in range(3):
-            vertex = first_vertex + np.uint64(faces[begin, np.uint64(corner)])
-            for axis in range(3):
-                value = vertices[vertex, np.uint64(axis)]
-                corners[np.uint64((3 * corner + axis) * _BATCH) + at] = value
-        waiting += 1
-        if waiting == _BATCH:
-            _raise_waiting(heights, room, placed, waiting)
-            waiting = 0
-    return waiting
+def new_runs(first_face: int, small: int, lines: int) -> Int64:
+    """Return runs of faces (lines + 2, 2): first the large ones, then one for each line, and an empty one."""
+    runs = np.zeros((lines + 2, 2), np.int64)
+    runs[0, 0], runs[0, 1] = first_face, small
+    return runs
 
 
 @compiled
-def _prepare(heights: Float32, room: Room, placed: ObjectPlace) -> None:
+def raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: View, room: Room) -> bool:
+    """Raise pixels to those of some triangles that face the sensor; return whether there are any.
+
+    ``runs`` (n, 2) are the first of some triangles and the one after the last; the last run is empty.
+    """
+    vertices, faces, _, grids = pool
+    first_vertex, corners = np.uint64(grids[number, 0]), room[0]
+    waiting, is_any = 0, False
+    for run in range(len(runs)):
+        first, last = runs[run, 0], runs[run, 1]
+        # A batch is full, or, at the end, all there is.
+        least = _BATCH if run < len(runs) - 1 else 1
+        while True:
+            end = min(last, first + _BATCH - waiting)
+            for face in range(first, end):
+                # Unsigned: numba need not ask whether they count from the end.
+                begin, at = np.uint64(face), np.uint64(waiting + face - first)
+                for corner in range(3):
+                    vertex = first_vertex + np.uint64(faces[begin, np.uint64(corner)])
+                    for axis in range(3):
+                        value = vertices[vertex, np.uint64(axis)]
+                        corners[np.uint64((3 * corner + axis) * _BATCH) + at] = value
+            waiting, first = waiting + end - first, end
+            if waiting < least:
+                break
+            _raise_batch(heights, room, view, waiting)
+            waiting, is_any = 0, True
+    return is_any
+
+
+@compiled
+def _prepare(heights: Float32, room: Room, view: View) -> None:
     """Write of a batch of triangles which pixels they may cover, and the weights of their corners there.
 
     LLVM does several at once, because all have one number, and each result its own place in an array.
     """
     corners, weights, boxes, _ = room
     columns, rows = heights.shape[1] - PADDING - 1.0, heights.shape[0] - 1.0
-    cosine, sine, x_px, y_px, px_per_m = placed
-    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
     for i in range(_BATCH):
-        x, y = np.float64(corners[i]), np.float64(corners[_BATCH + i])
-        ax, ay = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        x, y = np.float64(corners[3 * _BATCH + i]), np.float64(corners[4 * _BATCH + i])
-        bx, by = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        x, y = np.float64(corners[6 * _BATCH + i]), np.float64(corners[7 * _BATCH + i])
-        cx, cy = turn_x * x - turn_y * y + x_px, turn_y * x + turn_x * y + y_px
-        left, right = _least(_least(ax, bx), cx), _most(_most(ax, bx), cx)
-        low, high = _least(_least(ay, by), cy), _most(_most(ay, by), cy)
-        first_column = _most(np.ceil(left - _EDGE_PX), 0.0)
-        first_row = _most(np.ceil(low - _EDGE_PX), 0.0)
+        ax, ay, az = _seen(view, corners[i], corners[_BATCH + i], corners[2 * _BATCH + i])
+        bx, by, bz = _seen(view, corners[3 * _BATCH + i], corners[4 * _BATCH + i], corners[5 * _BATCH + i])
+        cx, cy, cz = _seen(view, corners[6 * _BATCH + i], corners[7 * _BATCH + i], corners[8 * _BATCH + i])
+        left, right = min(min(ax, bx), cx), max(max(ax, bx), cx)
+        low, high = min(min(ay, by), cy), max(max(ay, by), cy)
+        first_column = max(np.ceil(left - _EDGE_PX), 0.0)
+        first_row = max(np.ceil(low - _EDGE_PX), 0.0)
         abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
         area = abx * acy - aby * acx
-        # Triangles that do not face upwards cover no pixel.
-        last_row = _least(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
+        # Triangles that do not face the sensor cover no pixel.
+        last_row = min(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
         boxes[i] = np.int32(first_column)
-        boxes[_BATCH + i] = np.int32(_least(np.floor(right + _EDGE_PX), columns))
+        boxes[_BATCH + i] = np.int32(min(np.floor(right + _EDGE_PX), columns))
         boxes[2 * _BATCH + i] = np.int32(first_row)
         boxes[3 * _BATCH + i] = np.int32(last_row)
         per_area = 1.0 / area
@@ -311,24 +328,26 @@ def _prepare(heights: Float32, room: Room, placed: ObjectPlace) -> None:
         weights[5 * _BATCH + i] = c_step
         weights[6 * _BATCH + i] = _SLACK * abs(b_step) + _SLACK
         weights[7 * _BATCH + i] = _SLACK * abs(c_step) + _SLACK
+        weights[8 * _BATCH + i] = az
+        weights[9 * _BATCH + i] = bz - az
+        weights[10 * _BATCH + i] = cz - az
 
 
 @compiled
-def _least(one: float, other: float) -> float:
-    return one if one < other else other
+def _seen(view: View, x: np.float32, y: np.float32, z: np.float32) -> tuple[float, float, float]:
+    """Return column, row and height of a point."""
+    across, up, high = view
+    column = np.float64(across[0] * x + across[1] * y + across[2] * z + across[3])
+    row = np.float64(up[0] * x + up[1] * y + up[2] * z + up[3])
+    return column, row, np.float64(high[0] * x + high[1] * y + high[2] * z + high[3])
 
 
 @compiled
-def _most(one: float, other: float) -> float:
-    return one if one > other else other
-
-
-@compiled
-def _raise_waiting(heights: Float32, room: Room, placed: ObjectPlace, count: int) -> None:
+def _raise_batch(heights: Float32, room: Room, view: View, count: int) -> None:
     """Raise pixels to the first triangles of a batch."""
-    corners, weights, boxes, _ = room
+    _, weights, boxes, _ = room
     pixels, pitch, spare = heights.reshape(heights.size), heights.shape[1], heights.size - PADDING
-    _prepare(heights, room, placed)
+    _prepare(heights, room, view)
     for i in range(count):
         first_column, last_column = np.int64(boxes[i]), np.int64(boxes[_BATCH + i])
         first_row, last_row = np.int64(boxes[2 * _BATCH + i]), np.int64(boxes[3 * _BATCH + i])
@@ -338,8 +357,8 @@ def _raise_waiting(heights: Float32, room: Room, placed: ObjectPlace, count: int
         b_up, c_up = weights[2 * _BATCH + i], weights[3 * _BATCH + i]
         b_step, c_step = weights[4 * _BATCH + i], weights[5 * _BATCH + i]
         b_slack, c_slack = np.float32(weights[6 * _BATCH + i]), np.float32(weights[7 * _BATCH + i])
-        low = corners[2 * _BATCH + i]
-        b_rise, c_rise = corners[5 * _BATCH + i] - low, corners[8 * _BATCH + i] - low
+        low = np.float32(weights[8 * _BATCH + i])
+        b_rise, c_rise = np.float32(weights[9 * _BATCH + i]), np.float32(weights[10 * _BATCH + i])
         rest = np.float32(b_step), np.float32(c_step), b_slack, c_slack, low, b_rise, c_rise
         for row in range(first_row, last_row + 1, ROWS):
             b_here, c_here = b_row, c_row
@@ -386,7 +405,7 @@ def touch(
     ``positions`` (n, 3), what sensors observe of theirs, -1 to 1; ``is_bare`` (n,), whether the plate alone
     was met.
     """
-    greatest, room = np.empty(images.shape[2], np.float32), _room()
+    greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     heights[:, :] = 0.0
     press_m, gel_m, least_m = window[3], window[4], window[5]
     for i in range(begin, end):
@@ -417,14 +436,17 @@ def touch(
 
 @compiled
 def _highest(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the columns that ``greatest`` has room for; it may be negative."""
+    """Return the greatest height of the columns that ``greatest`` has room for."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
-    greatest[:] = heights[0, : len(greatest)]
+    for column in range(len(greatest)):
+        greatest[column] = heights[0, column]
     for row in range(1, len(heights)):
         for column in range(len(greatest)):
             here = heights[row, column]
             greatest[column] = here if here > greatest[column] else greatest[column]
-    highest: np.float32 = greatest.max()
+    highest: np.float32 = greatest[0]
+    for column in range(1, len(greatest)):
+        highest = max(highest, greatest[column])
     return highest
 
 

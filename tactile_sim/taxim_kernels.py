@@ -297,7 +297,10 @@ def _pressed_gel(
         for column in range(columns):
             least[column] = line[column] if line[column] < least[column] else least[column]
     # Taxim counts from the surface of the gel, in millimetres, negative where it is pressed.
-    touches_mm = (least.min() * 1000.0 - gel_m * 1000.0) * contact_scale
+    least_m = least[0]
+    for column in range(1, columns):
+        least_m = min(least_m, least[column])
+    touches_mm = (least_m * 1000.0 - gel_m * 1000.0) * contact_scale
     for row in range(rows):
         line, gel, free, meets = depth_m[row], soft[row], gel_mm[row], contact[row]
         for column in range(columns):
