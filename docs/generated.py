@@ -32,6 +32,7 @@ API = (
     "tactile_sim.optics",
     "env_assets",
     "tactile_envs",
+    "tactile_envs.wrappers",
     "tactile_toolkit.run",
     "tactile_toolkit.errors",
 )
@@ -59,7 +60,18 @@ SHARED = (
 )
 """What users inherit from several packages, and what public names refer to."""
 
-FOREIGN = ("Sequence", "dict", "tuple", "Exception", "Dataset", "IterableDataset", "Protocol", "Generic")
+FOREIGN = (
+    "Sequence",
+    "dict",
+    "tuple",
+    "Exception",
+    "Dataset",
+    "IterableDataset",
+    "Protocol",
+    "Generic",
+    "Wrapper",
+    "VectorWrapper",
+)
 """Base classes whose members their own packages describe."""
 
 
@@ -122,7 +134,9 @@ def _names_of(module: Any) -> list[str]:
             found.append(node.name)
         elif isinstance(node, ast.Assign):
             found += [target.id for target in node.targets if isinstance(target, ast.Name)]
-    return [name for name in found if not name.startswith("_")]
+    return [
+        name for name in found if not name.startswith("_") and not inspect.ismodule(getattr(module, name))
+    ]
 
 
 @cache

@@ -1,5 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from . import wrappers as wrappers
 from .config import Config as Config
 from .env_specs import EnvId as EnvId, ids as ids
 from .entry_points import make_one as make_one, make_vector as make_vector

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import inspect
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from os import PathLike
 from pathlib import Path
 from typing import Any
@@ -15,21 +17,28 @@ from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.wording import did_you_mean
 
 with needs_extra("making environments", "ap-gym", "envs"):
+    from gymnasium.vector import AutoresetMode
+
     from tactile_envs.base_depth import Source, base_depths_m
     from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.recorded_scene import RecordedScene
     from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects, touches_in
+    from tactile_envs.scene import Scene
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
     from tactile_envs.tilted_scene import TiltedScene
 
+_OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
+
 
 def make_one(name: str, **options: Any) -> TactileEnv:
-    """Make a single environment; options as :func:`make_vector`."""
+    """Make a single environment; options as :func:`make_vector`, but for those of vectors."""
+    _require_known(options, [option for option in _options() if option not in _OF_VECTORS])
     return TactileEnv(make_vector(name, num_envs=1, **options))
 
 
@@ -44,6 +53,9 @@ def make_vector(
     threads: int = 1,
     weights: str | Path | None = None,
     touches: str | PathLike[str] | None = None,
+    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+    max_episode_steps: int | None = None,
+    **unknown: Any,
 ) -> TactileVectorEnv:
     """Make environments side by side.
 
@@ -74,6 +86,12 @@ def make_vector(
         Recorded touches for ids with ``RealSnap``: a data set by folder or name on the Hub, or
         ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
         are given.
+    autoreset_mode : gymnasium.vector.AutoresetMode or str
+        When the next episode begins; see :class:`tactile_envs.TactileVectorEnv`.
+    max_episode_steps : int, optional
+        The setting ``step_limit``, as gymnasium names it.
+    **unknown
+        Refused.
 
     Returns
     -------
@@ -84,32 +102,58 @@ def make_vector(
     ------
     InputError
         The id or a setting does not exist; meshes or weights are missing or do not fit.
+    TypeError
+        An option does not exist.
     """
+    _require_known(unknown, _options())
     spec = env_specs()[name]
     settings = configured(spec.config, config)
+    if max_episode_steps is not None:
+        settings = replace(settings, step_limit=max_episode_steps)
     num_envs, threads = checked_counts(settings, num_envs, threads)
+    scene: Scene
+    task: Task
     if isinstance(settings, RecordedConfig):
         mesh.refuse_unit(unit, "recorded touches")
         sources = RecordedSources.of(assets, touches)
         is_drawn = render_mode is not None and assets is not None
-        recorded, task = _recorded(spec, settings, sources, num_envs, threads, weights, is_drawn=is_drawn)
-        return TactileVectorEnv(recorded, task, sparse=spec.sparse, render_mode=render_mode)
-    if touches is not None:
+        scene, task = _recorded(spec, settings, sources, num_envs, threads, weights, is_drawn=is_drawn)
+    elif touches is not None:
         raise InputError(
             f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
         )
-    camera = Camera(settings, weights)
-    kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
-    try:
-        records = open_objects(spec, settings, assets, unit)
-        if settings.real_base_depth_dataset is not None:
-            real = _real_touches(settings.real_base_depth_dataset, assets)
-            camera.put_behind(base_depths_m(real, settings.real_base_depth_touches, camera.sensor.size_px))
-        scene = kind_of_scene(settings, records, num_envs, threads, camera)
-    except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
-        raise error.with_traceback(None) from None
-    task = _task(spec, settings, scene.pool, records.label_names)
-    return TactileVectorEnv(scene, task, sparse=spec.sparse, render_mode=render_mode)
+    else:
+        camera = Camera(settings, weights)
+        kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
+        try:
+            records = open_objects(spec, settings, assets, unit)
+            if settings.real_base_depth_dataset is not None:
+                real = _real_touches(settings.real_base_depth_dataset, assets)
+                touches_m = base_depths_m(real, settings.real_base_depth_touches, camera.sensor.size_px)
+                camera.put_behind(touches_m)
+            simulated = kind_of_scene(settings, records, num_envs, threads, camera)
+        except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
+            raise error.with_traceback(None) from None
+        scene, task = simulated, _task(spec, settings, simulated.pool, records.label_names)
+    return TactileVectorEnv(
+        scene, task, sparse=spec.sparse, render_mode=render_mode, autoreset_mode=autoreset_mode
+    )
+
+
+def _options() -> list[str]:
+    """Return the names of the options of environments."""
+    parameters = inspect.signature(make_vector).parameters.values()
+    return [each.name for each in parameters if each.kind is each.KEYWORD_ONLY]
+
+
+def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
+    """Refuse an option that is not known: TypeError in Python's words, which libraries look for."""
+    for name in options:
+        if name not in known:
+            raise TypeError(
+                f"the environment got an unexpected keyword argument {name!r}{did_you_mean(name, known)}; "
+                f"next: choose one of {', '.join(known)}"
+            )
 
 
 def _recorded(

@@ -10,6 +10,7 @@ import ap_gym
 import gymnasium as gym
 import numpy as np
 from ap_gym.loss_fn import WeightedLossFn
+from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from realtouch import Poses
@@ -24,15 +25,17 @@ from tactile_toolkit.errors import InputError
 
 Observation = dict[str, AnyArray]
 
+Info = Mapping[str, Any]
+
+_NOTHING: Info = {}
+
 _NOT_RESET = "the environment was not reset yet; next: call reset()"
 _CLOSED = "the environment was closed; next: make another one"
+_OVER = "some episodes are over; next: call reset(options={'reset_mask': terminated | truncated})"
 
 
 class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[misc]
     """Touch objects that lie in cells, one touch a step, and predict something about them.
-
-    After the last touch of an episode, the next step of its environment is the first touch of another,
-    whatever its action (``AutoresetMode.NEXT_STEP``).
 
     Parameters
     ----------
@@ -44,6 +47,11 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         Whether predictions count at the end of an episode only.
     render_mode : "rgb_array", optional
         If given, :meth:`render` returns pictures.
+    autoreset_mode : gymnasium.vector.AutoresetMode
+        When the next episode of an environment begins: in the step after the last touch, whatever its action
+        (``NEXT_STEP``); in the step of the last touch (``SAME_STEP``), whose info then holds the observations
+        and infos of all environments before that as ``final_obs`` and ``final_info``; or by a reset alone
+        (``DISABLED``).
 
     Attributes
     ----------
@@ -54,18 +62,29 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     metadata: dict[str, Any] = {  # noqa: RUF012 - as in gymnasium
         "render_fps": 5,
         "render_modes": ["rgb_array"],
-        "autoreset_mode": gym.vector.AutoresetMode.NEXT_STEP,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
     def __init__(
-        self, scene: Scene, task: Task, *, sparse: bool = False, render_mode: str | None = None
+        self,
+        scene: Scene,
+        task: Task,
+        *,
+        sparse: bool = False,
+        render_mode: str | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     ) -> None:
+        self._scene, self._task, self._is_sparse = scene, task, sparse
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode is {render_mode!r}; expected None or 'rgb_array'")
         self.config: EpisodeConfig = scene.config
         self.num_envs, self.render_mode = scene.num_envs, render_mode
-        self.metadata = {**type(self).metadata, "render_fps": 1 / self.config.transfer_timedelta_s}
-        self._scene, self._task, self._is_sparse = scene, task, sparse
+        self.autoreset_mode = _checked_mode(autoreset_mode)
+        self.metadata = {
+            **type(self).metadata,
+            "render_fps": 1 / self.config.transfer_timedelta_s,
+            "autoreset_mode": self.autoreset_mode,
+        }
         self._log = EpisodeLog(self.num_envs, self.config.step_limit)
         self._steps = np.zeros(self.num_envs, np.int64)
         self._is_over = np.zeros(self.num_envs, np.bool_)
@@ -133,32 +152,37 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def _begin(self, rows: Rows, options: ResetOptions) -> None:
         self._scene.begin(rows, self.np_random, options)
+        self._is_over = self._is_over.copy()  # the last one is in an info
         self._steps[rows], self._is_over[rows] = 0, False
         if rows is EVERY:
             self._predicted = None
 
-    def _touched(self, rows: Rows) -> tuple[Observation, dict[str, Any]]:
-        """Touch in some environments; return the observation of all, and the info of those."""
+    def _touched(self, rows: Rows, others: Info = _NOTHING) -> tuple[Observation, dict[str, Any]]:
+        """Touch in some environments; return observations and infos of all, from ``others`` where not."""
         readings = self._scene.touch(rows, self.np_random, is_first=not self._steps[rows].any())
         seen, info = dict(readings.observation), dict(readings.info)
         if rows is not EVERY:
             seen = {name: self._observation[name].copy() for name in seen}
             for name, values in readings.observation.items():
                 seen[name][rows] = values
-            info = self._masked(rows, info)
+            info = self._spread(rows, info, others)
         if self.config.timeout_behavior == "terminate":
             seen["time_step"] = (self._steps / self.config.step_limit * 2 - 1).astype(np.float32)
         self._observation = seen
         return seen, info
 
-    def _masked(self, rows: Rows, info: dict[str, AnyArray]) -> dict[str, Any]:
-        """Give the infos of some environments to all, and masks as of gymnasium; the rest is 0."""
-        found: dict[str, Any] = {}
+    def _spread(self, rows: Rows, info: dict[str, AnyArray], others: Info) -> dict[str, Any]:
+        """Give all environments the infos of some; those of others are 0 and masked as of gymnasium."""
+        found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
         is_given[rows] = True
         for name, values in info.items():
-            found[name] = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
-            found[name][rows], found[f"_{name}"] = values, is_given
+            if name in others:
+                found[name] = others[name].copy()
+            else:
+                found[name] = np.zeros((self.num_envs, *values.shape[1:]), values.dtype)
+                found[f"_{name}"] = is_given
+            found[name][rows] = values
         return found
 
     def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
@@ -181,10 +205,12 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         ValueError
             An action is not finite.
         gymnasium.error.ResetNeeded, gymnasium.error.ClosedEnvironmentError
-            The environment was not reset yet, or was closed.
+            The environment was not reset yet, or since the end of an episode (``DISABLED``); or was closed.
         """
         self._require_open()
         self._require_reset()
+        if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
+            raise gym.error.ResetNeeded(_OVER)
         predictions = np.asarray(action["prediction"], np.float32)
         if predictions.shape != self.prediction_space.shape:
             raise InputError(
@@ -203,7 +229,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         observation, info = self._touched(EVERY)
         terminated, truncated = self._ends()
         self._is_over = terminated | truncated
-        if self._is_over.any():
+        any_over = self._is_over.any()
+        if any_over:
             info["stats"] = self._log.stats(self._steps, self._is_over)
         info["base_reward"] = costs
         info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
@@ -212,6 +239,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             weight = terminated.astype(np.float32)
             info["prediction"]["target"] = {"target": targets, "weight": weight}
             loss = loss * weight
+        if any_over and self.autoreset_mode is AutoresetMode.SAME_STEP:
+            observation, info = self._restarted(observation, info)
         return observation, costs - loss, terminated, truncated, info
 
     def _advance(self, moves: Action, score: Score) -> Float32:
@@ -230,6 +259,15 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         costs = self._scene.aim(moves, rows)
         costs[over] = 0.0
         return costs
+
+    def _restarted(self, observation: Observation, info: Info) -> tuple[Observation, dict[str, Any]]:
+        """Begin the next episodes; return their first touches, and in the info also the last ones."""
+        is_over = self._is_over
+        over = np.flatnonzero(is_over)
+        self._begin(over, ResetOptions.drawn(self.num_envs))
+        first, begun = self._touched(over, info)
+        ends = {"final_obs": observation, "_final_obs": is_over, "final_info": info, "_final_info": is_over}
+        return first, {**begun, **ends}
 
     def _ends(self) -> tuple[Bool, Bool]:
         """Return which episodes are terminated, and which are truncated."""
@@ -307,3 +345,12 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def spec(self, spec: Any) -> None:
         self._registration = copy.copy(spec)
         self._registration.max_episode_steps = self.config.step_limit
+
+
+def _checked_mode(mode: AutoresetMode | str) -> AutoresetMode:
+    """Return a mode by its name or value; InputError for an unknown one."""
+    for known in AutoresetMode:
+        if mode in (known, known.name, known.value):
+            return known
+    names = ", ".join(known.name for known in AutoresetMode)
+    raise InputError(f"autoreset_mode is {mode!r}; expected one of {names}")

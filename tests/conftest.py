@@ -62,7 +62,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 _NUMBERS = count()
-_EXTRAS = ("browser", "envs", "oracle", "ray", "s3", "sim", "simulators", "slicer", "torch")
+_EXTRAS = ("browser", "envs", "libraries", "oracle", "ray", "s3", "sim", "simulators", "slicer", "torch")
 
 
 _LONG = (

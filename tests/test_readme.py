@@ -31,8 +31,12 @@ PAGES = (
     "docs/howto/simulators.md",
     "docs/howto/hub.md",
     "docs/paper.md",
+    "docs/howto/training_libraries.md",
 )
-"""In the order in which a reader meets them; the tour makes what others use."""
+"""In the order in which a reader meets them; the tour makes what others use.
+
+The page of libraries is the last: TorchRL changes how processes of Python begin.
+"""
 
 NOT_RUN = ("docs/operators.md", "docs/install.md")
 """Pages whose code needs clusters, or installs."""
@@ -40,6 +44,7 @@ NOT_RUN = ("docs/operators.md", "docs/install.md")
 NEEDED = {
     "dev": "grain",
     "envs": "ap_gym",
+    "libraries": "torchrl",
     "oracle": "tactile_mnist",
     "simulators": "mujoco",
     "torch": "torchdata",

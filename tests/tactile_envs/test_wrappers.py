@@ -7,8 +7,10 @@ modules of its own; what they ask of an environment is asked here in the same or
 from __future__ import annotations
 
 import copy
+import sys
 from collections.abc import Callable
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,10 +18,13 @@ import pytest
 
 ap_gym = pytest.importorskip("ap_gym", reason="ap-gym (extra `envs`) is not installed")
 import gymnasium as gym  # noqa: E402
+from gymnasium.vector import AutoresetMode  # noqa: E402
 from gymnasium.vector.utils import batch_space  # noqa: E402
 from gymnasium.wrappers import vector as wrappers  # noqa: E402
 
 import tactile_envs  # noqa: E402, F401
+from tactile_envs.wrappers import FlatAction, FlatActionVector  # noqa: E402
+from tactile_toolkit.errors import InputError  # noqa: E402
 
 pytestmark = [pytest.mark.envs, pytest.mark.filterwarnings("ignore")]
 
@@ -46,6 +51,13 @@ def drive(env: Any, steps: int = STEPS) -> list[Any]:
     return taken
 
 
+def tree_map(function: Callable[[Any], Any], value: Any) -> Any:
+    """Apply a function to the arrays in dictionaries."""
+    if isinstance(value, dict):
+        return {name: tree_map(function, part) for name, part in value.items()}
+    return function(value)
+
+
 def _same(observation: Any) -> Any:
     return observation
 
@@ -67,18 +79,275 @@ APPLY: dict[str, Callable[[Any], Any]] = {
     ),
     "ClipReward": lambda env: wrappers.ClipReward(env, -1, 1),
     "NormalizeReward": wrappers.NormalizeReward,
+    "DictInfoToList": lambda env: wrappers.DictInfoToList(wrappers.RecordEpisodeStatistics(env)),
+    "FlatActionVector": lambda env: wrappers.ClipAction(FlatActionVector(env)),
 }
-"""Of ``gymnasium.wrappers.vector``.
+"""Of ``gymnasium.wrappers.vector``."""
 
-Those for observations or actions that are one box do not apply, nor ``DictInfoToList`` and those for torch,
-which convert arrays alone: ``info`` holds poses, as that of the published class does.
-"""
+APPLY_TO_ONE: dict[str, Callable[[Any], Any]] = {
+    "RecordEpisodeStatistics": gym.wrappers.RecordEpisodeStatistics,
+    "FlattenObservation": gym.wrappers.FlattenObservation,
+    "NormalizeObservation": lambda env: gym.wrappers.NormalizeObservation(
+        gym.wrappers.FlattenObservation(env)
+    ),
+    "FilterObservation": lambda env: gym.wrappers.FilterObservation(env, ["sensor_pos"]),
+    "FrameStackObservation": lambda env: gym.wrappers.FrameStackObservation(env, 3),
+    "TimeAwareObservation": gym.wrappers.TimeAwareObservation,
+    "AddRenderObservation": lambda env: gym.wrappers.AddRenderObservation(env, render_only=False),
+    "TimeLimit": lambda env: gym.wrappers.TimeLimit(env, 7),
+    "Autoreset": gym.wrappers.Autoreset,
+    "NormalizeReward": gym.wrappers.NormalizeReward,
+    "FlatAction": lambda env: gym.wrappers.RescaleAction(FlatAction(env), -1.0, 1.0),
+}
+"""Of ``gymnasium.wrappers``."""
 
 
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("name", APPLY)
 def test_wrappers_of_gymnasium(assets, name):
     drive(APPLY[name](make(assets)))
+
+
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("name", APPLY_TO_ONE)
+def test_wrappers_of_a_single_one(assets, name):
+    env = APPLY_TO_ONE[name](gym.make(DEPTH, assets=str(assets), render_mode="rgb_array"))
+    env.action_space.seed(0)
+    ends = []
+    for seed in (1, 2):
+        observation, _ = env.reset(seed=seed)
+        assert observation in env.observation_space
+        over = False
+        while not over:
+            observation, reward, terminated, truncated, _ = env.step(env.action_space.sample())
+            assert observation in env.observation_space
+            assert isinstance(reward, float)
+            over = terminated or truncated
+        ends.append(terminated)
+    assert ends == [name != "TimeLimit"] * 2
+
+
+def test_infos_as_lists(assets):
+    """Each environment has what it has alone: statistics where its episode is over, and no masks."""
+    env = wrappers.DictInfoToList(make(assets))
+    for _, _, done, infos in drive(env):
+        for row, info in enumerate(infos):
+            assert set(info) == {"sensor_pose", "base_reward", "prediction", *["stats"] * int(done[row])}
+            assert info["sensor_pose"].shape == (4, 4)
+            assert set(info["prediction"]) >= {"target", "loss"}
+
+
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_tensors_of_torch(assets, mode):
+    """Infos, too; and actions that are tensors."""
+    torch = pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
+    pytest.importorskip("array_api_compat", reason="array-api-compat (extra `test`) is not installed")
+    env = wrappers.NumpyToTorch(make(assets, autoreset_mode=mode, config={"step_limit": 3}))
+    single = gym.wrappers.NumpyToTorch(gym.make(DEPTH, assets=str(assets)))
+    for each in (env, single):
+        each.reset(seed=0)
+        for _ in range(3):
+            action = tree_map(torch.from_numpy, each.action_space.sample())
+            observation, *_, info = each.step(action)
+        assert all(isinstance(values, torch.Tensor) for values in observation.values())
+        assert info["sensor_pose"].shape[-2:] == (4, 4)
+
+
+@pytest.mark.parametrize("form", ["single", "vector"])
+def test_videos_show_what_is_rendered(assets, tmp_path, monkeypatch, form):
+    """moviepy, which encodes videos, does not go together with the version of pillow that is pinned."""
+    filmed = []
+    clip = SimpleNamespace(write_videofile=lambda path, **_: filmed.append(path))
+    clips = SimpleNamespace(ImageSequenceClip=lambda frames, fps: filmed.append((frames, fps)) or clip)
+    for name in ("moviepy", "moviepy.video", "moviepy.video.io"):
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace())
+    monkeypatch.setitem(sys.modules, "moviepy.video.io.ImageSequenceClip", clips)
+    options = {"assets": str(assets), "render_mode": "rgb_array", "config": {"step_limit": 4}}
+    if form == "single":
+        env = gym.wrappers.RecordVideo(gym.make(DEPTH, **options), str(tmp_path))
+        shape = (240, 336, 3)
+    else:
+        env = wrappers.RecordVideo(gym.make_vec(DEPTH, num_envs=4, **options), str(tmp_path))
+        shape = (480, 672, 3)
+    env.reset(seed=0)
+    for _ in range(4):
+        env.step(env.action_space.sample())
+    env.close()
+    (frames, fps), path = filmed[:2]
+    assert (fps, Path(path).parent) == (5, tmp_path)
+    assert len(frames) >= 4
+    assert {(frame.shape, frame.dtype) for frame in frames} == {(shape, np.dtype(np.uint8))}
+    assert not (frames[0] == frames[-1]).all()
+
+
+def sync(assets: Path, mode: AutoresetMode, kind: str, **options: Any) -> Any:
+    """Single environments, side by side."""
+    return gym.make_vec(
+        DEPTH,
+        num_envs=2,
+        vectorization_mode=kind,
+        vector_kwargs={"autoreset_mode": mode, **options},
+        assets=str(assets),
+        config={"step_limit": 4},
+    )
+
+
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_single_ones_side_by_side(assets, mode):
+    """As one by one with the seeds that gymnasium gives them; ends, resets and infos as of its mode."""
+    env = sync(assets, mode, "sync")
+    alone = [gym.make(DEPTH, assets=str(assets), config={"step_limit": 4}) for _ in range(2)]
+    env.reset(seed=7)
+    firsts = [each.reset(seed=7 + row)[0] for row, each in enumerate(alone)]
+    ends = 0
+    for _ in range(11):
+        action = env.action_space.sample()
+        observation, _, terminated, _, info = env.step(action)
+        parts = [
+            {"action": {name: part[row] for name, part in action["action"].items()}, "prediction": prediction}
+            for row, prediction in enumerate(action["prediction"])
+        ]
+        if mode is AutoresetMode.NEXT_STEP and firsts is None:
+            firsts = [each.reset()[0] for each in alone]
+            wanted = firsts
+        else:
+            firsts = []
+            results = [each.step(part) for each, part in zip(alone, parts, strict=True)]
+            wanted = [result[0] for result in results]
+            assert [result[2] for result in results] == terminated.tolist()
+            np.testing.assert_array_equal(
+                (info.get("final_info") or info)["sensor_pose"],
+                [result[-1]["sensor_pose"] for result in results],
+            )
+        if terminated.any():
+            ends += 1
+            firsts = None
+            if mode is AutoresetMode.SAME_STEP:
+                np.testing.assert_equal(list(info["final_obs"]), wanted)
+                wanted = [each.reset()[0] for each in alone]
+            elif mode is AutoresetMode.DISABLED:
+                for each in alone:
+                    each.reset()
+        for row, each in enumerate(wanted):
+            np.testing.assert_equal({name: values[row] for name, values in observation.items()}, each)
+        if terminated.any() and mode is AutoresetMode.DISABLED:
+            env.reset(options={"reset_mask": terminated})
+    assert ends == 2
+
+
+@pytest.mark.thorough
+@pytest.mark.own_process
+def test_single_ones_in_processes(assets):
+    """The same as side by side in one process."""
+    pair = [
+        sync(assets, AutoresetMode.SAME_STEP, "sync"),
+        sync(assets, AutoresetMode.SAME_STEP, "async", context="fork"),
+    ]
+    np.testing.assert_equal(*(env.reset(seed=7) for env in pair))
+    for _ in range(6):
+        action = pair[0].action_space.sample()
+        one, other = (env.step(action) for env in pair)
+        for *_, info in (one, other):
+            info["final_obs"] = list(info.get("final_obs", ()))
+        np.testing.assert_equal(one, other)
+    for env in pair:
+        env.close()
+
+
+KINDS: dict[str, dict[str, Any]] = {
+    "TactileMNIST-Depth-train-v0": {},
+    "TactileMNISTVolume-Depth-train-v0": {"config": {"allow_sensor_rotation": True}},
+    "TactileMNISTCenterOfMass-Depth-train-v0": {"config": {"timeout_behavior": "truncate"}},
+    "TactileMNISTRealSnap-v0": {},
+}
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_flat_actions_are_those_of_the_environment(assets, name):
+    """Numbers in the order of gymnasium, the prediction last, nothing scaled; touches as without it."""
+    options = {"assets": str(assets), **KINDS[name]}
+    bare, flat = gym.make(name, **options), FlatAction(gym.make(name, **options), limit=3.0)
+    bare_ones = gym.make_vec(name, num_envs=ENVS, **options)
+    flat_ones = FlatActionVector(gym.make_vec(name, num_envs=ENVS, **options), limit=3.0)
+    high = gym.spaces.flatten(
+        bare.action_space,
+        {
+            "action": {key: part.high for key, part in bare.action_space["action"].items()},
+            "prediction": bare.action_space["prediction"].high,
+        },
+    )
+    np.testing.assert_array_equal(flat.action_space.high, np.where(np.isinf(high), 3, high))
+    assert flat.action_space == flat_ones.single_action_space
+    assert flat_ones.action_space.shape == (ENVS, len(high))
+    pairs = ((bare, flat, gym.spaces.flatten), (bare_ones, flat_ones, _flattened))
+    for one, other, flattened in pairs:
+        one.reset(seed=3)
+        observation, _ = other.reset(seed=3)
+        assert observation in other.observation_space
+        assert {key: part.shape[-1:] for key, part in observation.items()}.get("time_step", (1,)) == (1,)
+        for _ in range(3):
+            action = one.action_space.sample()
+            seen, *wanted = one.step(action)
+            observation, *found = other.step(flattened(one.action_space, action))
+            assert observation in other.observation_space
+            np.testing.assert_equal(
+                {key: np.ravel(part) for key, part in observation.items()},
+                {key: np.ravel(part) for key, part in seen.items()},
+            )
+            np.testing.assert_equal(found, wanted)
+        with pytest.raises(InputError, match=rf"the action has shape \({len(high) - 1},\); expected"):
+            other.step(np.zeros(len(high) - 1, np.float32))
+
+
+def _flattened(_: Any, action: dict[str, Any]) -> Any:
+    return np.concatenate([*action["action"].values(), action["prediction"]], axis=1)
+
+
+@pytest.mark.one_at_a_desk
+@pytest.mark.parametrize("mode", list(AutoresetMode))
+def test_episodes_of_recorded_touches_end_one_by_one(assets, mode):
+    """Truncated where no touches are left: each begins again as its mode says."""
+    name = "TactileMNISTRealSnap-v0"
+    config = {"approx_truncation_probability": 0.9, "timeout_behavior": "terminate"}
+    env = gym.make_vec(name, num_envs=4, assets=str(assets), config=config, autoreset_mode=mode)
+    observation, _ = env.reset(seed=0)
+    over, apart = np.zeros(4, bool), 0
+    for _ in range(40):
+        before = observation
+        observation, _, terminated, truncated, info = env.step(env.action_space.sample())
+        assert observation in env.observation_space
+        begun = over if mode is AutoresetMode.NEXT_STEP else np.zeros(4, bool)
+        over = terminated | truncated
+        if mode is AutoresetMode.SAME_STEP:
+            np.testing.assert_array_equal(info.get("_final_obs", np.zeros(4, bool)), over)
+            begun = over
+        if mode is AutoresetMode.DISABLED and over.any():
+            observation, _ = env.reset(options={"reset_mask": over})
+            begun = over
+        np.testing.assert_array_equal(observation["time_step"] == -1, begun)
+        apart += over.any() and not over.all()
+        assert before is not observation
+    assert apart > 2
+
+
+def test_flat_actions_keep_the_mode_and_last_observations(assets):
+    env = FlatActionVector(make(assets, autoreset_mode="SAME_STEP", config={"step_limit": 2}))
+    assert env.autoreset_mode is AutoresetMode.SAME_STEP
+    env.reset(seed=0)
+    env.step(env.action_space.sample())
+    observation, *_, info = env.step(env.action_space.sample())
+    assert observation in env.observation_space
+    assert info["final_obs"] in env.observation_space
+    for limit in (0, -1.0, np.nan, np.inf, "5"):
+        with pytest.raises(InputError, match=r"limit is .*; expected a positive number"):
+            FlatActionVector(make(assets), limit=limit)
+    with pytest.raises(InputError, match=r"expected a dictionary of boxes; next: give the environment as"):
+        FlatAction(FlatAction(gym.make(DEPTH, assets=str(assets))))
+    again = gym.make(FlatAction(gym.make(DEPTH, assets=str(assets)), limit=2).spec)
+    assert again.action_space.high.max() == 2
+    np.testing.assert_equal(copy.deepcopy(again).reset(seed=1), again.reset(seed=1))
 
 
 @pytest.mark.one_at_a_desk
