@@ -42,7 +42,7 @@ class Camera:
     """
 
     def __init__(self, config: Config, weights: str | Path | None = None) -> None:
-        self._optics = make_optics(OPTICS[config.sensor_type], weights)
+        self._optics = make_optics(OPTICS[config.sensor_type], weights, **config.optics_options)
         self.sees_depth = config.sensor_type != "depth"
         self.channels = 1 + 2 * self.sees_depth
         self._size = config.sensor_output_size

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 from tactile_sim import Sensor, SensorNoise, center_view
 from tactile_sim.sensor import GEL_M
@@ -37,6 +37,13 @@ _MOST_IMAGE_BYTES = 32 << 30
 _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.0025)
 
 
+class NetworkOptions(TypedDict, total=False):
+    """Where networks compute, and in which precision; see :func:`tactile_sim.make_optics`."""
+
+    device: str
+    bfloat16: bool
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class EpisodeConfig:
     """Settings of every episode; names, units and defaults are those of `tactile-mnist` 0.13.0.
@@ -49,6 +56,10 @@ class EpisodeConfig:
         How the images of observations are made; "direct" shows recorded images as they are.
     sensor_output_size : tuple of int
         Width and height of the images, pixels.
+    sensor_device : "cpu", "cuda" or "auto"
+        Where networks compute images.
+    sensor_bfloat16 : bool
+        Whether networks multiply in bfloat16: faster, and a level may differ.
     randomize_initial_sensor_pose : bool
         Whether the first touch is at a random place in the cell or in its middle.
     linear_velocity, linear_acceleration, transfer_timedelta_s : float
@@ -64,6 +75,8 @@ class EpisodeConfig:
     step_limit: int = integer(16, 1, 100_000)
     sensor_type: str = choice("taxim", (*SENSORS, DIRECT))
     sensor_output_size: tuple[int, int] = (320, 240)
+    sensor_device: str = choice("cpu", ("cpu", "cuda", "auto"))
+    sensor_bfloat16: bool = switch(False)
     randomize_initial_sensor_pose: bool = switch(True)
     linear_velocity: float = real(0.2, 0, 1000)
     linear_acceleration: float = real(4.0, above=0, most=1e6)
@@ -84,6 +97,18 @@ class EpisodeConfig:
                 f"cell_padding of the environment is {self.cell_padding!r}; expected less than half of "
                 f"cell_size, {self.cell_size!r}"
             )
+
+    @property
+    def optics_options(self) -> NetworkOptions:
+        """Options of the optics; those without a network have none."""
+        if self.sensor_type != "cycle_gan":
+            return {}
+        return self.network_options
+
+    @property
+    def network_options(self) -> NetworkOptions:
+        """Options of networks."""
+        return {"device": self.sensor_device, "bfloat16": self.sensor_bfloat16}
 
     def longest_way(self, velocity: float, acceleration: float) -> float:
         """Return the greatest distance from one touch to the next; units as those of the velocity."""

@@ -87,7 +87,9 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         }
         self._log = EpisodeLog(self.num_envs, self.config.step_limit)
         self._steps = np.zeros(self.num_envs, np.int64)
-        self._is_over = np.zeros(self.num_envs, np.bool_)
+        steps = np.arange(self.config.step_limit + 1)
+        self._progress = (steps / self.config.step_limit * 2 - 1).astype(np.float32)
+        self._is_over, self._any_over = np.zeros(self.num_envs, np.bool_), False
         self._observation: Observation = {}
         self._predicted: tuple[AnyArray, AnyArray] | None = None
         self._registration: Any = None
@@ -110,6 +112,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             self.loss_fn = WeightedLossFn(self._task.loss_fn)
         for name in ("action_space", "observation_space", "prediction_target_space"):
             setattr(self, name, batch_space(getattr(self, f"single_{name}"), self.num_envs))
+        self._prediction_shape = self.prediction_space.shape
 
     def reset(
         self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
@@ -154,12 +157,13 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._scene.begin(rows, self.np_random, options)
         self._is_over = self._is_over.copy()  # the last one is in an info
         self._steps[rows], self._is_over[rows] = 0, False
+        self._any_over = bool(self._is_over.any())
         if rows is EVERY:
             self._predicted = None
 
     def _touched(self, rows: Rows, others: Info = _NOTHING) -> tuple[Observation, dict[str, Any]]:
         """Touch in some environments; return observations and infos of all, from ``others`` where not."""
-        readings = self._scene.touch(rows, self.np_random, is_first=not self._steps[rows].any())
+        readings = self._scene.touch(rows, self.np_random, self._steps[rows])
         seen, info = dict(readings.observation), dict(readings.info)
         if rows is not EVERY:
             seen = {name: self._observation[name].copy() for name in seen}
@@ -167,7 +171,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
                 seen[name][rows] = values
             info = self._spread(rows, info, others)
         if self.config.timeout_behavior == "terminate":
-            seen["time_step"] = (self._steps / self.config.step_limit * 2 - 1).astype(np.float32)
+            seen["time_step"] = self._progress[self._steps]
         self._observation = seen
         return seen, info
 
@@ -209,13 +213,11 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         """
         self._require_open()
         self._require_reset()
-        if self.autoreset_mode is AutoresetMode.DISABLED and self._is_over.any():
+        if self._any_over and self.autoreset_mode is AutoresetMode.DISABLED:
             raise gym.error.ResetNeeded(_OVER)
         predictions = np.asarray(action["prediction"], np.float32)
-        if predictions.shape != self.prediction_space.shape:
-            raise InputError(
-                f"predictions have shape {predictions.shape}; expected {self.prediction_space.shape}"
-            )
+        if predictions.shape != self._prediction_shape:
+            raise InputError(f"predictions have shape {predictions.shape}; expected {self._prediction_shape}")
         moves = self._scene.checked_action(action["action"])
         targets = self._task.targets(self._scene.numbers, self._scene.places)
         score = self._task.score(predictions, targets)
@@ -229,8 +231,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         observation, info = self._touched(EVERY)
         terminated, truncated = self._ends()
         self._is_over = terminated | truncated
-        any_over = self._is_over.any()
-        if any_over:
+        self._any_over = bool(self._is_over.any())
+        if self._any_over:
             info["stats"] = self._log.stats(self._steps, self._is_over)
         info["base_reward"] = costs
         info["prediction"] = {"target": targets, "loss": score.loss, "metrics": {}}
@@ -239,21 +241,21 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             weight = terminated.astype(np.float32)
             info["prediction"]["target"] = {"target": targets, "weight": weight}
             loss = loss * weight
-        if any_over and self.autoreset_mode is AutoresetMode.SAME_STEP:
+        if self._any_over and self.autoreset_mode is AutoresetMode.SAME_STEP:
             observation, info = self._restarted(observation, info)
         return observation, costs - loss, terminated, truncated, info
 
     def _advance(self, moves: Action, score: Score) -> Float32:
         """Aim the sensors, or begin the next episode where one is over; return what the actions cost."""
-        is_active = ~self._is_over
-        over, rows = np.flatnonzero(self._is_over), np.flatnonzero(is_active)
-        if len(over) == self.num_envs:
-            self._begin(EVERY, ResetOptions.drawn(self.num_envs))
-            return np.zeros(self.num_envs, np.float32)
-        self._log.add(self._steps, is_active, score.metrics)
-        if not len(over):
+        if not self._any_over:
+            self._log.add(self._steps, EVERY, score.metrics)
             self._steps += 1
             return self._scene.aim(moves, EVERY)
+        over, rows = np.flatnonzero(self._is_over), np.flatnonzero(~self._is_over)
+        if not len(rows):
+            self._begin(EVERY, ResetOptions.drawn(self.num_envs))
+            return np.zeros(self.num_envs, np.float32)
+        self._log.add(self._steps, rows, score.metrics)
         self._begin(over, ResetOptions.drawn(self.num_envs))
         self._steps[rows] += 1
         costs = self._scene.aim(moves, rows)

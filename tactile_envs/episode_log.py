@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_envs.reset_options import Rows
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 
 
@@ -21,17 +22,16 @@ class EpisodeLog:
         self._step_limit = step_limit
         self._values: dict[str, Float32] = {}
 
-    def add(self, steps: Int64, is_active: Bool, metrics: Mapping[str, AnyArray]) -> None:
-        """Add the metrics of a step, an array (n,) each.
+    def add(self, steps: Int64, active: Rows, metrics: Mapping[str, AnyArray]) -> None:
+        """Add the metrics of a step of the active environments, an array (n,) of all each.
 
-        ``steps``, shape (n,), are the numbers of the steps, from 0 on; those that are not active are left
-        out.
+        ``steps``, shape (n,), are the numbers of the steps, from 0 on.
         """
-        rows, at = self._rows[is_active], steps[is_active]
+        rows, at = self._rows[active], steps[active]
         for name, values in metrics.items():
             if name not in self._values:
                 self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
-            self._values[name][at, rows] = values[is_active]
+            self._values[name][at, rows] = values[active]
 
     def stats(self, lengths: Int64, is_over: Bool) -> dict[str, Any]:
         """Return ``info["stats"]`` when some episodes are over.

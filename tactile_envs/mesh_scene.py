@@ -20,7 +20,7 @@ from tactile_envs.randomization import Randomization
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
 from tactile_envs.scene import Action, Readings
 from tactile_envs.toucher import SensorReadings, Toucher
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
 _NO_DRIFT = np.zeros(3)
@@ -59,7 +59,7 @@ class MeshScene:
         self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
         self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
-        self._axes = np.tile(np.eye(3), (num_envs, 1, 1))  # in columns
+        self._poses = np.tile(np.eye(4), (num_envs, 1, 1))  # of sensors, but for where they are
         corner = np.ones(3, np.float32)
         width, height = config.sensor_output_size
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
@@ -86,6 +86,11 @@ class MeshScene:
     def _most_tilt_rad(self) -> float:
         """How far sensors are tilted at most, radians."""
         return 0.0
+
+    @property
+    def _axes(self) -> Float64:
+        """Axes of the sensors in columns, shape (num_envs, 3, 3), cell frame; a view."""
+        return self._poses[:, :3, :3]
 
     @property
     def pool(self) -> MeshPool:
@@ -166,10 +171,10 @@ class MeshScene:
         self._targets[rows] = targets[rows]
         return costs
 
-    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
+    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Touch in some cells, and let their objects slip."""
         config = self.config
-        self._move_to_targets(rows, rng, is_first)
+        self._move_to_targets(rows, rng, steps)
         drift = _NO_DRIFT
         if config.perturb_object_pose:
             # One draw for all, as published.
@@ -183,8 +188,8 @@ class MeshScene:
         images = self._camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
         self._keep(rows, images)
-        poses: AnyArray = np.tile(np.eye(4), (len(sensors), 1, 1))
-        poses[:, :3, :3], poses[:, :3, 3] = self._axes[rows], sensors
+        poses: AnyArray = self._poses[rows].copy()
+        poses[:, :3, 3] = sensors
         info: dict[str, AnyArray] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = touches.depths_m
@@ -207,7 +212,7 @@ class MeshScene:
         self._felt = self._felt.copy()
         self._felt[rows] = images
 
-    def _move_to_targets(self, rows: Rows, rng: np.random.Generator, is_first: bool) -> None:
+    def _move_to_targets(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> None:
         """Move sensors to their targets, or to the nearest of some random places."""
         self._sensors[rows] = self._targets[rows]
         if self.config.snap_touch_positions is None:
@@ -215,7 +220,7 @@ class MeshScene:
         places = self._motion.random_places(rng, self.num_envs, self.config.snap_touch_positions)
         nearest = np.linalg.norm(places - self._targets[:, None, :2], axis=2).argmin(axis=1)
         snapped = places[np.arange(self.num_envs), nearest]
-        if is_first:  # in single precision, as published
+        if not steps.any():  # in single precision, as published
             snapped = snapped.astype(np.float32).astype(np.float64)
         self._sensors[rows, :2] = snapped[rows]
 

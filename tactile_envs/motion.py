@@ -63,14 +63,14 @@ def require_move(action: Mapping[str, Any], name: str, num_envs: int) -> Float32
     moves = np.ascontiguousarray(action[name], np.float32)
     if moves.shape != (num_envs, 3):
         raise InputError(f"{name} has shape {moves.shape}; expected {(num_envs, 3)}")
+    sizes = np.abs(moves)
+    if sizes.max() <= _MOST_MOVE:  # not so with NaN
+        return moves
     if not np.isfinite(moves).all():  # infinite moves lead to NaN
         raise ValueError(f"NaN values detected in {name}.")
-    is_large = (np.abs(moves) > _MOST_MOVE).any(axis=1)
-    if is_large.any():
-        row = int(is_large.argmax())
-        raise InputError(
-            f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MOST_MOVE:.0e}: "
-            "the cost of such an action is not finite",
-            next="see why the policy gives it; movements are limited to a ball of radius 1",
-        )
-    return moves
+    row = int(sizes.max(axis=1).argmax())
+    raise InputError(
+        f"{name} of environment {row} is {moves[row].tolist()}; expected numbers up to {_MOST_MOVE:.0e}: "
+        "the cost of such an action is not finite",
+        next="see why the policy gives it; movements are limited to a ball of radius 1",
+    )

@@ -46,6 +46,8 @@ class Randomization:
         self._noise: EpisodeNoise | None = None
         if config.sensor_noise is not None:
             self._noise = EpisodeNoise(config.sensor_noise, shape)
+        # Shared by all touches: nothing writes to it.
+        self._nothing = TouchDraws(np.zeros(shape[0]), np.zeros(shape[0], np.int64), None)
         self._is_random = bool(self._std_m or bases or self._noise is not None)
 
     def begin(self, rows: Rows, rng: np.random.Generator) -> None:
@@ -58,7 +60,7 @@ class Randomization:
 
     def touch(self, count: int, rng: np.random.Generator) -> TouchDraws:
         """Draw what lasts for a touch of ``count`` sensors."""
-        draws = TouchDraws(np.zeros(count), np.zeros(count, np.int64), None)
+        draws = TouchDraws(self._nothing.lifts_m[:count], self._nothing.bases[:count], None)
         if not self._is_random:
             return draws
         own = rng.spawn(1)[0]

@@ -132,7 +132,7 @@ class RecordedScene:
         self._targets[rows] = targets[rows]
         return costs
 
-    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
+    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Take the recorded touches nearest to the targets of some cells."""
         numbers, targets = self.numbers[rows], self._targets[rows]
         window = self._chosen[rows, None] + 1 + self._window
@@ -236,8 +236,10 @@ class RecordedImages:
         self.channels = 3
         self._optics: Optics | None = None
         if config.sensor_type != DIRECT:
-            self._optics = make_optics(OPTICS[config.sensor_type], weights)
-            self._estimator: DepthEstimator = lazy("tactile_sim.learned:DepthEstimator")()
+            self._optics = make_optics(OPTICS[config.sensor_type], weights, **config.optics_options)
+            self._estimator: DepthEstimator = lazy("tactile_sim.learned:DepthEstimator")(
+                **config.network_options
+            )
             self._recorded_px = _ESTIMATED_PX
             if config.sensor_type == "depth":
                 self.channels = 1

@@ -61,8 +61,8 @@ class Scene(Protocol):
     def aim(self, action: Action, rows: Rows) -> Float32:
         """Send the sensors of some cells to where an action says; return what actions cost, (num_envs,)."""
 
-    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
-        """Touch in some cells; ``is_first`` says that all are the first of an episode."""
+    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+        """Touch in some cells; ``steps``, shape (n,), count from the first touch of their episodes."""
 
     @property
     def is_exhausted(self) -> Bool | None:

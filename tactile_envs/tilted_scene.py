@@ -21,7 +21,7 @@ from tactile_envs.reset_options import Rows, SensorStart
 from tactile_envs.scene import Action, Readings
 from tactile_envs.tilted_kernels import touch_tilted
 from tactile_envs.toucher import SensorReadings
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
 _TURN, _TURNED = "sensor_target_rot_rel", "sensor_rot"
@@ -89,9 +89,9 @@ class TiltedScene(MeshScene):
         self._axes[rows] = axes[rows]
         return costs
 
-    def touch(self, rows: Rows, rng: np.random.Generator, *, is_first: bool) -> Readings:
+    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Touch in some cells, and let their objects slip."""
-        readings = super().touch(rows, rng, is_first=is_first)
+        readings = super().touch(rows, rng, steps)
         axes = self._axes[rows].transpose(0, 2, 1)[:, 1:].reshape(-1, 6)
         turned = np.clip(axes, -1, 1).astype(np.float32)
         return Readings({**readings.observation, _TURNED: turned}, readings.info)
@@ -99,7 +99,7 @@ class TiltedScene(MeshScene):
     def _press(
         self, rows: Rows, lifts_m: Float64, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
     ) -> SensorReadings:
-        numbers, axes = self.numbers[rows], self._axes[rows]
+        numbers, axes = self.numbers[rows], np.ascontiguousarray(self._axes[rows])
         pools = (self._pool.arrays, self._plate.arrays)
         read = (self._toucher.window, self._motion.numbers, drift, *pools, self._far_m)
 

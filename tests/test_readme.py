@@ -31,6 +31,7 @@ PAGES = (
     "docs/howto/simulators.md",
     "docs/howto/hub.md",
     "docs/paper.md",
+    "docs/learned.md",
     "docs/howto/training_libraries.md",
 )
 """In the order in which a reader meets them; the tour makes what others use.

@@ -73,7 +73,7 @@ def test_resized_images(single_folder: Path, tmp_path: Path) -> None:
         expected = resized(one.sensor_image[2], 32, 24)
         assert np.abs(two.sensor_image[2].astype(int) - expected).mean() < 2
         np.testing.assert_array_equal(one.gel_pose_cell_frame.position_m, two.gel_pose_cell_frame.position_m)
-    assert pq.read_schema(next((out / "data").glob("*.parquet"))).names == before._table.schema.names
+    assert pq.read_schema(next((out / "data").glob("*.parquet"))).names == before.table.schema.names
 
 
 def test_images_of_the_wanted_size_pass_through(single_folder: Path, tmp_path: Path) -> None:

@@ -270,6 +270,7 @@ def test_noise_of_episodes_and_touches(envs):
 @pytest.mark.sim
 def test_other_environments_stay_when_one_is_reset(envs):
     """A reset of some draws their patterns alone."""
+    pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     env = envs("TactileMNIST-train-v0", sensor_noise=PATTERN, perturb_object_pose=False)
     env.reset(seed=0)
     stay = {"action": {"sensor_target_pos_rel": np.zeros((ENVS, 3))}, "prediction": np.zeros((ENVS, 10))}
@@ -337,6 +338,7 @@ def test_depth_behind(envs, many_empty, estimator):
 @pytest.mark.sim
 def test_images_of_the_bare_plate_are_shared_with_depth_behind(envs, many_empty, estimator):
     """The optics see each map behind the plate alone once, and give what they give without that."""
+    pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     config = {"sensor_noise": None, "real_base_depth_dataset": many_empty, "real_base_depth_touches": 2}
     env = envs("TactileMNIST-DR-train-v0", num_envs=16, depth_in_info=True, **config)
     camera = env._scene._camera

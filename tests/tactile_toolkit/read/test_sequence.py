@@ -290,7 +290,7 @@ def test_a_hugging_face_set_shares_the_rows(every_set: dict[str, Any], rows: Row
     assert shared.features["label"].names == list(digits.label_names)
     assert shared[:]["id"] == digits.ids.tolist()
     np.testing.assert_array_equal(np.array(shared[3]["mesh.vertices"], np.float32), digits[3].vertices_m)
-    mapped = digits._table.locate(3)[0].table.column("mesh.vertices").chunk(0)
+    mapped = digits.table.locate(3)[0].table.column("mesh.vertices").chunk(0)
     there = shared.data.column("mesh.vertices").chunk(0)
     assert there.values.values.buffers()[1].address == mapped.values.values.buffers()[1].address
     some = digits[[7, 2, 7]]
