@@ -28,7 +28,7 @@ with needs_extra("making environments", "ap-gym", "envs"):
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.recorded_scene import RecordedScene
     from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects, touches_in
-    from tactile_envs.scene import Scene
+    from tactile_envs.scene import TouchScene
     from tactile_envs.single_environment import TactileEnv
     from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
     from tactile_envs.tilted_scene import TiltedScene
@@ -111,7 +111,7 @@ def make_vector(
     if max_episode_steps is not None:
         settings = replace(settings, step_limit=max_episode_steps)
     num_envs, threads = checked_counts(settings, num_envs, threads)
-    scene: Scene
+    scene: TouchScene
     task: Task
     if isinstance(settings, RecordedConfig):
         mesh.refuse_unit(unit, "recorded touches")

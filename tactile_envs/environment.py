@@ -18,7 +18,7 @@ from tactile_envs.config import EpisodeConfig
 from tactile_envs.drawing import PredictionView, draw_environment
 from tactile_envs.episode_log import EpisodeLog
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows
-from tactile_envs.scene import Action, Scene
+from tactile_envs.scene import Action, TouchScene
 from tactile_envs.tasks import Score, Task
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
@@ -39,7 +39,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     Parameters
     ----------
-    scene : Scene
+    scene : TouchScene
         What is touched, in how many environments.
     task : Task
         What is predicted.
@@ -67,7 +67,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
 
     def __init__(
         self,
-        scene: Scene,
+        scene: TouchScene,
         task: Task,
         *,
         sparse: bool = False,

@@ -28,7 +28,7 @@ _UPRIGHT_WITHIN = 1e-6
 
 
 class MeshScene:
-    """Objects in cells, touched by sensors that stay upright; a :class:`tactile_envs.scene.Scene`.
+    """Objects in cells, touched by sensors that stay upright; a :class:`tactile_envs.scene.TouchScene`.
 
     A sensor points the same way when it touches as its target does.
 

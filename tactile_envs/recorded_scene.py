@@ -40,7 +40,7 @@ TouchKey = tuple[int, int]
 
 
 class RecordedScene:
-    """Rounds of touches in cells; a :class:`tactile_envs.scene.Scene`.
+    """Rounds of touches in cells; a :class:`tactile_envs.scene.TouchScene`.
 
     The touch that is nearest to the target of a sensor is chosen among the next ones of the round, as many as
     :func:`window_size` says, so that touches come in their order. An episode ends when fewer are left. Random

@@ -24,7 +24,7 @@ class Readings(NamedTuple):
     info: dict[str, AnyArray]
 
 
-class Scene(Protocol):
+class TouchScene(Protocol):
     """Some cells with an object and a sensor each.
 
     Attributes
