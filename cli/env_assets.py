@@ -18,7 +18,6 @@ from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_pl
 from cli.output import Sink
 from cli.upkeep import cache
 from env_assets import WrenchSpec
-from env_assets.asset_kinds import THIRD_PARTY_ASSETS
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import text
@@ -88,8 +87,8 @@ def list_environments(
     sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
     sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
     for assets in dict.fromkeys(each.assets for each in found):
-        if assets in THIRD_PARTY_ASSETS:
-            sink.line(f"{assets}: give `assets`, a folder of meshes; {THIRD_PARTY_ASSETS[assets]}")
+        if assets in env_assets.THIRD_PARTY_ASSETS:
+            sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
 
 
 def _shown(value: Any) -> Any:

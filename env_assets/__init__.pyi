@@ -1,6 +1,10 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .asset_kinds import KINDS as KINDS, SolidDataset as SolidDataset
+from .asset_kinds import (
+    KINDS as KINDS,
+    THIRD_PARTY_ASSETS as THIRD_PARTY_ASSETS,
+    SolidDataset as SolidDataset,
+)
 from .fitting import require_fitting_meshes as require_fitting_meshes
 from .height_map import HeightMap as HeightMap, top_surface as top_surface
 from .mesh_view import MeshView as MeshView

@@ -56,9 +56,9 @@ class EpisodeConfig:
         How the images of observations are made; "direct" shows recorded images as they are.
     sensor_output_size : tuple of int
         Width and height of the images, pixels.
-    sensor_device : "cpu", "cuda" or "auto"
+    network_device : "cpu", "cuda" or "auto"
         Where networks compute images.
-    sensor_bfloat16 : bool
+    network_bfloat16 : bool
         Whether networks multiply in bfloat16: faster, and a level may differ.
     randomize_initial_sensor_pose : bool
         Whether the first touch is at a random place in the cell or in its middle.
@@ -75,8 +75,8 @@ class EpisodeConfig:
     step_limit: int = integer(16, 1, 100_000)
     sensor_type: str = choice("taxim", (*SENSORS, DIRECT))
     sensor_output_size: tuple[int, int] = (320, 240)
-    sensor_device: str = choice("cpu", ("cpu", "cuda", "auto"))
-    sensor_bfloat16: bool = switch(False)
+    network_device: str = choice("cpu", ("cpu", "cuda", "auto"))
+    network_bfloat16: bool = switch(False)
     randomize_initial_sensor_pose: bool = switch(True)
     linear_velocity: float = real(0.2, 0, 1000)
     linear_acceleration: float = real(4.0, above=0, most=1e6)
@@ -108,7 +108,7 @@ class EpisodeConfig:
     @property
     def network_options(self) -> NetworkOptions:
         """Options of networks."""
-        return {"device": self.sensor_device, "bfloat16": self.sensor_bfloat16}
+        return {"device": self.network_device, "bfloat16": self.network_bfloat16}
 
     def longest_way(self, velocity: float, acceleration: float) -> float:
         """Return the greatest distance from one touch to the next; units as those of the velocity."""

@@ -31,7 +31,7 @@ RECORD = recorded()
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
 CHANGING = {"_Run", "DiskCache", "_Object", "_Row", "MeshPool"}
-"""Dataclasses that are not frozen: a training, a cache, a part that is read, a row of a plate, a pool that grows."""
+"""Dataclasses that change: a training, a cache, a part that is read, a row of a plate, a pool that grows."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
