@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import ap_gym
 import gymnasium as gym
@@ -28,6 +28,9 @@ from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.run import in_threads
+
+if TYPE_CHECKING:
+    from tactile_sim.learned import DepthEstimator
 
 # Images of observations that are kept: 40,000 of 64 x 64 pixels in colour.
 _KEPT_BYTES = 1 << 29
@@ -200,13 +203,6 @@ class RecordedScene:
         """Do nothing: threads end with each touch."""
 
 
-class DepthEstimator(Protocol):
-    """Estimates depth from images of a sensor."""
-
-    def estimate_m(self, images: UInt8, size_px: tuple[int, int]) -> Float32:
-        """Return depth (n, h, w), metres, in a size (width, height), of images (n, H, W, 3)."""
-
-
 class RecordedImages:
     """Images of observations of recorded touches; they are made when they are first asked for.
 
@@ -237,9 +233,8 @@ class RecordedImages:
         self._optics: Optics | None = None
         if config.sensor_type != DIRECT:
             self._optics = make_optics(OPTICS[config.sensor_type], weights, **config.optics_options)
-            self._estimator: DepthEstimator = lazy("tactile_sim.learned:DepthEstimator")(
-                **config.network_options
-            )
+            estimator = lazy("tactile_sim.learned:DepthEstimator")
+            self._estimator: DepthEstimator = estimator(**config.network_options)
             self._recorded_px = _ESTIMATED_PX
             if config.sensor_type == "depth":
                 self.channels = 1

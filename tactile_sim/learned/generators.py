@@ -21,8 +21,8 @@ from tactile_sim.learned.processes import chosen_device
 from tactile_sim.learned.weights import GeneratorWeights, generator_of
 from tactile_sim.learned.winograd_kernels import (
     POINTS,
+    add_image_sums,
     add_scaled,
-    add_up,
     join_tiles,
     rectify,
     split_tiles,
@@ -234,7 +234,7 @@ def _rectified(image: Tensor, in_parts: _InParts, margin: int = 0) -> Tensor:
     pixels = _pixels(image)
     height, width, channels = pixels.shape
     sums = np.empty((height, 2, channels))
-    in_parts(partial(add_up, pixels, sums), height)
+    in_parts(partial(add_image_sums, pixels, sums), height)
     out = pixels
     if margin:
         out = np.empty((height + 2 * margin, width + 2 * margin, channels), np.float32)
