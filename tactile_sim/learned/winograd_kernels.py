@@ -123,7 +123,7 @@ def split_tiles(
 
 @compiled
 def join_tiles(tiles: Float32, image: Float32, sums: Float64, first: int, last: int) -> None:
-    """Transform tiles (36, n, channels) to an image; sums are as in :func:`add_image_sums`, by row of tiles."""
+    """Transform tiles (36, n, channels) to an image; sums as of :func:`add_image_sums`, by row of tiles."""
     height, width, channels = image.shape
     across = (width + 3) // 4
     taken, between = np.empty(POINTS * _TOGETHER, np.float32), np.empty(24 * _TOGETHER, np.float32)
