@@ -166,8 +166,11 @@ class MeshScene:
 
     def aim(self, action: Action, rows: Rows) -> Float32:
         """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
+        moves = action["sensor_target_pos_rel"]
+        if rows is EVERY:
+            return self._motion.aim(moves, self._sensors, self._targets)
         targets = self._targets.copy()
-        costs = self._motion.aim(action["sensor_target_pos_rel"], self._sensors, targets)
+        costs = self._motion.aim(moves, self._sensors, targets)
         self._targets[rows] = targets[rows]
         return costs
 
@@ -184,7 +187,8 @@ class MeshScene:
         sensors, places = self._sensors[rows], self.places[rows]
         draws = self._randomization.touch(len(sensors), rng)
         touches = self._press(rows, draws.lifts_m, sensors, places, drift, has_depth)
-        self._sensors[rows], self.places[rows] = sensors, places
+        if rows is not EVERY:  # otherwise both are views
+            self._sensors[rows], self.places[rows] = sensors, places
         images = self._camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
         self._keep(rows, images)

@@ -60,6 +60,8 @@ class Randomization:
 
     def touch(self, count: int, rng: np.random.Generator) -> TouchDraws:
         """Draw what lasts for a touch of ``count`` sensors."""
+        if not self._is_random and count == len(self._nothing.bases):
+            return self._nothing
         draws = TouchDraws(self._nothing.lifts_m[:count], self._nothing.bases[:count], None)
         if not self._is_random:
             return draws
