@@ -1,7 +1,7 @@
 """Generators that are run, not trained: on a processor by Winograd's algorithm, or on a GPU.
 
 On one core of a Zen 5 processor, the published generator (64 filters, 9 blocks, 256 x 256 pixels) takes
-0.20 s for an image, and 0.16 s in bfloat16; as layers of PyTorch 0.50 s, in bfloat16 0.27 s, compiled 0.41 s.
+0.23 s for an image, and 0.19 s in bfloat16; as layers of PyTorch 0.49 s, in bfloat16 0.27 s, compiled 0.41 s.
 """
 
 from __future__ import annotations
