@@ -10,12 +10,12 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import IO, Any, Literal, get_args
+from typing import IO, Any, Literal
 
-from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
+from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.text_tables import table_lines
@@ -29,17 +29,53 @@ _FAR_READERS = 16
 
 _HERE = re.compile(r"^(?:\./+)+")
 
-ImportLayout = Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"]
+ImportLayout = Literal[
+    "folder",
+    "video",
+    "flat",
+    "webdataset",
+    "lerobot",
+    "oxt",
+    "replay",
+    "hdf5",
+    "fota",
+    "sparsh",
+    "anytouch",
+]
+"""Formats of recordings, each a module of this package."""
 
 _SIZES_SEEN = 32
 
 
 @dataclass(frozen=True, slots=True)
 class FoundTouch:
-    """A touch to import: where its image is, its fields, and why it cannot be used, if it cannot.
+    """A touch to import: where its pictures are, its fields, and why it cannot be used, if it cannot.
 
-    ``path`` is below ``home``, the address of the source; of a group of arrays, ``part`` names what is meant.
-    ``fields`` names all fields of the source that have a value.
+    Attributes
+    ----------
+    name : str
+        What messages call it; a path below the source, or a name that the format has for it.
+    home, path : str
+        Address of the source, and the file below it that holds the pictures.
+    start, size : int
+        Where the picture begins in the file, and its bytes; of a recording, the number of its first picture,
+        and about how many bytes all of its pictures take.
+    values : mapping
+        What is said of the touch, by the names of the source.
+    problem : ItemError or None
+        Why it cannot be used.
+    number : int
+        Its number among all touches of the source.
+    part : str
+        What of a file with several sequences of pictures is meant; for the reader of the format alone.
+    frames : int
+        Pictures of a clip; 0 for a single image.
+    per_frame : mapping
+        What is said of each picture of a clip: arrays with an entry a picture.
+    time_s : ndarray of float64, shape (frames,), or None
+        Time of each picture of a clip, seconds; rises.
+    contact : tuple of int or None
+        First and last picture of a clip that show contact, if that is known.
     """
 
     name: str
@@ -50,31 +86,34 @@ class FoundTouch:
     values: Mapping[str, object] = field(repr=False)
     problem: ItemError | None = None
     number: int = 0
-    fields: tuple[str, ...] = field(default=(), repr=False)
     part: str = ""
+    frames: int = 0
+    per_frame: Mapping[str, AnyArray] = field(default_factory=dict, repr=False)
+    time_s: Float64 | None = field(default=None, repr=False)
+    contact: tuple[int, int] | None = None
 
     @property
     def file(self) -> tuple[str, str]:
         """Folder and path of the file that holds the image."""
         return self.home, self.path
 
-    def used(self, number: int, columns: ImportColumns) -> FoundTouch:
-        """Return the touch with its number among all, the names of its fields, and the values in use."""
-        fields = tuple(name for name, value in self.values.items() if name and value not in (None, ""))
-        wanted = set(columns.found_in(fields).names())
-        if not columns.label:
-            wanted.add(NUMBERED)
-        values = {name: self.values[name] for name in self.values if name in wanted}
-        problem = self.problem
-        for name, value in values.items():
-            # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
-            if isinstance(value, str) and value.encode(errors="ignore").decode() != value:
-                problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
-                values = {}
-                break
-        if problem is None and self.size > MAX_IMAGE_BYTES:
+    def checked(self, number: int) -> FoundTouch:
+        """Return the touch with its number among all, and with a problem if what is said of it is not text.
+
+        JSON may hold one half of a surrogate pair without the other, which cannot be stored.
+        """
+        problem, values = self.problem, self.values
+        broken = (name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value))
+        for name in broken:
+            problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
+            values = {}
+        if problem is None and not self.frames and self.size > MAX_IMAGE_BYTES:
             problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
-        return replace(self, number=number, values=values, problem=problem, fields=fields)
+        return replace(self, number=number, values=values, problem=problem)
+
+
+def _is_unicode(text: str) -> bool:
+    return text.isascii() or text.encode(errors="ignore").decode() == text
 
 
 def found_file(
@@ -197,25 +236,39 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
 class ImportFormat:
     """How a format is read.
 
-    ``find`` takes a folder, the columns and the path of a table, and yields the touches there. ``contents``
-    reads their images. ``sizes_seen`` is from how many of them the size of all follows, if these agree.
-    ``describe`` states how the images are converted; empty if they are taken as they are.
+    ``find`` takes a folder, the columns and the path of a table, and yields touches, or recordings to cut.
+    ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
+    recordings become touches by default. ``sizes_seen`` is from how many touches the size of all follows, if
+    these agree. ``describe`` states how pictures are converted; empty if they are taken as they are.
     """
 
-    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[FoundTouch]]
+    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[Any]]
     contents: ReadContents = contents_of
+    cut: str = "frames"
     sizes_seen: int = _SIZES_SEEN
     describe: Callable[[Sequence[FoundTouch]], str] = lambda _touches: ""
 
 
+def _recordings(layout: str, cut: str = "frames") -> ImportFormat:
+    """Return a format of recordings, whose pictures are of one size."""
+    module = f"realtouch.exchange.{layout}_import"
+    reader, describe = lazy(f"{module}:encoded_frames"), lazy(f"{module}:describe_conversion")
+    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, 1, describe)
+
+
 IMPORTS: dict[str, ImportFormat] = {
-    layout: ImportFormat(lazy(f"realtouch.exchange.{layout}:find_{layout}"))
-    for layout in get_args(ImportLayout)
-} | {
-    "replay": ImportFormat(
-        lazy("realtouch.exchange.replay_import:find_replay"),
-        lazy("realtouch.exchange.replay_import:encoded_frames"),
-        1,  # the pictures of one array are of one size
-        lazy("realtouch.exchange.replay_import:describe_conversion"),
-    )
+    "folder": ImportFormat(lazy("realtouch.exchange.folder:find_folder")),
+    "video": _recordings("video", "whole"),
+    "flat": ImportFormat(
+        lazy("realtouch.exchange.flat_import:find_flat"), lazy("realtouch.exchange.flat_import:stored_images")
+    ),
+    "webdataset": ImportFormat(lazy("realtouch.exchange.webdataset:find_webdataset")),
+    "lerobot": _recordings("lerobot"),
+    "oxt": _recordings("oxt"),
+    "replay": _recordings("replay"),
+    "hdf5": _recordings("hdf5"),
+    "fota": ImportFormat(lazy("realtouch.exchange.fota:find_fota")),
+    "sparsh": ImportFormat(lazy("realtouch.exchange.sparsh:find_sparsh")),
+    "anytouch": ImportFormat(lazy("realtouch.exchange.anytouch:find_anytouch")),
 }
+"""Formats that are read; each is recognised by its content (:mod:`realtouch.exchange.recognised`)."""
