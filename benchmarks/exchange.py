@@ -80,7 +80,7 @@ def jobs(source: Path, tars: Path) -> dict[str, Callable[[Path], Any]]:
         "flat": lambda out: realtouch.export(source, out / "set", "flat"),
         "webdataset": lambda out: realtouch.export(source, out / "set", "webdataset"),
         "lerobot": lambda out: realtouch.export(source, out / "set", "lerobot"),
-        "import": lambda out: realtouch.import_images(
+        "import": lambda out: realtouch.import_touches(
             tars / "webdataset", out / "set", "webdataset", columns
         ),
     }

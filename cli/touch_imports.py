@@ -49,7 +49,7 @@ def import_touches(
     Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
     """
     make = partial(
-        realtouch.import_images,
+        realtouch.import_touches,
         source,
         out,
         file_format,

@@ -21,7 +21,7 @@ from .convert.picture_files import frames as frames
 from .convert.selection import select as select
 from .exchange.exporting import export as export
 from .exchange.import_shards import NOT_IMPORTED as NOT_IMPORTED
-from .exchange.importing import CONVERSION as CONVERSION, import_images as import_images
+from .exchange.importing import CONVERSION as CONVERSION, import_touches as import_touches
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .poses import Poses as Poses, PoseSequences as PoseSequences
 from .rounds import (

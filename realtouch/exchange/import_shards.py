@@ -38,7 +38,7 @@ NamedTouch = tuple[str, FoundTouch]
 """The name of a round, and a touch of it."""
 
 
-def touch_schema(columns: ImportColumns, names: Sequence[str]) -> pa.Schema:
+def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[FoundTouch]) -> pa.Schema:
     """Return the schema of imported rounds with the known columns."""
     position, pose = pa.list_(pa.list_(pa.float64(), 2)), pa.list_(pa.list_(pa.float64(), 3))
     known = {
@@ -111,7 +111,11 @@ class ImportTouches:
                     if made and any(touch[each] != made[0][each] for each in _OF_ROUND):
                         raise ItemError("round", "another label or object than the first touch of its round")
                     made.append(touch)
-                    others.update(name for name in item.fields if name not in used)
+                    others.update(
+                        name
+                        for name, value in item.values.items()
+                        if value not in (None, "") and name not in used
+                    )
                 except ItemError as error:
                     skipped.append(
                         store.Skipped(item.number, error.reason, f"{item.name!r}: {error.message}")

@@ -5,8 +5,9 @@ from __future__ import annotations
 import json
 import re
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from itertools import chain
 from os import PathLike, fspath
 from typing import Any, Unpack
@@ -15,6 +16,7 @@ from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch, ImportLayout, common_size
 from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema, version_of
+from realtouch.exchange.recordings import Recording, touches_of
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
 from realtouch.touch_options import ImportColumns
@@ -40,13 +42,14 @@ _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
 
 
-def import_images(
+def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
     layout: ImportLayout,
     columns: ImportColumns | None = None,
     *,
     table: str | None = None,
+    cut: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
     **run: Unpack[store.RunKeywords],
@@ -96,14 +99,14 @@ def import_images(
         raise InputError(f"{found}; expected a folder of images or tars", next="check the name")
     catalog.refuse_source(folder, home.address(), [Shard(home.address("any file"))])
     chosen = columns or ImportColumns()
-    items = _items(home, layout, chosen, table)
-    known = dict.fromkeys(name for item in items for name in item.fields)
+    items = _items(home, layout, chosen, table, cut)
+    known = dict.fromkeys(chain.from_iterable(map(_known, items)))
     plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
     return store.build(folder, plan, write_card=write_card, **run)
 
 
 def _items(
-    home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None
+    home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None, cut: str | None
 ) -> list[FoundTouch]:
     """Find the touches in a folder, or in the splits of an export of this toolkit."""
     folders = [home]
@@ -114,10 +117,25 @@ def _items(
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]
     every = chain.from_iterable(IMPORTS[layout].find(folder, columns, table) for folder in folders)
-    items = [item.used(number, columns) for number, item in enumerate(every)]
+    touches = chain.from_iterable(map(partial(_touches, cut=cut or IMPORTS[layout].cut), every))
+    items = [item.checked(number) for number, item in enumerate(touches)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected images")
     return items
+
+
+def _known(item: FoundTouch) -> Iterable[str]:
+    """Return the names of what is said of a touch."""
+    return [
+        *(name for name, value in item.values.items() if name and value not in (None, "")),
+        *item.per_frame,
+    ]
+
+
+def _touches(found: FoundTouch | Recording, cut: str) -> Iterable[FoundTouch]:
+    if isinstance(found, Recording):
+        return touches_of(found, cut)
+    return [found]
 
 
 def _plan(
@@ -136,7 +154,7 @@ def _plan(
     size = common_size(items, read.contents, read.sizes_seen)
     held = Counter(item.file for item in items)
     versions = {file: version_of(file) for file, count in held.items() if count > 1}
-    work = ImportTouches(layout, columns, names, size, touch_schema(columns, names), versions)
+    work = ImportTouches(layout, columns, names, size, touch_schema(columns, names, items), versions)
     tasks: list[store.ShardTask[NamedTouch]] = []
     for each, found in rounds.items():
         parts = _divided(found)

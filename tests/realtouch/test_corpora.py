@@ -190,7 +190,7 @@ def test_foreign_fota_has_poses_in_millimetres(tmp_path: Path) -> None:
             header = tarfile.TarInfo(f"a-1.{ending}")
             header.size = len(each)
             tar.addfile(header, io.BytesIO(each))
-    realtouch.import_images(home, tmp_path / "out", "fota", realtouch.ImportColumns(label="material"))
+    realtouch.import_touches(home, tmp_path / "out", "fota", realtouch.ImportColumns(label="material"))
     (only,) = realtouch.load(tmp_path / "out", "val")
     assert isinstance(only, realtouch.TouchSingleRound)
     np.testing.assert_array_equal(only.gel_pose_cell_frame.position_m, [[0.001, -0.0025, 0.012]])
@@ -217,7 +217,7 @@ def test_no_pickle_is_executed(tmp_path: Path) -> None:
     ):
         (home / "dataset.pkl").write_bytes(content)
         with pytest.raises(InputError, match=words):
-            realtouch.import_images(home, tmp_path / "out", "sparsh")
+            realtouch.import_touches(home, tmp_path / "out", "sparsh")
     assert not mark.exists()
     assert not (tmp_path / "out").exists()
 
@@ -239,9 +239,9 @@ def test_a_table_that_is_not_of_the_pickle(
     (tmp_path / "home" / "dataset.pkl").write_bytes(pickle.dumps(images))
     (tmp_path / "home" / "dataset.csv").write_bytes(table)
     with pytest.raises(InputError, match=words):
-        realtouch.import_images(tmp_path / "home", tmp_path / "out", "sparsh")
+        realtouch.import_touches(tmp_path / "home", tmp_path / "out", "sparsh")
     with pytest.raises(InputError, match=r"other\.csv"):
-        realtouch.import_images(tmp_path / "home", tmp_path / "out", "sparsh", table="other.csv")
+        realtouch.import_touches(tmp_path / "home", tmp_path / "out", "sparsh", table="other.csv")
     assert not (tmp_path / "out").exists()
 
 
@@ -280,7 +280,7 @@ def test_a_replay_buffer_comes_back(source: Path, tmp_path: Path) -> None:
     assert realtouch.verify(tmp_path / "back").ok
     columns = realtouch.ImportColumns(image="depth")
     with pytest.raises(InputError, match="no array of pictures 'depth'; found"):
-        realtouch.import_images(place, tmp_path / "none", "replay", columns)
+        realtouch.import_touches(place, tmp_path / "none", "replay", columns)
 
 
 def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
@@ -288,7 +288,7 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
 ) -> None:
     def refused(error: type[Exception], words: str) -> None:
         with pytest.raises(error, match=words):
-            realtouch.import_images(source, tmp_path / "out", "replay")
+            realtouch.import_touches(source, tmp_path / "out", "replay")
 
     source = tmp_path / "source"
     source.mkdir()

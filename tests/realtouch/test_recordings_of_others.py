@@ -28,7 +28,7 @@ QUATERNION = ("qx", "qy", "qz", "qw")
 
 
 def imported(home: Path, out: Path, columns: realtouch.ImportColumns | None = None, **options: Any) -> Any:
-    manifest = realtouch.import_images(home, out, options.pop("layout", "folder"), columns, **options)
+    manifest = realtouch.import_touches(home, out, options.pop("layout", "folder"), columns, **options)
     return realtouch.load(out, next(iter(manifest.split_table())))
 
 
@@ -181,7 +181,7 @@ def test_the_size_of_most_images_is_kept(home: Path, tmp_path: Path) -> None:
     for number, size in enumerate(sizes):
         (home / f"{number:03d}.jpg").write_bytes(picture(number, size))
     write_table(home, [line(f"{number:03d}.jpg") for number in range(len(sizes))])
-    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
     assert manifest.split_table()["train"]["rows"] == 70
     assert manifest.skipped_reasons() == {"size": 51}
     assert "40 x 30 pixels; expected 32 x 24 as most images" in manifest.shards[0].skipped[0].message
@@ -275,7 +275,7 @@ def test_tars_that_lead_elsewhere_or_are_packed_are_named(tmp_path: Path) -> Non
     (tmp_path / "tars").mkdir()
     members = [("0.jpg", picture(1)), ("../1.jpg", picture(2)), ("a/../2.jpg", picture(3))]
     write_tar(tmp_path / "tars" / "a.tar", members)
-    found = realtouch.import_images(tmp_path / "tars", tmp_path / "out", "webdataset")
+    found = realtouch.import_touches(tmp_path / "tars", tmp_path / "out", "webdataset")
     assert [(item.id, item.reason) for item in found.shards[0].skipped] == [(1, "name"), (2, "name")]
     whole = (tmp_path / "tars" / "a.tar").read_bytes()
     (tmp_path / "tars" / "a.tar").write_bytes(gzip.compress(whole))
@@ -347,7 +347,7 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
     (home / "there").symlink_to(tmp_path)
     names = ["pictures/4.jpg", "pictures/5.jpg", "pictures/6.jpg", "there/id_rsa", "pictures"]
     write_table(home, [line(name) for name in names])
-    manifest = realtouch.import_images(home, tmp_path / "out", "folder")
+    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
     assert reasons == [(0, "name"), (1, "missing"), (3, "name"), (4, "missing")]
     for layout, name in (
@@ -363,7 +363,7 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
             with pytest.raises(
                 (InputError, IntegrityError), match=r"a link leads out|not a regular file|holds no|one CSV"
             ):
-                realtouch.import_images(source, tmp_path / "none", layout)  # type: ignore[arg-type]
+                realtouch.import_touches(source, tmp_path / "none", layout)  # type: ignore[arg-type]
             assert not (tmp_path / "none").exists()
 
 
@@ -384,7 +384,7 @@ def test_what_is_stored_holds_no_text_of_libraries_nor_addresses_of_objects(
         (home / name).write_bytes(content)
     write_table(home, [line(name) for name in (*images, "pictures/0.jpg")])
     for out in ("one", "two"):
-        realtouch.import_images(home, tmp_path / out, "folder")
+        realtouch.import_touches(home, tmp_path / out, "folder")
     assert folder_bytes(tmp_path / "one") == folder_bytes(tmp_path / "two")
     text = (tmp_path / "one" / "manifest.json").read_text()
     assert text.count("cannot be decoded; expected a JPEG, PNG or WebP") >= 3
