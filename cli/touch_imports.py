@@ -2,34 +2,57 @@
 
 from __future__ import annotations
 
-from dataclasses import MISSING
+from dataclasses import asdict
 from functools import partial
-from typing import Literal
+from typing import Any
 
 import realtouch
-from cli.options import Work, argument, out_folder
+from cli.options import Making, argument, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
+from realtouch.alignment_options import Alignment
 from realtouch.kind import KIND
-from realtouch.touch_options import ImportColumns
+from realtouch.touch_options import IMPORT_LAYOUTS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.parsed_text import comma_separated
+from tactile_toolkit.wording import with_count
 
 
 def import_touches(
     *,
-    source: str = argument("DIR", "Folder of images and a CSV table, or of tars."),
-    file_format: Literal["folder", "webdataset", "replay", "fota", "sparsh", "anytouch"] = choice(
-        MISSING,
-        ("folder", "webdataset", "replay", "fota", "sparsh", "anytouch"),
+    source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
+    file_format: str | None = choice(
+        None,
+        IMPORT_LAYOUTS,
+        optional=True,
         name="--format",
-        help="Layout of the images.",
+        help="Format of the source; by default it is recognised by its content.",
     ),
     out: str = out_folder(),
     columns: ImportColumns,
-    table: str | None = text(metavar="FILE", help="Path of the table; by default the only CSV file in DIR."),
+    mapped: list[str] | None = text(
+        name="--map",
+        metavar="NAME=COLUMN",
+        several=True,
+        help="Column of the image, label, round, object, position, pose, split or time; or a new name for "
+        "another column, which is kept. @FILE reads such lines from a file.",
+    ),
+    table: str | None = text(
+        metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
+    ),
+    streams: list[str] | None = text(
+        name="--stream",
+        metavar="FILE",
+        several=True,
+        help="Table with times, such as poses or forces, that is aligned with the pictures.",
+    ),
+    alignment: Alignment,
+    cut: str | None = text(
+        metavar="frames|whole|contact|FILE",
+        help="How a recording becomes touches: each picture, the whole, by contact, or as a table says.",
+    ),
     classes: list[str] | None = text(
         metavar="A,B", read=comma_separated, help="Names of the classes, in order; by default those found."
     ),
@@ -38,27 +61,50 @@ def import_touches(
         metavar="NAME",
         help="Name of the split, if no column has it; by default that of tars (SPLIT-000000.tar), or train.",
     ),
-    work: Work,
+    making: Making,
     sink: Sink,
 ) -> None:
-    """Make a data set of touches from images and a table of labels and poses; images are not changed.
+    """Make a data set of touches from recordings; pictures are not changed where that is possible.
 
-    Images that cannot be used are left out and listed with the reason. Columns with the names that `realtouch
-    frames` and `realtouch export` write need no option.
+    What cannot be used is left out and listed with the reason. Columns with the names that `realtouch frames`
+    and `realtouch export` write need no option; all others are kept.
 
-    Example: realtouch import pictures --format folder --image-column file --label-column digit --out touches
+    Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    make = partial(
-        realtouch.import_touches,
-        source,
-        out,
-        file_format,
-        columns,
-        table=table,
-        classes=classes or (),
-        split=split_name,
-    )
-    make_with_progress(sink, "importing", KIND, make, work, out, _print_imported, "touches")
+    reading: dict[str, Any] = {
+        "layout": file_format,
+        "columns": columns.with_mapped(mapped or ()),
+        "table": table,
+        "streams": streams or (),
+        "alignment": alignment,
+        "cut": cut,
+        "classes": classes or (),
+        "split": split_name,
+    }
+    if making.dry_run:
+        _print_preview(sink, realtouch.preview_import(source, **reading), out)
+        return
+    make = partial(realtouch.import_touches, source, out, **reading)
+    make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches")
+
+
+def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None:
+    sink.document(asdict(found))
+    by = f", recognised by {found.recognised_by}" if found.recognised_by else ""
+    sink.line(f"format: {found.layout}{by}")
+    if found.cut:
+        sink.line(f"recordings are cut: {found.cut}")
+    sink.line(f"pictures: {found.pictures}")
+    sink.line(f"classes: {', '.join(found.classes) or 'none; all labels are -1'}")
+    counts = ", ".join(f"{split} {count:,}" for split, count in found.splits.items())
+    rounds = with_count(found.rounds, "rounds")
+    sink.line(f"would make {with_count(found.touches, 'touches')} in {rounds} in {out}: {counts}")
+    sink.table(("column", "becomes", "unit"), found.columns, title="columns of the source")
+    names = dict.fromkeys(name for touch in found.first for name in touch)
+    rows = [(name, *(touch.get(name, "") for touch in found.first)) for name in names]
+    sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
+    if found.left_out:
+        sink.table(("left out because of", "touches", "the first"), found.left_out)
 
 
 def _print_imported(
@@ -68,7 +114,7 @@ def _print_imported(
     if realtouch.CONVERSION in options:
         sink.info(f"the images were converted without loss: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
-        sink.info("no classes are known (--label-column names their column), so all labels are -1")
+        sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
     print_left_out(sink, manifest)
     fields = store.add_up(list(manifest.statistics().values())).get(realtouch.NOT_IMPORTED, {})
     if fields:

@@ -1,5 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .alignment_options import Alignment as Alignment
 from .contact_picture import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
@@ -20,6 +21,7 @@ from .convert.media_conversions import (
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
 from .exchange.exporting import export as export
+from .exchange.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .exchange.import_shards import NOT_IMPORTED as NOT_IMPORTED
 from .exchange.importing import CONVERSION as CONVERSION, import_touches as import_touches
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load

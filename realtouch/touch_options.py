@@ -12,6 +12,21 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.units import PER_METRE, length_per_metre
 
+IMPORT_LAYOUTS = (
+    "folder",
+    "video",
+    "flat",
+    "webdataset",
+    "lerobot",
+    "oxt",
+    "replay",
+    "hdf5",
+    "fota",
+    "sparsh",
+    "anytouch",
+)
+"""Formats of recordings, each a module of ``realtouch.exchange``."""
+
 T = TypeVar("T", str, tuple[str, ...])
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
@@ -150,6 +165,11 @@ class ImportColumns:
             pose=ours(self.pose, POSE_COLUMNS, FOTA_POSE_COLUMNS),
             split=ours(self.split, "split"),
         )
+
+    def with_mapped(self, pairs: Collection[str]) -> ImportColumns:
+        """Return these columns with those that pairs ``NAME=COLUMN`` name."""
+        del pairs
+        return self
 
     def names(self) -> list[str]:
         """Return the columns that must be there."""

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import groupby
 from operator import attrgetter
-from typing import IO, Any, Literal
+from typing import IO, Any
 
 from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
@@ -28,21 +28,6 @@ IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 _FAR_READERS = 16
 
 _HERE = re.compile(r"^(?:\./+)+")
-
-ImportLayout = Literal[
-    "folder",
-    "video",
-    "flat",
-    "webdataset",
-    "lerobot",
-    "oxt",
-    "replay",
-    "hdf5",
-    "fota",
-    "sparsh",
-    "anytouch",
-]
-"""Formats of recordings, each a module of this package."""
 
 _SIZES_SEEN = 32
 

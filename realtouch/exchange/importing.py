@@ -1,22 +1,22 @@
-"""Images of others as touches in the ``single`` schema: found, and divided into rounds, splits and shards."""
+"""Recordings of others become a data set: touches found, and divided into rounds, splits and shards."""
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict
-from functools import partial
-from itertools import chain
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from typing import Any, Unpack
 
-from realtouch.exchange.exporting import require_layout
+from realtouch.alignment_options import Alignment
+from realtouch.convert.conversion import write_changed
 from realtouch.exchange.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
-from realtouch.exchange.found_touches import IMPORTS, FoundTouch, ImportLayout, common_size
+from realtouch.exchange.found_touches import IMPORTS, FoundTouch, common_size
 from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema, version_of
-from realtouch.exchange.recordings import Recording, touches_of
+from realtouch.exchange.import_sources import FoundSource, Reading, find_source
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
 from realtouch.touch_options import ImportColumns
@@ -31,44 +31,57 @@ CONVERSION = "images_were"
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
+_CLIP_SHARD_BYTES = 64 << 20  # clips, packed and unpacked, are in memory several times
+_ROUND_BYTES = 48 << 20
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
-_SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
 _SPLIT = re.compile(r"\w+")
 _OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
 _DECIMAL = re.compile(r"\d+")
 _INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
 _UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
+_CUTS = "cuts"
 
 
 def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
-    layout: ImportLayout,
+    layout: str | None = None,
     columns: ImportColumns | None = None,
     *,
     table: str | None = None,
+    streams: Sequence[str] = (),
+    alignment: Alignment | None = None,
     cut: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
-    """Make a data set of touches from images and a table of labels and poses; images are not changed.
+    """Make a data set of touches from videos, images, episodes or arrays; pictures are not changed.
 
     Parameters
     ----------
     source : str or path
-        Folder of images or tars, one tar, or what :func:`realtouch.export` wrote; or an address of a store.
+        What was recorded: a folder, a file, an address of a store, or what :func:`realtouch.export` wrote.
     out : str or path
         Folder to write, outside the source.
-    layout : "folder", "webdataset", "replay", "fota", "sparsh" or "anytouch"
-        As :func:`realtouch.export` writes them; ``"fota"`` and ``"sparsh"`` have a folder for each split. Of
-        ``"replay"`` (extra ``zarr``), an episode is a round, a frame is a touch.
+    layout : str, optional
+        Format of the source (see the page "Your own sensor"); by default it is recognised by its content.
     columns : ImportColumns, optional
-        The meaning of columns; those of exports of this toolkit are found by their names.
+        The meaning and the units of columns. Those of exports of this toolkit are found by their names; any
+        other column is kept as an extra one.
     table : str, optional
-        Path of the table; by default the only CSV file in the folder.
+        Path of the table of images or videos; by default the only one in the folder.
+    streams : sequence of str, optional
+        Tables with times, such as poses or forces of another rate, that are aligned with every recording.
+        Tables named like a video are found: ``take1.csv`` and ``take1.force.csv`` beside ``take1.mp4``.
+    alignment : Alignment, optional
+        How streams are aligned.
+    cut : "frames", "whole", "contact", or path of a table, optional
+        How recordings become touches: each picture (an image), the whole (a clip), what the pictures show as
+        contact (clips), or as a table says, with ``start_s`` and ``end_s`` or ``start_frame`` and
+        ``end_frame``. By default videos are taken whole, and other recordings by frames.
     classes : sequence of str, optional
         Names of the classes in order; by default those in the data. Without any, all labels are -1.
     split : str, optional
@@ -86,121 +99,132 @@ def import_touches(
     Raises
     ------
     InputError
-        Source, table, a column or an option cannot be used, or no image can.
+        Source, table, a column or an option cannot be used, or no picture can.
     IntegrityError, SpecMismatchError, StorageError
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
-    home, folder = store.open_folder(fspath(source)), store.open_folder(fspath(out))
-    require_layout(layout, IMPORTS)
-    if split is not None and not _SPLIT.fullmatch(split):
-        raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    if not home.exists():
-        found = f"{home.address()!r} does not exist"
-        raise InputError(f"{found}; expected a folder of images or tars", next="check the name")
-    catalog.refuse_source(folder, home.address(), [Shard(home.address("any file"))])
-    chosen = columns or ImportColumns()
-    items = _items(home, layout, chosen, table, cut)
-    known = dict.fromkeys(chain.from_iterable(map(_known, items)))
-    plan = _plan(items, chosen.found_in(known), tuple(classes), split, layout)
+    folder = store.open_folder(fspath(out))
+    reading = Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = find_source(fspath(source), reading)
+    catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
+    plan = plan_of(arranged(found, classes, split), found)
     return store.build(folder, plan, write_card=write_card, **run)
 
 
-def _items(
-    home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None, cut: str | None
-) -> list[FoundTouch]:
-    """Find the touches in a folder, or in the splits of an export of this toolkit."""
-    folders = [home]
-    if layout in home.entries():
-        folders = [store.open_folder(home.address(layout))]
-    found = {name: size for name, size in folders[0].entries().items() if not store.is_hidden(name)}
-    splits = [name for name, size in found.items() if size is None]
-    if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
-        folders = [store.open_folder(folders[0].address(split)) for split in splits]
-    every = chain.from_iterable(IMPORTS[layout].find(folder, columns, table) for folder in folders)
-    touches = chain.from_iterable(map(partial(_touches, cut=cut or IMPORTS[layout].cut), every))
-    items = [item.checked(number) for number, item in enumerate(touches)]
-    if not items:
-        raise InputError(f"{home.address()!r} holds nothing to import; expected images")
-    return items
+@dataclass(frozen=True, slots=True)
+class Arranged:
+    """The touches of a source in their rounds and splits, and how shards of them are made."""
+
+    rounds: Mapping[str, Mapping[str, Sequence[FoundTouch]]]
+    work: ImportTouches
 
 
-def _known(item: FoundTouch) -> Iterable[str]:
-    """Return the names of what is said of a touch."""
-    return [
-        *(name for name, value in item.values.items() if name and value not in (None, "")),
-        *item.per_frame,
-    ]
-
-
-def _touches(found: FoundTouch | Recording, cut: str) -> Iterable[FoundTouch]:
-    if isinstance(found, Recording):
-        return touches_of(found, cut)
-    return [found]
-
-
-def _plan(
-    items: Sequence[FoundTouch],
-    columns: ImportColumns,
-    classes: tuple[str, ...],
-    split: str | None,
-    layout: str,
-) -> store.BuildPlan:
-    """Divide the touches into splits, rounds and shards. InputError if nothing can be imported."""
-    names = classes or _class_names(items, columns.label)
+def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
+    """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
+    if split is not None and not _SPLIT.fullmatch(split):
+        raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
+    items, columns, read = found.items, found.columns, IMPORTS[found.layout]
+    names = tuple(classes) or _class_names(items, columns.label)
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     rounds = _rounds(items, columns, split)
-    read = IMPORTS[layout]
     size = common_size(items, read.contents, read.sizes_seen)
     held = Counter(item.file for item in items)
-    versions = {file: version_of(file) for file, count in held.items() if count > 1}
-    work = ImportTouches(layout, columns, names, size, touch_schema(columns, names, items), versions)
+    versions = {file: version_of(file) for file, count in held.items() if count > 1 or items[0].frames}
+    schema = touch_schema(columns, names, items)
+    return Arranged(rounds, ImportTouches(found.layout, columns, names, size, schema, versions))
+
+
+def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
+    """Divide rounds into shards."""
+    work, rounds, items = touches.work, touches.rounds, found.items
     tasks: list[store.ShardTask[NamedTouch]] = []
-    for each, found in rounds.items():
-        parts = _divided(found)
+    for each, of_split in rounds.items():
+        parts = _divided(of_split)
         names_of = (store.ShardName(each, index, len(parts)) for index in range(len(parts)))
         tasks += [store.ShardTask(*pair, work, work.digest) for pair in zip(names_of, parts, strict=True)]
-    listing = [(item.name, item.start, item.size, item.values) for item in items]
     spec: dict[str, Any] = {
         "operation": "import",
         "options": {
-            "layout": layout,
-            "columns": {key: value for key, value in asdict(columns).items() if value},
-            "classes": list(names),
-            "image_size": size and [size[1], size[0]],
+            "layout": found.layout,
+            "columns": {key: value for key, value in asdict(work.columns).items() if value},
+            "classes": list(work.names),
+            "image_size": work.image_size and [work.image_size[1], work.image_size[0]],
         },
         "source": {
-            each: [{"file": "images", "rows": sum(map(len, found.values()))}]
-            for each, found in rounds.items()
+            each: [{"file": "images", "rows": sum(map(len, of_split.values()))}]
+            for each, of_split in rounds.items()
         },
-        "listing_sha256": store.sha256_hex(json.dumps(listing, sort_keys=True, default=str).encode()),
+        "listing_sha256": _listing_digest(items),
     }
-    conversion = read.describe(items)
+    if found.cut:
+        spec["options"]["cut"] = found.cut
+    conversion = IMPORTS[found.layout].describe(items)
     if conversion:
         spec["options"][CONVERSION] = conversion
-    image_bytes = sum(item.size for item in items) // len(items) + 1
-    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // image_bytes)
-    per_round = max(1, len(items) // sum(map(len, rounds.values())))
-    style = store.ParquetStyle(
-        max(1, per_group // per_round),
-        compression_level=3,
-        encodings=(("sensor_image.list.element.bytes", "PLAIN"),),
-        values_per_page=max(1, _PAGE_BYTES // image_bytes),
+    pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
+    return store.BuildPlan(
+        KIND.name,
+        spec,
+        tuple(rounds),
+        tuple(tasks),
+        _style(items, sum(map(len, rounds.values()))),
+        extra_dirs=(_CUTS,) if pictures else (),
+        libraries=("numpy", "pyarrow"),
+        write_files=_WritePictures(pictures),
     )
 
-    return store.BuildPlan(
-        KIND.name, spec, tuple(rounds), tuple(tasks), style, libraries=("numpy", "pyarrow")
+
+@dataclass(frozen=True)
+class _WritePictures:
+    """Writes the pictures of the cuts beside the data."""
+
+    pictures: Mapping[str, bytes]
+
+    def __call__(self, folder: store.DataFolder, _manifest: store.Manifest) -> dict[str, str]:
+        """Return the checksum of each picture by its path."""
+        return write_changed(folder, self.pictures)
+
+
+def _listing_digest(items: Sequence[FoundTouch]) -> str:
+    """Return the checksum of what is said of all touches."""
+    digest = hashlib.sha256()
+    listing = [(item.name, item.start, item.size, item.values) for item in items]
+    digest.update(json.dumps(listing, sort_keys=True, default=str).encode())
+    for item in items:
+        for name, values in sorted(item.per_frame.items()):
+            digest.update(f"{name} {values.dtype} {values.shape}".encode())
+            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
+        if item.time_s is not None:
+            digest.update(item.time_s.tobytes())
+    return digest.hexdigest()
+
+
+def _style(items: Sequence[FoundTouch], rounds: int) -> store.ParquetStyle:
+    """Return how many rounds are packed together, and which columns are not compressed."""
+    touch_bytes = sum(item.size for item in items) // len(items) + 1
+    per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
+    per_round = max(1, len(items) // rounds)
+    column = "sensor_video" if items[0].frames else "sensor_image"
+    return store.ParquetStyle(
+        max(1, per_group // per_round),
+        compression_level=3,
+        encodings=((f"{column}.list.element.bytes", "PLAIN"),),
+        values_per_page=max(1, _PAGE_BYTES // touch_bytes),
     )
 
 
 def _divided(rounds: Mapping[str, Sequence[FoundTouch]]) -> list[list[NamedTouch]]:
     """Divide rounds into shards that a worker can hold."""
+    most_bytes = _SHARD_BYTES
+    if any(items[0].frames for items in rounds.values()):
+        most_bytes = _CLIP_SHARD_BYTES
     shards: list[list[NamedTouch]] = [[]]
     size_bytes = 0
     for name, items in rounds.items():
         more_bytes = sum(item.size for item in items)
         touches = len(shards[-1]) + len(items)
-        is_full = touches > _TOUCHES_PER_SHARD or size_bytes + more_bytes > _SHARD_BYTES
+        is_full = touches > _TOUCHES_PER_SHARD or size_bytes + more_bytes > most_bytes
         if is_full and shards[-1]:
             shards.append([])
             size_bytes = 0
@@ -251,4 +275,21 @@ def _rounds(
                 f"{part!r}; expected each round in one"
             )
         found.setdefault(part, {}).setdefault(name, []).append(item)
+    return {part: _in_pieces(of_part) for part, of_part in found.items()}
+
+
+def _in_pieces(rounds: Mapping[str, list[FoundTouch]]) -> dict[str, list[FoundTouch]]:
+    """Divide the rounds of clips that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``."""
+    found: dict[str, list[FoundTouch]] = {}
+    for name, items in rounds.items():
+        pieces: list[list[FoundTouch]] = [[]]
+        size_bytes = 0
+        for item in items:
+            if item.frames and pieces[-1] and size_bytes + item.size > _ROUND_BYTES:
+                pieces.append([])
+                size_bytes = 0
+            pieces[-1].append(item)
+            size_bytes += item.size
+        names = [name] if len(pieces) == 1 else [f"{name}-{number}" for number in range(len(pieces))]
+        found |= dict(zip(names, pieces, strict=True))
     return found

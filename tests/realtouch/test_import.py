@@ -11,7 +11,7 @@ import pytest
 
 import realtouch
 from realtouch.exchange.exporting import ExportLayout
-from realtouch.exchange.found_touches import ImportLayout
+from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 from tests.command_line import call
@@ -55,7 +55,7 @@ def test_there_and_back(layout: Any, single_folder: Path, tmp_path: Path) -> Non
     assert again.split_table()["train"]["rows"] == 15
 
 
-BOTH_WAYS = sorted(set(get_args(ExportLayout)) & set(get_args(ImportLayout)) - {"flat", "lerobot"})
+BOTH_WAYS = sorted(set(get_args(ExportLayout)) & set(IMPORT_LAYOUTS) - {"flat", "lerobot"})
 
 
 @pytest.mark.one_at_a_desk

@@ -221,7 +221,7 @@ def test_an_empty_label_column_means_none(
     words = ("import", home, "--format", "folder", *options, "--out", tmp_path / "out", "-w", 1)
     assert call("realtouch", *words) == 0
     said = capsys.readouterr().err
-    assert "no classes are known (--label-column names their column), so all labels are -1" in said
+    assert "no classes are known (--map label=COLUMN names their column), so all labels are -1" in said
     assert "fields that were not imported, with their numbers of touches: class (4)" in said
 
 

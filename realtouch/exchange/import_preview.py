@@ -1,0 +1,173 @@
+"""What an import would make, before anything is written."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike, fspath
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.compute as pc
+
+from realtouch.alignment_options import Alignment
+from realtouch.exchange.found_touches import IMPORTS
+from realtouch.exchange.import_sources import FoundSource, Reading, find_source
+from realtouch.exchange.importing import Arranged, arranged
+from realtouch.touch_options import ImportColumns
+from tactile_toolkit import store
+from tactile_toolkit.shown_text import printable
+from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit.units import stated_unit
+
+_TOUCHES_SHOWN = 3
+_VALUES_SHOWN = 8
+_LONGEST_SHOWN = 60
+
+
+@dataclass(frozen=True, slots=True)
+class ImportPreview:
+    """What an import would make.
+
+    Attributes
+    ----------
+    layout, recognised_by : str
+        Format, and the file by which it was recognised; empty if it was given.
+    cut : str
+        How recordings become touches; empty if the source holds none.
+    touches, rounds : int
+        Their numbers, without the touches that are known to be left out.
+    splits : mapping of str to int
+        Touches of each split.
+    classes : sequence of str
+        Names of the classes.
+    pictures : str
+        Size of the pictures, and how they are converted.
+    columns : sequence of tuple of str
+        Column of the source, what it becomes, and the unit in which it is read.
+    first : sequence of mapping
+        The first touches as they would be stored, without pictures.
+    left_out : sequence of tuple
+        Reason, number of touches, and the message of the first.
+    """
+
+    layout: str
+    recognised_by: str
+    cut: str
+    touches: int
+    rounds: int
+    splits: Mapping[str, int]
+    classes: Sequence[str]
+    pictures: str
+    columns: Sequence[tuple[str, str, str]]
+    first: Sequence[Mapping[str, str]]
+    left_out: Sequence[tuple[str, int, str]]
+
+
+def preview_import(
+    source: str | PathLike[str],
+    layout: str | None = None,
+    columns: ImportColumns | None = None,
+    *,
+    table: str | None = None,
+    streams: Sequence[str] = (),
+    alignment: Alignment | None = None,
+    cut: str | None = None,
+    classes: Sequence[str] = (),
+    split: str | None = None,
+) -> ImportPreview:
+    """Read what :func:`import_touches` would import, with the same parameters, and write nothing.
+
+    Returns
+    -------
+    ImportPreview
+
+    Raises
+    ------
+    InputError
+        As :func:`import_touches`.
+    """
+    reading = Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = find_source(fspath(source), reading)
+    touches = arranged(found, classes, split)
+    usable = {
+        name: sum(item.problem is None for items in of_split.values() for item in items)
+        for name, of_split in touches.rounds.items()
+    }
+    messages: dict[str, list[str]] = {}
+    for item in found.items:
+        if item.problem is not None:
+            messages.setdefault(item.problem.reason, []).append(f"{item.name!r}: {item.problem.message}")
+    first = _first(touches, messages)
+    return ImportPreview(
+        found.layout,
+        found.recognised_by,
+        found.cut,
+        sum(usable.values()),
+        sum(map(len, touches.rounds.values())),
+        usable,
+        touches.work.names,
+        _pictures_in_words(found, touches),
+        _uses(found),
+        first,
+        [(reason, len(each), each[0]) for reason, each in messages.items()],
+    )
+
+
+def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
+    """Make the first touches as an import would, and note why others cannot be used."""
+    named = [
+        (name, item)
+        for of_split in touches.rounds.values()
+        for name, items in of_split.items()
+        for item in items
+        if item.problem is None
+    ][:_TOUCHES_SHOWN]
+    content = touches.work(store.ShardName("preview", 0, 1), named)
+    for each in content.skipped:
+        messages.setdefault(each.reason, []).append(each.message)
+    shown = []
+    (media,) = [field.name for field in content.table.schema if field.type == pa.list_(MEDIA_TYPE)]
+    counts = pc.list_value_length(content.table[media]).to_pylist()
+    for row, count in zip(content.table.drop_columns([media]).to_pylist(), counts, strict=True):
+        shown += [{name: _in_words(value, touch) for name, value in row.items()} for touch in range(count)]
+    return shown
+
+
+def _in_words(value: Any, touch: int) -> str:
+    if isinstance(value, list):
+        value = value[touch]
+    if isinstance(value, list) and len(value) > _VALUES_SHOWN:
+        return f"{len(value)} entries, the first {printable(str(value[0]))[:_LONGEST_SHOWN]}"
+    return printable(str(value))[:_LONGEST_SHOWN]
+
+
+def _pictures_in_words(found: FoundSource, touches: Arranged) -> str:
+    words = IMPORTS[found.layout].describe(found.items) or "stored as they are"
+    size = touches.work.image_size
+    return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
+
+
+def _uses(found: FoundSource) -> list[tuple[str, str, str]]:
+    """Return each column of the source, what it becomes, and its unit."""
+    columns = found.columns
+    roles = {
+        columns.label: "label",
+        columns.round: "round",
+        columns.object_id: "object_id",
+        columns.split: "split",
+    }
+    roles |= dict.fromkeys(columns.position or (), "pos_in_cell")
+    roles |= dict.fromkeys(columns.pose or (), "pose of the gel")
+    if columns.image is not None:
+        roles[columns.image] = "picture"
+    names = Counter(name for item in found.items for name in (*item.values, *item.per_frame))
+    lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
+    uses = []
+    for name in names:
+        unit = stated_unit(name) or ""
+        if name in lengths:
+            unit = unit or columns.length_unit or "m"
+        uses.append((printable(name), roles.get(name, f"extra {name!r}"), unit))
+    return uses

@@ -1,0 +1,171 @@
+"""The format of a source of recordings, by its content: names of files, and how they begin."""
+
+from __future__ import annotations
+
+import re
+import zipfile
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from realtouch.exchange.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.text_tables import TABLE_ENDINGS
+
+_MOST_LOOKED_AT = 20_000
+_MOST_FOLDERS = 200
+_HEAD_BYTES = 512
+_LEVELS = 3
+_SHOWN = 3
+_TAR_AT = 257
+_ZIP = b"PK\x03\x04"
+# How files of each format begin: place, bytes.
+_BEGINNINGS: dict[str, tuple[tuple[int, bytes], ...]] = {
+    "video": (
+        (8, b"AVI "),
+        (4, b"ftyp"),
+        (4, b"moov"),
+        (4, b"mdat"),
+        (4, b"wide"),
+        (0, b"\x1aE\xdf\xa3"),
+        (188, b"G"),
+    ),
+    "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
+    "flat": ((0, b"PAR1"),),
+    "webdataset": ((_TAR_AT, b"ustar"),),
+    "replay": ((0, _ZIP),),
+}
+_VIDEO_ENDINGS = (".avi", ".mp4", ".mkv", ".mov", ".webm", ".m4v", ".ts")
+_OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
+_ZARR_MARKS = (".zgroup", "zarr.json")
+
+
+class Recognised(NamedTuple):
+    """The format of a source, and what it was recognised by."""
+
+    layout: str
+    by: str
+
+
+def _ends(*endings: str) -> Callable[[str], object]:
+    return lambda path: path.lower().endswith(endings)
+
+
+# In this order: a format whose files may hold those of the next stands before it.
+_MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
+    ("lerobot", re.compile(r"^meta/info\.json\Z").search),
+    ("oxt", _OXT_MEMBER.search),
+    ("replay", lambda path: path.rpartition("/")[2] in _ZARR_MARKS and path.count("/") <= 1),
+    ("replay", _ends(".zarr.zip")),
+    ("anytouch", re.compile(r"^\w+_bg\.txt\Z").search),
+    ("fota", re.compile(r"^(\w+/)?count\.txt\Z").search),
+    ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
+    ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
+    ("hdf5", _ends(".h5", ".hdf5")),
+    ("video", _ends(*_VIDEO_ENDINGS)),
+    ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
+    ("flat", _ends(".parquet")),
+    ("folder", _ends(*TABLE_ENDINGS)),
+)
+# Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
+_PARTS = {
+    "lerobot": {"video", "flat", "folder"},
+    "oxt": {"replay"},
+    "anytouch": {"folder"},
+    "fota": {"webdataset"},
+    "sparsh": {"folder"},
+}
+_TABLES = _ends(*TABLE_ENDINGS, ".parquet", ".jsonl")
+
+
+def recognised(place: str) -> Recognised:
+    """Return the format of a file or folder.
+
+    Raises InputError if nothing is recognised, or several formats are, with the option that names one.
+    """
+    home = store.open_folder(place)
+    if home.is_local and Path(place).is_file():
+        return _of_file(place)
+    ours = _of_export(home)
+    if ours is not None:
+        return ours
+    paths = _paths(home)
+    found: dict[str, str] = {}
+    for layout, fits in _MARKS:
+        if layout not in found:
+            first = next(filter(fits, paths), None)
+            if first is not None:
+                found[layout] = first
+    for whole in [each for each in found if each in _PARTS]:
+        found = {layout: first for layout, first in found.items() if layout not in _PARTS[whole]}
+    if len(found) > 1:  # a table says something of what lies beside it
+        found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
+    if not found:
+        shown = ", ".join(paths[:_SHOWN]) or "nothing"
+        raise InputError(
+            f"{place!r} holds no recordings of a format that is known (found {shown})",
+            next=f"name the format with --format: {', '.join(IMPORTS)}",
+        )
+    if len(found) > 1:
+        words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
+        raise InputError(f"{place!r} may be read in several formats: {words}", next="name one with --format")
+    ((layout, first),) = found.items()
+    return Recognised(layout, first)
+
+
+def _of_file(place: str) -> Recognised:
+    folder, name = source_of(place)
+    with store.open_inside(folder, name) as stream:
+        head = stream.read(_HEAD_BYTES)
+        if head.startswith(_ZIP) and _is_oxt(stream):
+            return Recognised("oxt", name)
+    for layout, marks in _BEGINNINGS.items():
+        if any(head[at : at + len(mark)] == mark for at, mark in marks):
+            return Recognised(layout, name)
+    raise InputError(
+        f"{place!r} begins with {head[:8].hex(' ')}; expected a video, a tar, or a file of Parquet, HDF5 or "
+        "Zarr",
+        next="give its folder, with --table for a table; or name the format with --format",
+    )
+
+
+def _is_oxt(stream: IO[bytes]) -> bool:
+    with suppress(zipfile.BadZipFile, OSError, ValueError, NotImplementedError):
+        return any(map(_OXT_MEMBER.search, zipfile.ZipFile(stream).namelist()))
+    return False
+
+
+def _of_export(home: store.DataFolder) -> Recognised | None:
+    """Return the format of what this toolkit exported, as its manifest states."""
+    if not home.exists(store.MANIFEST_FILE):
+        return None
+    manifest = store.read_manifest(home)
+    operation = manifest.spec.get("operation") if manifest is not None else None
+    if manifest is None or operation not in ("export", "frames"):
+        raise InputError(
+            f"{home.address()!r} is a data set already; it needs no import",
+            next="open it with `realtouch.load`",
+        )
+    layout = dict(manifest.spec["options"]).get("layout", "folder")
+    return Recognised(str(layout), store.MANIFEST_FILE)
+
+
+def _paths(home: store.DataFolder) -> Sequence[str]:
+    """List visible files of a folder and two levels of folders in it, as far as there are not too many."""
+    paths, folders = list[str](), [""]
+    for _ in range(_LEVELS):
+        inner: list[str] = []
+        for folder in folders[:_MOST_FOLDERS]:
+            for name, size in sorted(home.entries(folder).items()):
+                path = f"{folder}/{name}".strip("/")
+                if store.is_hidden(path) and name not in _ZARR_MARKS:
+                    continue
+                if size is None:
+                    inner.append(path)
+                paths.append(path)
+            if len(paths) > _MOST_LOOKED_AT:
+                return paths
+        folders = inner
+    return paths
