@@ -16,14 +16,14 @@ _PICTURES = (
 _SOLIDS = ("3mf", "glb", "gltf", "obj", "off", "ply", "stl")
 _TABLES = ("arrow", "csv", "feather", "h5", "hdf5", "json", "jsonl", "npy", "npz", "tsv", "xlsx")
 _ARCHIVES = ("tar", "tgz", "zip")
+_VIDEOS = ("avi", "m4v", "mkv", "mov", "mp4", "ts", "webm")
 
 _PICTURE_STEP = (
     "make digits of pictures with `mnist3d generate --source folder --images FOLDER`, or import touches with "
-    "`realtouch import FOLDER --format folder`"
+    "`realtouch import FOLDER`"
 )
 _SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch one with `tactile-sim render FILE`"
-_TAR_STEP = "import touches with `realtouch import FOLDER --format webdataset`"
-_ZARR_STEP = "import touches with `realtouch import FOLDER --format replay`"
+_IMPORT_STEP = "import touches with `realtouch import SOURCE --out FOLDER`"
 _PARQUET_STEP = "write the rows as Parquet files, or give the folder of a data set"
 
 # By file extension: what a file is, what several are, and the next step.
@@ -31,7 +31,8 @@ _ENDINGS = {
     **dict.fromkeys(_PICTURES, ("a picture", "pictures", _PICTURE_STEP)),
     **dict.fromkeys(_SOLIDS, ("a mesh", "meshes", _SOLID_STEP)),
     **dict.fromkeys(_TABLES, ("a table or an array", "tables or arrays", _PARQUET_STEP)),
-    **dict.fromkeys(_ARCHIVES, ("an archive", "archives", _TAR_STEP)),
+    **dict.fromkeys(_ARCHIVES, ("an archive", "archives", _IMPORT_STEP)),
+    **dict.fromkeys(_VIDEOS, ("a video", "videos", _IMPORT_STEP)),
 }
 # Files that identify a kind of folder: what it is, and the next step.
 _MARKS = {
@@ -39,7 +40,7 @@ _MARKS = {
         "was written by `save_to_disk` of `datasets`",
         "load it there (`datasets.load_from_disk`) and write each split with `to_parquet`",
     ),
-    (".zgroup", ".zarray", ".zattrs", "zarr.json"): ("is a Zarr array or group", _ZARR_STEP),
+    (".zgroup", ".zarray", ".zattrs", "zarr.json"): ("is a Zarr array or group", _IMPORT_STEP),
 }
 _MOST_SHOWN = 3
 _MOST_LOOKED_AT = 10_000
@@ -72,7 +73,7 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
         if any(mark in entries for mark in marks):
             return words
     if folder.exists("meta/info.json"):
-        return "is a LeRobotDataset", "give the data set that it was exported from"
+        return "is a LeRobotDataset", _IMPORT_STEP
     if store.PENDING_FOLDER in entries:
         return (
             f"is the folder of a run that was interrupted, and its {store.MANIFEST_FILE} is missing",
@@ -104,7 +105,7 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
             break
     zarr = next((path for path in files if path.endswith((".zgroup", "zarr.json"))), None)
     if zarr is not None:
-        return "holds Zarr arrays", _ZARR_STEP
+        return "holds Zarr arrays", _IMPORT_STEP
     counts = Counter(_ENDINGS[_ending(path)][1:] for path in files if _ending(path) in _ENDINGS)
     if not counts:
         shown = ", ".join(map(repr, sorted(folder.names())[:_MOST_SHOWN]))

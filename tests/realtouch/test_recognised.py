@@ -1,0 +1,101 @@
+"""What a source of recordings is follows from its content."""
+
+from __future__ import annotations
+
+import zipfile
+from pathlib import Path
+from typing import get_args
+
+import pytest
+
+import realtouch
+from realtouch.exchange.exporting import ExportLayout
+from realtouch.exchange.found_touches import IMPORTS
+from realtouch.exchange.recognised import recognised
+from realtouch.touch_options import IMPORT_LAYOUTS
+from tactile_toolkit.errors import InputError
+
+FILES = {
+    "video": ("takes/a.avi", b"RIFF\x00\x00\x00\x00AVI "),
+    "hdf5": ("a.h5", b"\x89HDF\r\n\x1a\n"),
+    "flat": ("a.parquet", b"PAR1"),
+    "webdataset": ("a.tar", b"\0" * 257 + b"ustar\x0000"),
+    "folder": ("mug/a.png", b"\x89PNG"),
+    "lerobot": ("meta/info.json", b"{}"),
+    "replay": ("b.zarr/.zgroup", b"{}"),
+    "oxt": ("b.zarr/data/left_tactile_type_gel/.zarray", b"{}"),
+    "anytouch": ("train_bg.txt", b""),
+    "fota": ("train/count.txt", b"1"),
+    "sparsh": ("train/dataset_0.pkl", b"\x80\x04"),
+}
+
+
+def place(home: Path, layout: str) -> Path:
+    path, content = FILES[layout]
+    (home / path).parent.mkdir(parents=True, exist_ok=True)
+    (home / path).write_bytes(content)
+    return home / path
+
+
+def test_every_format_has_a_reader_and_a_mark() -> None:
+    assert tuple(IMPORTS) == IMPORT_LAYOUTS
+    assert set(FILES) == set(IMPORT_LAYOUTS)
+
+
+@pytest.mark.parametrize("layout", FILES)
+def test_a_folder_is_recognised(layout: str, tmp_path: Path) -> None:
+    path = place(tmp_path, layout)
+    (tmp_path / ".DS_Store").write_bytes(b"x")
+    (tmp_path / "README.md").write_text("notes")
+    found = recognised(str(tmp_path))
+    assert found.layout == layout
+    assert found.by in path.as_posix()
+
+
+@pytest.mark.parametrize("layout", ["video", "hdf5", "flat", "webdataset"])
+@pytest.mark.parametrize("name", ["as it was", "renamed.bin"])
+def test_a_file_is_recognised_by_how_it_begins(layout: str, name: str, tmp_path: Path) -> None:
+    path = place(tmp_path, layout)
+    if name != "as it was":
+        path = path.rename(tmp_path / name)
+    assert recognised(str(path)).layout == layout
+
+
+@pytest.mark.parametrize(("member", "layout"), [("left_tactile_type_gel", "oxt"), ("tactile", "replay")])
+def test_a_zip_is_recognised_by_its_arrays(member: str, layout: str, tmp_path: Path) -> None:
+    with zipfile.ZipFile(tmp_path / "a.zarr.zip", "w") as archive:
+        archive.writestr(".zgroup", "{}")
+        archive.writestr(f"data/{member}/.zarray", "{}")
+    assert recognised(str(tmp_path / "a.zarr.zip")).layout == layout
+
+
+def test_a_table_belongs_to_what_lies_beside_it(tmp_path: Path) -> None:
+    place(tmp_path, "video")
+    (tmp_path / "labels.csv").write_text("file,label\n")
+    assert recognised(str(tmp_path)).layout == "video"
+
+
+def test_two_formats_are_not_chosen_from(tmp_path: Path) -> None:
+    place(tmp_path, "video")
+    place(tmp_path, "webdataset")
+    with pytest.raises(InputError, match=r"several formats: webdataset \(a.tar\), video .*; next: name one"):
+        recognised(str(tmp_path))
+
+
+@pytest.mark.parametrize("make", [lambda home: home, lambda home: home / "notes.txt"])
+def test_nothing_that_is_known_is_an_error(make: object, tmp_path: Path) -> None:
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(InputError, match=r"--format"):
+        recognised(str(make(tmp_path)))  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("layout", get_args(ExportLayout))
+def test_an_export_is_recognised_by_its_manifest(layout: str, single_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(single_folder, tmp_path / "out", layout, split="train", limit=1)  # type: ignore[arg-type]
+    assert recognised(str(tmp_path / "out")).layout == layout
+
+
+def test_a_set_needs_no_import(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.select(single_folder, tmp_path / "out", split="train", limit=1)
+    with pytest.raises(InputError, match=r"is a data set already; it needs no import"):
+        realtouch.import_touches(tmp_path / "out", tmp_path / "again")
