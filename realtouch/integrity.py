@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
+from realtouch.schema import POSE_COLUMN, media_kind, per_touch_columns, require_types
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
 from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
@@ -143,7 +143,7 @@ def check_round(
     for name in filter(row.has, scalars):
         with noted():
             scalars[name]()
-    for name in filter(row.has, PER_TOUCH_COLUMNS):
+    for name in per_touch_columns(row.group.names):
         with noted():
             # A list of fixed length would hide a null.
             if not row.group.arrow(name)[row.index].is_valid:

@@ -168,6 +168,10 @@ class StoredRound(StoredColumns):
             raise self.damaged("label", f"the value is {label}; {limit}")
         return label
 
+    def known_label(self, names: Sequence[str] | None = None) -> int:
+        """Return the class as :meth:`label_value` does; -1 also if the data set has no labels."""
+        return self.label_value(names) if self.has("label") else -1
+
     def has_info(self) -> bool:
         """Return whether a round has metadata."""
         return self.has("info") or any(name.startswith("info.") for name in self.group.names)

@@ -25,7 +25,7 @@ from realtouch.convert.conversion import (
     table_of_columns,
     with_files,
 )
-from realtouch.convert.touch_pictures import columns_of_touches, shown_touches
+from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
 from realtouch.exchange.stored_images import StoredImage, image_column, require_intact
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_round import StoredRound
@@ -74,6 +74,7 @@ def plan_flat(
     """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
     image_bytes = source.media_bytes() // FRAMES_PER_MEDIA[source.kind] or 1
     if source.kind == "seq":
+        source.require_frame(method)
         options = {**options, "frame": method}
     return Conversion(
         source,
@@ -135,11 +136,11 @@ class _Touches:
             **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
             **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return schema_of(source, wanted)
+        return pa.schema([*schema_of(source, wanted), *plain_extras(source).values()])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""
-        row.label_value(self.names)
+        row.known_label(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = row.name()
