@@ -42,7 +42,7 @@ class TouchRound(Record):
 
     @property
     def label(self) -> int:
-        """Class of the object; the digit, 0 to 9, in the MNIST sets."""
+        """Class of the object, such as the digit, 0 to 9, in the MNIST sets; -1 if it is not known."""
         return self._once("label", self.row.label_value)
 
     @property
@@ -121,7 +121,7 @@ class TouchRound(Record):
     def label_words(self) -> list[str]:
         """Return the label for people; nothing of a data set without labels."""
         label = self.describe_field("label", "label {}".format)
-        return list(filter(None, [label]))
+        return [label] if label and label != "label -1" else []
 
     def contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""

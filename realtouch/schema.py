@@ -148,7 +148,11 @@ def require_types(shard: read.Shard) -> None:
     """
     # Read here so that an error names the file, and not only at the first label.
     _ = shard.class_names
-    problem = read.wrong_type(shard.types, {**KNOWN_COLUMNS, **_expected_extras(shard.types)})
+    types = shard.types
+    problem = read.wrong_type(types, {**KNOWN_COLUMNS, **_expected_extras(types)})
+    for name in extra_columns(types):
+        if all(f"{prefix}{name}" in types for prefix in EXTRA_PREFIX.values()):
+            problem = f"field {name!r}: there is a column of touches and one of frames; expected one of them"
     if problem:
         raise IntegrityError(f"{shard.path!r}, {problem}", next="download or convert the data set again")
 

@@ -156,21 +156,17 @@ class StoredRound(StoredColumns):
         return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
-        """Return the class, -1 if it is unknown, as in `datasets`.
+        """Return the class, -1 if it is unknown, as in `datasets`, or if the data set has no labels.
 
         Raises IntegrityError if ``names`` are given and the class is not one of them.
         """
-        if self.plain_value("label") == -1:
+        if not self.has("label") or self.plain_value("label") == -1:
             return -1
         label = self.integer("label")
         if names is not None and label >= len(names):
             limit = f"expected less than {len(names)}, the number of named classes"
             raise self.damaged("label", f"the value is {label}; {limit}")
         return label
-
-    def known_label(self, names: Sequence[str] | None = None) -> int:
-        """Return the class as :meth:`label_value` does; -1 also if the data set has no labels."""
-        return self.label_value(names) if self.has("label") else -1
 
     def has_info(self) -> bool:
         """Return whether a round has metadata."""

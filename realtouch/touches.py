@@ -106,6 +106,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
         return places
 
+    @property
+    def labels(self) -> Int64:
+        """Label of each touch, shape (len,), int64, -1 without labels; reads the label column only."""
+        return self.dataset.labels[self.round_positions]
+
     def int_column(self, name: str) -> Int64:
         """Read one column of integers of the rounds, shape (len,), int64."""
         return self.dataset.int_column(name)[self.round_positions]
@@ -227,8 +232,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if not self.dataset.has_column(poses):
             if min_height_m is not None or not recalibrate_z:
                 raise InputError(
-                    f"{', '.join(self.dataset.description())}: there is no column {poses!r}, by which a "
-                    "height of the gel could be compared",
+                    f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
+                    "heights of the gel",
                     next="leave out the height, and the pictures decide",
                 )
             contact: Bool = _contacts_by_image(self, threads=usable_cores()).contact

@@ -16,6 +16,7 @@ from urllib.parse import unquote
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod
+from realtouch.integrity import class_names_of
 from realtouch.kind import KIND
 from realtouch.schema import media_kind, require_poses_for, require_types
 from realtouch.stored_round import StoredRound
@@ -77,6 +78,11 @@ class Source:
     def schema(self) -> pa.Schema:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Name of each class; none without labels."""
+        return class_names_of(self._files())
 
     def require_frame(self, method: ContactMethod) -> None:
         """Raise InputError unless the frames of clips can be chosen by a method."""

@@ -111,7 +111,7 @@ def frames(
             opened,
             "frames",
             options,
-            WritePictures(kind, method, difference, read.class_names(opened.schema, CLASS_NAMES)),
+            WritePictures(kind, method, difference, opened.class_names),
             marked_repetitions(opened, first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
             rows_per_group=1 << 16,

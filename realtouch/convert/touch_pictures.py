@@ -77,7 +77,7 @@ def columns_of_touches(
     row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
 ) -> dict[str, Any]:
     """Return the columns of a table of the touches of a round, as far as the source stores them."""
-    label, count = row.known_label(), len(shown)
+    label, count = row.label_value(), len(shown)
     columns: dict[str, Any] = {
         "label": np.full(count, label),
         "label_name": [dict(enumerate(names)).get(label)] * count,

@@ -31,9 +31,9 @@ from realtouch.schema import POSE_COLUMN
 from realtouch.stored_round import StoredRound
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import read, store
+from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 IMAGE = "image"
 _WHERE = {"seq": "frame {}: ", "single": ""}
@@ -80,7 +80,7 @@ def plan_flat(
         source,
         "export",
         options,
-        _Touches(method, read.class_names(source.schema, CLASS_NAMES)),
+        _Touches(method, source.class_names),
         marked_repetitions(source, choices),
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
         write_files=checksums,
@@ -140,7 +140,7 @@ class _Touches:
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""
-        row.known_label(self.names)
+        row.label_value(self.names)
         shown = list(shown_touches(row, self.method))
         columns = columns_of_touches(row, shown, self.names)
         name = row.name()
