@@ -186,7 +186,7 @@ def _require_intact(
 def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
     """Print the figures of one split."""
     width, height = summary.image_size
-    contact = "unknown"
+    contact = f"not counted ({summary.contact_rule})"
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
@@ -195,9 +195,10 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
         ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
         ("objects", f"{summary.objects:,}"),
         ("with contact", contact),
-        ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items())),
+        ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
         ("picture", f"{width} x {height} pixels"),
         ("gels", gels or "unknown"),
+        *((f"extra {name}", type_text) for name, type_text in summary.extra.items()),
     ]
     if summary.clip_frames is not None:
         least, median, most = summary.clip_frames

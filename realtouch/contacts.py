@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterable, Iterator
 from dataclasses import dataclass, fields
 from itertools import islice
 
 import numpy as np
 
+from realtouch.contact import ContactHeight
 from realtouch.contact_picture import (
     ContactRule,
     ContactScore,
@@ -18,6 +19,7 @@ from realtouch.contact_picture import (
     median_of,
 )
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
+from realtouch.schema import has_poses
 from realtouch.sensor_images import SensorImages, in_parallel
 from realtouch.touch_clips import TouchClip
 from realtouch.touches import AnyTouches, Touches, with_no_contact
@@ -26,6 +28,9 @@ from tactile_toolkit.errors import InputError
 
 # 291 pictures of 320 x 240: a clip is one batch, a round of images also.
 _BATCH_BYTES = 64 << 20
+BY_IMAGE = "the picture differs from the background (`contacts_by_image`); there are no poses"
+"""The rule by which touches of sets without poses count as contact; part of a sentence."""
+
 _MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
 
 
@@ -52,14 +57,20 @@ def background(pictures: object) -> UInt8:
     IntegrityError
         A picture is damaged, or of another size than those of its set.
     """
+    base, _ = _with_median(pictures)
+    return base
+
+
+def _with_median(pictures: object) -> tuple[UInt8, Iterable[UInt8]]:
+    """Return the median of pictures, and these again, a few at a time; InputError without any."""
     first = list(islice(_batches(pictures), 2))
     if not first:
         raise InputError(
             "no pictures to take a background of; expected a clip, a round or touches that hold any"
         )
     if len(first) == 1:
-        return median_in_memory(first[0])
-    return median_of(lambda: _batches(pictures))
+        return median_in_memory(first[0]), first
+    return median_of(lambda: _batches(pictures)), _batches(pictures)
 
 
 def _batches(pictures: object) -> Iterator[UInt8]:
@@ -118,9 +129,26 @@ def best_frame(
     IntegrityError
         A frame is damaged.
     """
-    if isinstance(clip, TouchClip):
-        clip = clip.frames()
-    return best_of(as_pictures(clip), rule, base)
+    if not isinstance(clip, TouchClip):
+        return best_of(as_pictures(clip), rule, base)
+    pieces = list(islice(_batches(clip), 2))
+    if len(pieces) < 2:
+        return best_of(pieces[0] if pieces else clip.frames(), rule, base)
+    # Of a clip that does not fit in memory, a few frames at a time.
+    if base is None:
+        base = background(clip)
+    start, best = 0, (0, ContactScore(0, 0.0))
+    for piece in _batches(clip):
+        frame, score = best_of(piece, rule, base)
+        if start == 0 or score.total_change > best[1].total_change:
+            best = start + frame, score
+        start += len(piece)
+    return best
+
+
+def contact_rule_text(columns: Container[str]) -> str:
+    """Return the rule of :meth:`realtouch.Touches.in_contact` for some columns, as part of a sentence."""
+    return str(ContactHeight.of(columns)) if has_poses(columns) else BY_IMAGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -232,18 +260,22 @@ def _measure_clips(
 def _measure_images(touches: AnyTouches, rule: ContactRule, threads: int, score: ContactScore) -> None:
     """Fill in the score of each image; images of a round have their background in common."""
     places = touches.round_positions
-    rounds, sizes = np.unique(places, return_counts=True)
-    alone = np.flatnonzero(np.isin(places, rounds[sizes == 1]))
+    _, sizes = np.unique(places, return_counts=True)
+    by_round = np.split(np.argsort(places, kind="stable"), np.cumsum(sizes)[:-1])
+    alone = np.array([chosen[0] for chosen in by_round if len(chosen) == 1], np.int64)
     shared = np.zeros(0, np.uint8)
     if len(alone):
-        shared = background(touches[alone[:: len(alone) // _MOST_SHARED + 1]])
+        shared = background(touches[np.sort(alone)[:: len(alone) // _MOST_SHARED + 1]])
 
     def measure(index: int) -> None:
-        (chosen,) = np.nonzero(places == rounds[index])
-        images, base = touches.images(chosen), shared
-        if len(chosen) > 1:
-            base = background(images)
-        found = contact_score(images, base, rule)
-        score.area_px[chosen], score.intensity[chosen] = found.area_px, found.intensity
+        chosen = by_round[index]
+        base, batches = _with_median(touches[chosen])
+        if len(chosen) == 1:
+            base = shared
+        done = 0
+        for images in batches:
+            found, part = contact_score(images, base, rule), chosen[done : done + len(images)]
+            score.area_px[part], score.intensity[part] = found.area_px, found.intensity
+            done += len(images)
 
-    in_parallel(measure, len(rounds), threads)
+    in_parallel(measure, len(by_round), threads)

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN, media_kind, require_types
+from realtouch.schema import POSE_COLUMN, extra_columns, media_kind, per_touch_columns, require_types
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
 from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
@@ -68,9 +68,15 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
 
 
 def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
-    """Return the names of the classes as the first file states them, or else those of the digits."""
-    stated = stated_class_names(shards)
-    return CLASS_NAMES if stated is None else stated
+    """Return the names of the classes as the first file states them, or else those of the digits.
+
+    Without labels there are none.
+    """
+    files = list(shards)
+    stated = stated_class_names(files)
+    if stated is None and any("label" in shard.schema.names for shard in files):
+        return CLASS_NAMES
+    return stated or ()
 
 
 def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
@@ -143,7 +149,7 @@ def check_round(
     for name in filter(row.has, scalars):
         with noted():
             scalars[name]()
-    for name in filter(row.has, PER_TOUCH_COLUMNS):
+    for name in per_touch_columns(row.group.names):
         with noted():
             # A list of fixed length would hide a null.
             if not row.group.arrow(name)[row.index].is_valid:
@@ -155,6 +161,9 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
+    for name in extra_columns(row.group.names):
+        with noted():
+            row.extra_values(name)
     read_pose: Callable[[int], object] = row.poses
     picture_size: _PictureSize = _image_size
     size_of: _SizeOf = image_size

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from realtouch.contact import require_method
+from realtouch.extras import Extras
 from realtouch.picture_views import MOST_TILES, evenly_spaced, round_html, touch_html
 from realtouch.poses import Poses, PoseSequences
-from realtouch.schema import flat_row, take_touches
+from realtouch.schema import extra_columns, flat_row, take_touches
 from realtouch.sensor_images import SensorImages, in_parallel
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, contact_frames_of, contact_windows, decode_frames
@@ -41,7 +42,7 @@ class TouchRound(Record):
 
     @property
     def label(self) -> int:
-        """Class of the object; the digit, 0 to 9, in the MNIST sets."""
+        """Class of the object, such as the digit, 0 to 9, in the MNIST sets; -1 if it is not known."""
         return self._once("label", self.row.label_value)
 
     @property
@@ -53,6 +54,19 @@ class TouchRound(Record):
     def info(self) -> dict[str, Any]:
         """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
         return dict(self._once("info", lambda: self.row.read_info()))
+
+    @property
+    def extra(self) -> Extras:
+        """Further columns by their own names, such as ``extra["force_n"]``; each is read on first use.
+
+        A column with an entry per touch is an array of shape (T,), or (T, k) of vectors; one with an entry
+        per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). What is missing is NaN, of texts and
+        booleans None; see :class:`realtouch.extras.Extras`.
+        """
+        return Extras(tuple(extra_columns(self.row.group.names)), self._extra)
+
+    def _extra(self, name: str) -> Any:
+        return self._once(f"extra {name}", lambda: self.row.extra_values(name))
 
     @property
     def pos_in_cell_m(self) -> Floating:
@@ -107,7 +121,7 @@ class TouchRound(Record):
     def label_words(self) -> list[str]:
         """Return the label for people; nothing of a data set without labels."""
         label = self.describe_field("label", "label {}".format)
-        return list(filter(None, [label]))
+        return [label] if label and label != "label -1" else []
 
     def contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Iterable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import PLATE_COLUMN
+from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, IntegrityError
@@ -44,13 +44,67 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
 }
 """Depth, types and description of the columns of a set of touches."""
 
-PER_TOUCH_COLUMNS = tuple(name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth)
-"""Columns that hold one entry per touch."""
+EXTRA_PREFIX: dict[Literal["touch", "frame"], str] = {"touch": "extra.", "frame": "extra_seq."}
+"""How the names of further columns begin: with an entry for each touch, or for each frame of each touch."""
+
+_EXTRA_LEAVES = (pa.types.is_boolean, pa.types.is_integer, *_FLOAT, pa.types.is_string)
+_EXTRA_ENTRIES = {1: "one per touch", 2: "one per frame of each touch"}  # by the least depth of the lists
+
+
+def extra_columns(names: Iterable[str]) -> dict[str, str]:
+    """Return the further columns among those of some dotted names, by their own names."""
+    return {
+        name.removeprefix(prefix): name
+        for name in names
+        for prefix in EXTRA_PREFIX.values()
+        if name.startswith(prefix)
+    }
+
+
+def extra_type(name: str, data_type: pa.DataType) -> pa.DataType:
+    """Return the type of one entry of a further column: a number, a text, or a list of them."""
+    entry = data_type.value_type
+    return entry.value_type if name.startswith(EXTRA_PREFIX["frame"]) else entry
+
+
+def extra_type_text(name: str, data_type: pa.DataType) -> str:
+    """Return the type of a further column: ``"float64[3] per touch"``."""
+    entry, per = extra_type(name, data_type), "touch"
+    if name.startswith(EXTRA_PREFIX["frame"]):
+        per = "frame"
+    depth, leaf = read.list_depth(entry)
+    length = ""
+    if depth:
+        length = f"[{entry.list_size if pa.types.is_fixed_size_list(entry) else ''}]"
+    return f"{read.dtype_name(leaf)}{length} per {per}"
+
+
+def per_touch_columns(names: Iterable[str]) -> list[str]:
+    """Return those of some columns that must have one entry per touch."""
+    there = dict.fromkeys(names)
+    known = [name for name, (depth, _, _) in KNOWN_COLUMNS.items() if depth and name in there]
+    return [*known, *extra_columns(there).values()]
 
 
 def is_per_touch(name: str, data_type: pa.DataType) -> bool:
-    """Return whether a column may hold an entry per touch: known ones, and lists of vectors in ``info``."""
-    return name in PER_TOUCH_COLUMNS or (name.startswith("info.") and read.list_depth(data_type)[0] >= 2)
+    """Return whether a column may have an entry per touch; lists of vectors in ``info`` may, too."""
+    depth, _ = read.list_depth(data_type)
+    return bool(depth and per_touch_columns([name])) or (name.startswith("info.") and depth >= 2)
+
+
+def has_poses(names: Container[str]) -> bool:
+    """Return whether poses of the gel are among some columns, by dotted name."""
+    return any(f"{column}.position" in names for column in POSE_COLUMN.values())
+
+
+def require_poses_for(method: ContactMethod, names: Container[str], where: str) -> None:
+    """Raise InputError if a method to choose a frame needs poses and some columns hold none."""
+    if method == "peak" and not has_poses(names):
+        others = ", ".join(other for other in CONTACT_METHODS if other != method)
+        raise InputError(
+            f"{where!r} has no column '{POSE_COLUMN['seq']}.position', which 'peak' needs",
+            next=f"choose the frame by one of {others}",
+        )
 
 
 def media_kind(schema: pa.Schema | None, where: str) -> Kind:
@@ -94,9 +148,28 @@ def require_types(shard: read.Shard) -> None:
     """
     # Read here so that an error names the file, and not only at the first label.
     _ = shard.class_names
-    problem = read.wrong_type(shard.types, KNOWN_COLUMNS)
+    types = shard.types
+    problem = read.wrong_type(types, {**KNOWN_COLUMNS, **_expected_extras(types)})
+    for name in extra_columns(types):
+        if all(f"{prefix}{name}" in types for prefix in EXTRA_PREFIX.values()):
+            problem = f"field {name!r}: there is a column of touches and one of frames; expected one of them"
     if problem:
         raise IntegrityError(f"{shard.path!r}, {problem}", next="download or convert the data set again")
+
+
+def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expected]:
+    """Return the required types of the further columns; their entries may be vectors."""
+    expected: dict[str, read.Expected] = {}
+    for name in per_touch_columns(types):
+        if name not in KNOWN_COLUMNS:
+            least = 1 + name.startswith(EXTRA_PREFIX["frame"])
+            depth = min(max(read.list_depth(types[name])[0], least), least + 1)
+            expected[name] = (
+                depth,
+                _EXTRA_LEAVES,
+                f"a number, a text or a list of them, {_EXTRA_ENTRIES[least]}",
+            )
+    return expected
 
 
 def column_type(schema: pa.Schema, name: str) -> Any:

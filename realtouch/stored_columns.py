@@ -16,7 +16,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.schema import PER_TOUCH_COLUMNS, POSE_COLUMN
+from realtouch.extras import UnknownExtraError, array_with_gaps
+from realtouch.schema import EXTRA_PREFIX, POSE_COLUMN, extra_columns, per_touch_columns
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
@@ -176,9 +177,8 @@ class StoredColumns(Row):
 
     def require_touches(self) -> None:
         """Refuse a round whose columns differ in their number of touches; IntegrityError, with the column."""
-        for name in PER_TOUCH_COLUMNS:
-            if self.has(name):
-                self.entries_of(name)
+        for name in per_touch_columns(self.group.names):
+            self.entries_of(name)
 
     def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
         """Refuse entries of touches that are not all good; IntegrityError for the first that is not.
@@ -269,6 +269,37 @@ class StoredColumns(Row):
             problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
             raise self.damaged(name, problem, touch)
         return values.reshape(wanted, width) if width else values
+
+    def extra_entries(self, name: str) -> pa.Array:
+        """Return the T entries of a further column, by its stored name; IntegrityError unless there are T."""
+        self.entries_of(name)
+        entries = self.group.arrow(name)[self.index].values
+        if entries is None:  # a list of fixed length hides a null
+            raise self.damaged(name, "no values are stored")
+        return entries
+
+    def extra_values(self, name: str) -> AnyArray | tuple[AnyArray, ...]:
+        """Return a further column by its own name; see :class:`realtouch.extras.Extras`.
+
+        Raises InputError, which is a KeyError too, without such a column, IntegrityError if it is damaged.
+        """
+        known = extra_columns(self.group.names)
+        if name not in known:
+            raise UnknownExtraError(name, self.path, known)
+        stored, values = known[name], self.extra_entries(known[name])
+        if not stored.startswith(EXTRA_PREFIX["frame"]):
+            with self.naming(stored):
+                return array_with_gaps(values)
+        found = []
+        for touch, length in enumerate(self.clip_lengths().tolist()):
+            frames = values[touch].values
+            if frames is None:
+                frames = pa.nulls(length, values.type.value_type)
+            if len(frames) < length:
+                raise self.damaged(stored, f"{len(frames)} frames; expected at least {length}", touch)
+            with self.naming(stored, touch):
+                found.append(array_with_gaps(frames.slice(0, length)))
+        return tuple(found)
 
     def plain_value(self, name: str) -> Any:
         """Return a field as numpy's scalar or Python's object.

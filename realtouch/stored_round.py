@@ -156,11 +156,11 @@ class StoredRound(StoredColumns):
         return value if isinstance(value, str) else str(self.integer("id"))
 
     def label_value(self, names: Sequence[str] | None = None) -> int:
-        """Return the class, -1 if it is unknown, as in `datasets`.
+        """Return the class, -1 if it is unknown, as in `datasets`, or if the data set has no labels.
 
         Raises IntegrityError if ``names`` are given and the class is not one of them.
         """
-        if self.plain_value("label") == -1:
+        if not self.has("label") or self.plain_value("label") == -1:
             return -1
         label = self.integer("label")
         if names is not None and label >= len(names):

@@ -10,10 +10,12 @@ from operator import itemgetter
 
 import numpy as np
 
+from realtouch.contacts import contact_rule_text
 from realtouch.rounds import TouchRound
-from realtouch.schema import POSE_COLUMN
+from realtouch.schema import POSE_COLUMN, extra_columns, extra_type_text
 from realtouch.touch_dataset import AnyDataset
 from realtouch.touches import AnyTouches
+from tactile_toolkit import read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M
 
@@ -37,9 +39,10 @@ class Summary:
     touches_per_round : tuple of int
         Least and most.
     contact_share : float or None
-        Fraction of touches in which the gel stopped on an object; None without poses.
-    contact_rule : str or None
-        Height above the plate from which a touch counted, and where the height of the plate is from.
+        Fraction of touches in which the gel stopped on an object; None without poses, as all pictures would
+        have to be decoded.
+    contact_rule : str
+        By what a touch counts as contact: a height above the plate, or its picture.
     labels : dict of str to int
         Rounds of each class.
     image_size : tuple of int
@@ -50,6 +53,8 @@ class Summary:
         Frames per second of the first clip.
     gel_ids : dict of str to int
         Rounds of each gel; empty if it is unknown.
+    extra : dict of str to str
+        Type of each further column.
     """
 
     kind: str
@@ -64,6 +69,7 @@ class Summary:
     clip_frames: tuple[int, int, int] | None = None
     fps: float | None = None
     gel_ids: dict[str, int] = field(default_factory=dict)
+    extra: dict[str, str] = field(default_factory=dict)
 
     def to_dict(self) -> dict[str, object]:
         """Return JSON values."""
@@ -99,6 +105,8 @@ def summarise(dataset: AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
+        contact_rule=contact_rule_text(dataset.column_names),
+        extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )
     if dataset.kind == "seq":
@@ -116,6 +124,12 @@ def summarise(dataset: AnyDataset) -> Summary:
         gels = Counter(str(record.info["gel_id"]) for _, record in dataset.rounds_without_media())
         found = replace(found, gel_ids=dict(sorted(gels.items())))
     return found
+
+
+def _extra_types(dataset: AnyDataset) -> dict[str, str]:
+    types = read.column_types(dataset.table.schemas[0])
+    columns = extra_columns(dataset.column_names)
+    return {name: extra_type_text(stored, types[stored]) for name, stored in columns.items()}
 
 
 def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:

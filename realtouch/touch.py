@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+from realtouch.extras import Extras
 from realtouch.picture_views import touch_html
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch_clips import TouchClip, contact_frames_of
@@ -76,6 +77,17 @@ class Touch:
         """Intended position, shape (2,), metres, cell frame."""
         position: Floating = self.round.row.intended_positions(self._index_in_row)[0]
         return position
+
+    @property
+    def extra(self) -> Extras:
+        """Further columns by their own names: a value, a vector, or an array with an entry per frame.
+
+        See :attr:`realtouch.TouchRound.extra`.
+        """
+        return Extras(tuple(self.round.extra), self._extra)
+
+    def _extra(self, name: str) -> Any:
+        return self.round.extra[name][self._index_in_row]
 
     @property
     def gel_pose(self) -> Pose:

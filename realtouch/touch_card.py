@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import islice
@@ -11,10 +12,11 @@ from typing import Any, TypeVar
 import numpy as np
 
 from realtouch.contact import ContactHeight
+from realtouch.contacts import contact_rule_text
 from realtouch.kind import KIND
 from realtouch.picture_views import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.schema import media_kind, origin_of
+from realtouch.schema import EXTRA_PREFIX, extra_columns, has_poses, media_kind, origin_of
 from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch
 from realtouch.touch_dataset import AnyDataset, dataset_of
@@ -22,6 +24,7 @@ from tactile_toolkit import cards, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.pictures import png_bytes
+from tactile_toolkit.shown_text import markdown_code
 from tactile_toolkit.touch import Kind, decode_image, missed_text
 
 WORDS = "touch_words.toml"
@@ -38,6 +41,7 @@ _TASKS = {
     "task_ids": ["multi-class-image-classification"],
 }
 _CAPTIONS = {True: "Some touches, each at the end of contact", False: "Some touches"}
+_LISTS = re.compile(r"(?:\.list\.(?:element|item))+\Z")
 _WINDOW = "18.88 x 14.16 mm of gel"
 
 
@@ -80,7 +84,9 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template = kind if origin == "real" else origin
         content = _stored_content(facts, kind, rule, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
-        heights.append(words["plates"][rule.plate])
+        content.columns.update(_extra_words(facts))
+        if has_poses(read.column_types(facts.schema)):
+            heights.append(words["plates"][rule.plate])
     limits = [*of_origin["limits"], *content.limits]
     if origin == "real":
         limits = [*of_origin["limits"], *content.words.get("limits", ()), *content.limits]
@@ -103,7 +109,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **content.values,
             **unknown,
             "rounds": f"{facts.rows:,}",
-            "contact_rule": str(rule),
+            "contact_rule": contact_rule_text(read.column_types(facts.schema)),
             "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
             "printability": of_origin["printability"],
             "licence_text": licence_text,
@@ -156,7 +162,9 @@ def _stored_content(
         return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
-    shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
+    shares: list[float | None] = [None] * len(datasets)
+    if has_poses(read.column_types(facts.schema)):  # else all pictures would be decoded
+        shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
     left_out = {} if manifest is None else manifest.split_table()
@@ -184,6 +192,26 @@ def _stored_content(
             "left out": [_text("{}", left_out.get(s.split, {}).get("skipped")) for s in facts.splits],
         },
     )
+
+
+def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
+    """Describe the further columns of rounds, with the range of their numbers as the footers state it."""
+    ends: dict[str, list[Any]] = {}
+    for shard in (shard for split in facts.splits for shard in split.shards):
+        for chunk in shard.column_chunks():
+            name, found = _LISTS.sub("", chunk.path_in_schema), chunk.statistics
+            if found is not None and found.has_min_max:
+                ends.setdefault(name, []).extend([found.min, found.max])
+            elif found is None or found.null_count < chunk.num_values:
+                ends.setdefault(name, []).append("")  # a range of the rest would be too small
+    words = {}
+    for name, stored in extra_columns(read.column_types(facts.schema)).items():
+        shape = "T x N; cut to N_i" if stored.startswith(EXTRA_PREFIX["frame"]) else "T"
+        found = ends.get(stored, [""])
+        is_known = all(isinstance(each, (int, float)) for each in found)
+        between = f", {min(found):g} to {max(found):g}" if is_known else ""
+        words[stored] = (shape, f"{markdown_code(name)} of the source{between}")
+    return words
 
 
 def _text(form: str, figure: float | None) -> str:

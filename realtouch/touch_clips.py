@@ -19,6 +19,7 @@ from realtouch.contact import ContactMethod, contact_window, require_method
 from realtouch.contact_picture import best_of
 from realtouch.picture_views import evenly_spaced, round_html
 from realtouch.poses import Poses
+from realtouch.schema import require_poses_for
 from realtouch.sensor_images import in_parallel, room_for
 from realtouch.stored_round import StoredRound
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
@@ -221,7 +222,7 @@ class TouchClip(Sequence[UInt8]):
         Raises
         ------
         InputError
-            The method is unknown.
+            The method is unknown, or it is ``"peak"`` and there are no poses.
         """
         chosen = require_method(method)
         if chosen == "best":
@@ -321,13 +322,15 @@ def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
 def contact_frames_of(row: StoredRound, method: ContactMethod, touch: int | None = None) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
-    See :meth:`TouchClip.contact_index`. Raises IntegrityError as :func:`contact_windows`, and for poses.
+    See :meth:`TouchClip.contact_index`. Raises InputError for ``"peak"`` without poses, IntegrityError as
+    :func:`contact_windows`, and for poses.
     """
     windows = contact_windows(row, touch)
     if method == "contact_start":
         return [window.start for window in windows]
     if method == "contact_end":
         return [window.stop - 1 for window in windows]
+    require_poses_for(method, row.group.names, row.path)
     pressed = zip(row.pose_sequences(touch), windows, strict=True)
     return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 

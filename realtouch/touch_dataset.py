@@ -67,6 +67,11 @@ class TouchDataset(read.RecordDataset[R]):
         """Return the flat view: every touch of every round, in order, with random access."""
         return Touches(self)
 
+    @property
+    def labels(self) -> Int64:
+        """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
+        return self._integers("label", lambda: np.full(len(self), -1), lambda each: each.label)
+
     def _row_at(self, number: int) -> StoredRound:
         return StoredRound(*self.table.locate(number))
 

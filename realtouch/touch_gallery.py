@@ -17,11 +17,11 @@ from realtouch.touch import Touch
 from realtouch.touch_clips import TouchClip
 from realtouch.touch_dataset import AnyDataset
 from tactile_toolkit import catalog, gallery, mesh, places
-from tactile_toolkit.array_types import Bool, Float64, UInt8
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
-from tactile_toolkit.wording import class_name
+from tactile_toolkit.wording import class_name, shortened
 
 FRAMES_PER_FILM = 24
 """Frames shown of a clip, evenly spaced; of the published 58 to 90 every third or so."""
@@ -35,6 +35,8 @@ DEFAULT_TOUCHES = 64
 
 # Of a round: how many touches to show at most, the height of each, and that from which a touch counts.
 _Known = tuple[int, Float64 | None, float]
+
+_MOST_TEXTS, _LONGEST_NOTE = 8, 200  # of a further column
 
 _SHARES = ("all touches", "more than half", "half or fewer", "none", "unknown")
 _SHOWN = (
@@ -106,7 +108,8 @@ def _item(
             name = f"{touch.touch_index:03d}.jpg"
             media[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
-    label = class_name(names, record.label)
+    label = class_name(names, record.label) if record.label >= 0 else None
+    title = [f"class {label}" if label else "touches"]
     met = None if heights_m is None else heights_m >= least_m
     # The highest touch shows the object best.
     cover = touches[0]
@@ -116,13 +119,16 @@ def _item(
     info = record.info if record.row.has_info() else {}
     gel = info.get("gel_id")
     touched = f"{record.object_id}" if record.row.has("object_id") else ""
+    title += [f"object {touched}"] if touched else []
     notes = [("Touches shown", f"{len(touches)} of {record.touch_count}")]
     if info.get("notes"):
         notes.append(("Notes", str(info["notes"])))
+    notes += [(name, _extra_text(record.extra[name])) for name in record.extra]
     return gallery.GalleryItem(
         id=record.id,
-        title=f"class {label}, object {touched}" if touched else f"class {label}",
+        title=", ".join(title),
         values={
+            "label": label,
             "contact": _share(met),
             "gel": gel,
             "object": touched or None,
@@ -134,6 +140,17 @@ def _item(
         content={"notes": notes, "touches": {"tile": list(tile_px), "columns": columns, "list": listed}},
         media=media,
     )
+
+
+def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
+    """Return the range of the numbers of a further column, or how many different texts it has."""
+    parts = values if isinstance(values, tuple) else (values,)
+    flat = np.concatenate([np.ravel(part) for part in parts] or [np.zeros(0)])
+    if flat.dtype.kind in "iuf":
+        known = flat[~np.isnan(flat)]
+        return f"{known.min():g} to {known.max():g}" if len(known) else "missing"
+    texts = list(dict.fromkeys(str(value) for value in flat.tolist() if value is not None))
+    return shortened(", ".join(texts[:_MOST_TEXTS]), _LONGEST_NOTE) or "missing"
 
 
 def _millimetres(height_m: float) -> float | None:

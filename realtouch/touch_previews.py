@@ -60,10 +60,15 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     def planned(kind: str, what: str, draw: Callable[[], UInt8]) -> list[pictures.PlannedPicture]:
         return [pictures.PlannedPicture(f"{stem}-round-{number}-{kind}.png", what, draw)]
 
-    on_map = f"all touches of {record!r} at their positions"
+    def on_map() -> list[pictures.PlannedPicture]:
+        if not (record.row.has_poses or record.row.has("pos_in_cell")):
+            raise record.row.missing_column("pos_in_cell")
+        what = f"all touches of {record!r} at their positions"
+        return planned("overlay", what, lambda: draw_overlay(record))
+
     plans = {
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
-        "overlay": lambda: planned("overlay", on_map, lambda: draw_overlay(record)),
+        "overlay": on_map,
     }
     return pictures.plan_kinds(spec.kinds, plans)
 
@@ -106,7 +111,7 @@ def _touches_in_words(record: TouchRound) -> str:
 
 
 def _title(record: TouchRound) -> str:
-    return f"Round {record.id}, label {record.label}"
+    return ", ".join([f"Round {record.id}", *record.label_words()])
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,13 +10,16 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch.contact import require_method
 from realtouch.rounds import TouchSingleRound
+from realtouch.schema import EXTRA_PREFIX, extra_columns, require_poses_for
 from realtouch.sensor_images import room_for
 from realtouch.touch import Touch
 from realtouch.touch_dataset import AnyDataset, TouchStream
 from realtouch.touches import AnyTouches, Touches
+from tactile_toolkit import read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
@@ -63,7 +66,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     transform : callable, optional
         Applied to each image or clip, such as a pipeline of ``torchvision.transforms.v2``.
     target : str, callable or None
-        One of :data:`TARGETS`, or a function of a :class:`realtouch.Touch`.
+        One of :data:`TARGETS`; ``"extra.NAME"``, the numbers of a further column, float32, NaN where they are
+        missing; or a function of a :class:`realtouch.Touch`. Of a column with an entry per frame, next to
+        whole clips all are given, else that of the frame.
     frames : str or None
         Of clips, give one contact frame as an image, chosen by this method (see
         :meth:`realtouch.TouchClip.contact_index`), instead of the whole clip. A function as ``target`` is
@@ -75,7 +80,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     Raises
     ------
     InputError
-        The target, or the way to choose a frame, is unknown.
+        The target, or the way to choose a frame, is unknown or needs a column that is not there.
     """
 
     def __init__(
@@ -89,12 +94,15 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     ) -> None:
         self.touches = dataset if isinstance(dataset, Touches) else dataset.touches()
         self.transform = transform
-        if isinstance(target, str) and target not in TARGETS:
-            raise InputError(
-                f"no target {target!r}; expected one of {', '.join(TARGETS)}, a function of a touch, or None"
-            )
+        rounds = self.touches.dataset
+        extras = _numbers_of(rounds)
+        if isinstance(target, str) and target not in (*TARGETS, *extras):
+            known = ", ".join([*TARGETS, *extras])
+            raise InputError(f"no target {target!r}; expected one of {known}, a function of a touch, or None")
         self.target = target
         self.frames = None if frames is None else require_method(frames)
+        if self.frames is not None and rounds.kind == "seq":
+            require_poses_for(self.frames, rounds.column_names, ", ".join(rounds.description()))
         self.channels_last = channels_last
         self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
 
@@ -136,6 +144,12 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
     def _target_of(self, touch: Touch, frame: int | None = None) -> Any:
         if frame is not None and self.target == "gel_position":
             return torch.tensor(touch.clip.poses[frame].translation, dtype=torch.float32)
+        if isinstance(self.target, str) and self.target not in TARGETS:
+            name = self.target.removeprefix("extra.")
+            values = np.asarray(touch.extra[name], np.float32)
+            if frame is not None and touch.round.row.has(f"{EXTRA_PREFIX['frame']}{name}"):
+                values = values[frame]
+            return torch.tensor(values)
         # Names are looked up here and not kept as functions: a function without a name does not pickle.
         target: Any = TARGETS[self.target] if isinstance(self.target, str) else self.target
         return target(touch)
@@ -207,6 +221,14 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
             found = self.touches.dataset[position]
             self._rounds.put(position, found)
         return found
+
+
+def _numbers_of(rounds: AnyDataset) -> list[str]:
+    """Return the targets that are further columns: those of numbers."""
+    types = read.column_types(rounds.table.schemas[0]) if rounds.table.schemas else {}
+    columns = extra_columns(rounds.column_names).items()
+    leaves = {name: read.list_depth(types[stored])[1] for name, stored in columns}
+    return [f"extra.{name}" for name, leaf in leaves.items() if not pa.types.is_string(leaf)]
 
 
 def _tensor(kind: str, pixels: UInt8) -> Any:

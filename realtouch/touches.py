@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 import numpy as np
 
 from realtouch.rounds import TouchRound, TouchSingleRound
+from realtouch.schema import POSE_COLUMN
 from realtouch.sensor_images import SensorImages, room_for
 from realtouch.touch import Touch, touch_id
 from realtouch.touch_table import INDEX, hf_touches
@@ -19,12 +20,16 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.system import usable_cores
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from realtouch.touch_dataset import TouchDataset
 
 _POSITION = ("x_m", "y_m")
+# Imported on use: it measures touches.
+_contacts_by_image = lazy("realtouch.contacts:contacts_by_image")
 R = TypeVar("R", bound=TouchRound)
 
 
@@ -100,6 +105,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         rows = self.dataset.row_numbers[self.round_positions]
         places: Int64 = self.dataset.touch_starts[rows] + self.touch_indices
         return places
+
+    @property
+    def labels(self) -> Int64:
+        """Label of each touch, shape (len,), int64, -1 without labels; reads the label column only."""
+        return self.dataset.labels[self.round_positions]
 
     def int_column(self, name: str) -> Int64:
         """Read one column of integers of the rounds, shape (len,), int64."""
@@ -190,11 +200,17 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         return chosen
 
     def with_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Touches[R]:
-        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`."""
+        """Return the touches in which the gel stopped on an object; see :meth:`in_contact`.
+
+        Of a set without poses, those whose pictures show contact.
+        """
         return self[self.in_contact(min_height_m, recalibrate_z)]
 
     def in_contact(self, min_height_m: float | None = None, recalibrate_z: bool = True) -> Bool:
         """Return whether the gel stopped on an object in each touch, shape (len,).
+
+        Without poses, the pictures of these touches decide, by the rule of
+        :func:`realtouch.contacts_by_image`, which decodes all of them.
 
         Parameters
         ----------
@@ -207,9 +223,21 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
 
         Raises
         ------
+        InputError
+            A height or ``recalibrate_z=False`` is given for touches without poses.
         IntegrityError
             As :meth:`heights_m`.
         """
+        poses = f"{POSE_COLUMN[self.dataset.kind]}.position"
+        if not self.dataset.has_column(poses):
+            if min_height_m is not None or not recalibrate_z:
+                raise InputError(
+                    f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
+                    "heights of the gel",
+                    next="leave out the height, and the pictures decide",
+                )
+            contact: Bool = _contacts_by_image(self, threads=usable_cores()).contact
+            return contact
         heights_m = self.heights_m(recalibrate_z)
         if min_height_m is not None:
             return heights_m >= min_height_m

@@ -15,8 +15,10 @@ from urllib.parse import unquote
 
 import pyarrow as pa
 
+from realtouch.contact import ContactMethod
+from realtouch.integrity import class_names_of
 from realtouch.kind import KIND
-from realtouch.schema import media_kind, require_types
+from realtouch.schema import media_kind, require_poses_for, require_types
 from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import catalog, places, read, store
@@ -77,6 +79,15 @@ class Source:
         """Arrow schema of the first shard."""
         return next(iter(self.shards.values()))[0].schema
 
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Name of each class; none without labels."""
+        return class_names_of(self._files())
+
+    def require_frame(self, method: ContactMethod) -> None:
+        """Raise InputError unless the frames of clips can be chosen by a method."""
+        require_poses_for(method, read.column_types(self.schema), self.name)
+
     def manifest(self) -> store.Manifest | None:
         """Return the manifest next to the shards, if any."""
         return catalog.manifest_beside(next(iter(self.shards.values()))[0])
@@ -108,19 +119,13 @@ class Source:
         }
 
 
-def _chunks(shard: read.Shard) -> Iterator[Any]:
-    """Yield what the footer says of each column chunk of a file."""
-    groups = map(shard.metadata.row_group, range(shard.metadata.num_row_groups))
-    return (group.column(index) for group in groups for index in range(group.num_columns))
-
-
 def _unpacked_bytes(shard: read.Shard) -> int:
-    return sum(chunk.total_uncompressed_size for chunk in _chunks(shard))
+    return sum(chunk.total_uncompressed_size for chunk in shard.column_chunks())
 
 
 def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
     """Return the number of values of a column of bytes, and the size of the column unpacked."""
-    chosen = [chunk for chunk in _chunks(shard) if chunk.path_in_schema.startswith(column)]
+    chosen = [chunk for chunk in shard.column_chunks() if chunk.path_in_schema.startswith(column)]
     values = sum(chunk.num_values for chunk in chosen if chunk.path_in_schema.endswith(".bytes"))
     return values, sum(chunk.total_uncompressed_size for chunk in chosen)
 
@@ -249,7 +254,12 @@ def schema_of(source: pa.Schema, wanted: Mapping[str, tuple[pa.DataType, Collect
 def table_of_columns(schema: pa.Schema, columns: Mapping[str, Any]) -> pa.Table:
     """Return the columns of a schema as a table; columns that are not given hold nulls."""
     unknown = [None] * len(columns["id"])
-    return pa.table([pa.array(columns.get(each.name, unknown), each.type) for each in schema], schema=schema)
+
+    def packed(field: pa.Field) -> pa.Array:
+        values = columns.get(field.name, unknown)
+        return values.cast(field.type) if isinstance(values, pa.Array) else pa.array(values, field.type)
+
+    return pa.table(list(map(packed, schema)), schema=schema)
 
 
 def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[str, str]:

@@ -13,13 +13,21 @@ from realtouch.avi import write_avi
 from realtouch.contact import ContactMethod, require_method
 from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.convert.touch_pictures import shown_touches
-from realtouch.schema import POSE_COLUMN, bytes_lists, column_type, flat_row, number_lists
+from realtouch.convert.touch_pictures import shown_extra, shown_touches
+from realtouch.schema import (
+    EXTRA_PREFIX,
+    POSE_COLUMN,
+    bytes_lists,
+    column_type,
+    extra_type,
+    flat_row,
+    number_lists,
+)
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
 from tactile_toolkit import places, read, store
-from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
 
@@ -71,7 +79,8 @@ def clips_to_images(
     Raises
     ------
     InputError
-        The source or an option cannot be used, or the folder to write holds the source.
+        The source or an option cannot be used, such as ``"peak"`` without poses, or the folder to write holds
+        the source.
     IntegrityError, HubError
         A file of the source cannot be read or fetched, or every round is damaged.
     SpecMismatchError, StorageError
@@ -84,6 +93,7 @@ def clips_to_images(
             raise InputError(
                 f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
             )
+        opened.require_frame(method)
         return Conversion(
             opened,
             "to-single",
@@ -104,49 +114,50 @@ class TakeContactFrames:
     method: ContactMethod
 
     def schema(self, source: pa.Schema) -> pa.Schema:
-        """Return the published ``single`` schema with the columns of the source; InputError without poses."""
-        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
-        if leaf is None:
-            raise InputError(
-                f"the source has no column '{_POSE_SEQUENCE}.position'; expected poses of each frame"
-            )
-        # In the precision of the source: poses are copied, not computed.
-        _, number = read.list_depth(leaf)
+        """Return the published ``single`` schema with the columns of the source."""
         count = getattr(column_type(source, "sensor_video"), "list_size", -1)
-        return pa.schema(
-            [
-                *(
-                    field
-                    for field in source
-                    if field.name not in _SEQ_ONLY and not field.name.startswith(f"{_POSE_SEQUENCE}.")
-                ),
-                *(
-                    pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count))
-                    for part, width in _WIDTHS.items()
-                ),
-                pa.field("sensor_image", pa.list_(MEDIA_TYPE, count)),
-            ]
-        )
+        fields = []
+        for field in source:
+            if field.name.startswith(EXTRA_PREFIX["frame"]):
+                entries = pa.list_(extra_type(field.name, field.type))
+                fields.append(pa.field(_per_touch_name(field.name), entries))
+            elif field.name not in _SEQ_ONLY and not field.name.startswith(f"{_POSE_SEQUENCE}."):
+                fields.append(field)
+        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
+        if leaf is not None:
+            # In the precision of the source: poses are copied, not computed.
+            _, number = read.list_depth(leaf)
+            for part, width in _WIDTHS.items():
+                fields.append(pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count)))
+        return pa.schema([*fields, pa.field("sensor_image", pa.list_(MEDIA_TYPE, count))])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
-        pictures: list[memoryview] = []
-        found: list[AnyArray] = [np.empty((0, 7))]
-        for each in shown_touches(row, self.method):
+        shown = list(shown_touches(row, self.method))
+        for each in shown:
             _ = each.pixels  # what passes through must be intact
-            pictures.append(each.stored)
-            found.append(each.pose[None])
-        poses = dict(zip(_WIDTHS, np.hsplit(np.concatenate(found), [3]), strict=True))
+        pictures = [each.stored for each in shown]
         made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
-        for part, values in poses.items():
-            name = f"{_POSE}.{part}"
-            made[name] = number_lists([values], schema.field(name).type)
+        if row.has_poses:
+            found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
+            for part, values in zip(_WIDTHS, np.hsplit(found, [3]), strict=True):
+                name = f"{_POSE}.{part}"
+                made[name] = number_lists([values], schema.field(name).type)
+        for name in flat.column_names:
+            if name.startswith(EXTRA_PREFIX["frame"]):
+                entries = shown_extra(row, name, shown)
+                made[_per_touch_name(name)] = pa.ListArray.from_arrays([0, len(entries)], entries)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
         columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
         return pa.table([columns[name] for name in schema.names], schema=schema), {}
+
+
+def _per_touch_name(name: str) -> str:
+    """Return the name, with an entry per touch, of a further column with an entry per frame."""
+    return EXTRA_PREFIX["touch"] + name.removeprefix(EXTRA_PREFIX["frame"])
 
 
 def resize(

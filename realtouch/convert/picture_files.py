@@ -25,7 +25,12 @@ from realtouch.convert.conversion import (
     write_changed,
 )
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.convert.touch_pictures import TouchPicture, columns_of_touches, shown_touches
+from realtouch.convert.touch_pictures import (
+    TouchPicture,
+    columns_of_touches,
+    plain_extras,
+    shown_touches,
+)
 from realtouch.rounds import TouchSingleRound
 from realtouch.stored_round import StoredRound
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
@@ -98,13 +103,15 @@ def frames(
         options: dict[str, Any] = {"kind": kind, "frame": method, "limit": limit}
         if opened.kind == "single":
             options["frame"] = None
+        else:
+            opened.require_frame(method)
         if difference is not None:
             options["difference"] = difference
         return Conversion(
             opened,
             "frames",
             options,
-            WritePictures(kind, method, difference, read.class_names(opened.schema, CLASS_NAMES)),
+            WritePictures(kind, method, difference, opened.class_names),
             marked_repetitions(opened, first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
             rows_per_group=1 << 16,
@@ -128,11 +135,12 @@ class WritePictures:
     difference: Literal["grey", "absolute"] | None = None
     names: tuple[str, ...] = CLASS_NAMES
 
-    def schema(self, source: pa.Schema | None) -> pa.Schema:
+    def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns of the index; it names the classes unless they are the digits."""
-        if self.names == CLASS_NAMES:
-            return _INDEX_SCHEMA
-        return _INDEX_SCHEMA.append(pa.field("label_name", pa.string()))
+        fields = [*_INDEX_SCHEMA]
+        if self.names != CLASS_NAMES:
+            fields.append(pa.field("label_name", pa.string()))
+        return pa.schema([*fields, *plain_extras(source).values()])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the lines of the index of a row, and its pictures.
@@ -153,7 +161,7 @@ class WritePictures:
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
-        return table_of_columns(self.schema(None), columns), files
+        return table_of_columns(self.schema(row.group.table.schema), columns), files
 
     def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""

@@ -16,9 +16,10 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
+from realtouch.contacts import BY_IMAGE
 from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, require_limit
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.schema import column_type, flat_row, is_per_touch, take_touches
+from realtouch.schema import flat_row, has_poses, is_per_touch, take_touches
 from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import catalog, places, read, store
@@ -45,7 +46,8 @@ def select(
     source, out, split, workers, overwrite, on_progress
         As for :func:`clips_to_images`.
     contact : bool
-        Only touches in which the gel stopped on an object; rounds then differ in their number of touches, and
+        Only touches in which the gel stopped on an object, or, without poses, whose pictures show contact;
+        see :meth:`~realtouch.Touches.in_contact`. Rounds then differ in their number of touches, and
         a column ``plate_z_m`` keeps the height of the plate, which followed from the removed touches.
     min_height_m : float, optional
         Height above the plate from which a touch counts as contact, metres; see
@@ -89,12 +91,20 @@ def select(
 
 def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
     options = {**chosen, "limit": limit}
-    if options["min_height_m"] is None:
+    by_image = options["contact"] and not has_poses(read.column_types(opened.schema))
+    if by_image:
+        options["contact_rule"] = BY_IMAGE
+    elif options["min_height_m"] is None:
         options["min_height_m"] = MIN_CONTACT_HEIGHT_M
         if options["contact"]:
             options["min_height_m"] = ContactHeight.of(read.column_types(opened.schema)).min_height_m
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
+        if by_image:
+            raise InputError(
+                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {BY_IMAGE})",
+                next="leave out --contact, or give fewer filters",
+            )
         raise _no_contact(opened, options["min_height_m"])
     return Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
 
@@ -113,6 +123,11 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = dataset_of(source.shards[split]), options["limit"]
     if options["labels"]:
+        if not dataset.label_names or not dataset.has_column("label"):
+            raise InputError(
+                f"labels is {options['labels']}, but the touches of {source.name!r} have no labels",
+                next="choose by --ids, or import them again with --map label=COLUMN",
+            )
         unknown = set(options["labels"]).difference(dataset.label_names)
         numbers = {name: int(name) for name in unknown if name.isdecimal()}
         dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
@@ -164,7 +179,8 @@ class KeepTouches:
         for place, field in enumerate(source):
             if is_per_touch(field.name, field.type):
                 fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
-        if column_type(source, PLATE_COLUMN) is None:
+        types = read.column_types(source)
+        if PLATE_COLUMN not in types and has_poses(types):
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
@@ -174,7 +190,7 @@ class KeepTouches:
         if choice.touches is None:
             return flat, {}
         kept = take_touches(flat, choice.touches, row.touch_total())
-        if row.has(PLATE_COLUMN):
+        if row.has(PLATE_COLUMN) or not row.has_poses:
             return kept, {}
         plate_m = row.plate_z_m()
         if math.isnan(plate_m):

@@ -22,7 +22,7 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_card import write_card
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, with_features
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, with_features
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
@@ -92,7 +92,7 @@ class _ConvertRows:
 def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Divide rows into shards; reads footers only. InputError if nothing is left to convert."""
     source, step = conversion.source, conversion.step
-    names = read.class_names(source.schema, CLASS_NAMES)
+    names = source.class_names
     schema = with_features(step.schema(flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))

@@ -7,15 +7,24 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch.contact import ContactMethod
 from realtouch.poses import Poses
 from realtouch.rounds import TouchSingleRound
+from realtouch.schema import EXTRA_PREFIX, extra_columns, extra_type
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit import read
 from tactile_toolkit.array_types import Float64, Floating, UInt8
+
+# What exports and their readers know by other meanings.
+_OTHER_COLUMNS = (
+    *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
+    *("label", "label_name", "object_id", *POSITION_COLUMNS, *POSE_COLUMNS, *FOTA_POSE_COLUMNS),
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -82,4 +91,39 @@ def columns_of_touches(
         columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
     if shown:
         columns |= dict(zip(POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False))
+    for stored, field in plain_extras(row.group.table.schema).items():
+        columns[field.name] = shown_extra(row, stored, shown)
     return columns
+
+
+def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
+    """Return the plain column for each further column of a source, by its stored name.
+
+    It has the further column's own name, with ``extra_`` before it where that is the name of another column.
+    """
+    types, taken = read.column_types(source), {*_OTHER_COLUMNS}
+    found = {}
+    for name, stored in extra_columns(types).items():
+        plain = name
+        while plain in taken:
+            plain = f"extra_{plain}"
+        taken.add(plain)
+        found[stored] = pa.field(plain, extra_type(stored, types[stored]))
+    return found
+
+
+def shown_extra(row: StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
+    """Return an entry of a further column for each touch; of one with an entry per frame, that shown."""
+    entries = row.extra_entries(stored)
+    if not stored.startswith(EXTRA_PREFIX["frame"]):
+        return entries
+    found = [pa.nulls(0, entries.type.value_type)]
+    for each in shown:
+        frames = entries[each.touch].values
+        if frames is None:  # missing for the whole clip
+            frames = pa.nulls(each.frame + 1, entries.type.value_type)
+        if each.frame >= len(frames):
+            problem = f"{len(frames)} frames; expected at least {each.frame + 1}"
+            raise row.damaged(stored, problem, each.touch)
+        found.append(frames.slice(each.frame, 1))
+    return pa.concat_arrays(found)

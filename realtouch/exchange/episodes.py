@@ -70,7 +70,7 @@ class Episodes:
             STATE: (pa.list_(pa.float32(), 7), tuple(_POSES.values())),
             ACTION: (pa.list_(pa.float32(), 2), ("pos_in_cell",)),
             TIME: (pa.float32(), ("time_stamp_rel_seq",)),
-            "label": (pa.int64(), ("label",)),
+            "label": (pa.int64(), ("id",)),
             "object_id": (pa.int64(), ("object_id",)),
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),

@@ -25,15 +25,15 @@ from realtouch.convert.conversion import (
     table_of_columns,
     with_files,
 )
-from realtouch.convert.touch_pictures import columns_of_touches, shown_touches
+from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
 from realtouch.exchange.stored_images import StoredImage, image_column, require_intact
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_round import StoredRound
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import read, store
+from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 IMAGE = "image"
 _WHERE = {"seq": "frame {}: ", "single": ""}
@@ -74,12 +74,13 @@ def plan_flat(
     """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
     image_bytes = source.media_bytes() // FRAMES_PER_MEDIA[source.kind] or 1
     if source.kind == "seq":
+        source.require_frame(method)
         options = {**options, "frame": method}
     return Conversion(
         source,
         "export",
         options,
-        _Touches(method, read.class_names(source.schema, CLASS_NAMES)),
+        _Touches(method, source.class_names),
         marked_repetitions(source, choices),
         rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // image_bytes)),
         write_files=checksums,
@@ -135,7 +136,7 @@ class _Touches:
             **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
             **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return schema_of(source, wanted)
+        return pa.schema([*schema_of(source, wanted), *plain_extras(source).values()])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""

@@ -8,6 +8,7 @@ no place, lie in a CSV table of the same name.
 from __future__ import annotations
 
 import io
+import json
 import pickle
 import pickletools
 from collections.abc import Iterator
@@ -40,10 +41,19 @@ _OF_LISTS = frozenset(
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
     stream = io.BytesIO()
-    arrow_csv.write_csv(index, stream)
+    arrow_csv.write_csv(_with_texts(index), stream)
     path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
     stored = pickle.dumps([image["bytes"] for image in images], _PROTOCOL)
     return with_files(index, {f"{path}.pkl": stored, f"{path}.csv": stream.getvalue()})
+
+
+def _with_texts(index: pa.Table) -> pa.Table:
+    """Return a table whose vectors are JSON texts; CSV has no lists."""
+    for place, field in enumerate(index.schema):
+        if pa.types.is_nested(field.type):
+            texts = [value and json.dumps(value) for value in index[field.name].to_pylist()]
+            index = index.set_column(place, field.name, pa.array(texts, pa.string()))
+    return index
 
 
 def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:

@@ -42,12 +42,20 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, object]]]) -> bytes:
     stream = io.BytesIO()
     with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
         for name, image, fields in samples:
-            text = json.dumps(fields, ensure_ascii=False, separators=(",", ":")).encode()
+            known = {name: _without_nan(value) for name, value in fields.items()}
+            text = json.dumps(known, ensure_ascii=False, separators=(",", ":")).encode()
             for member, content in ((name, image), (f"{name.partition('.')[0]}.json", text)):
                 header = tarfile.TarInfo(member)
                 header.size = len(content)
                 tar.addfile(header, io.BytesIO(content))
     return stream.getvalue()
+
+
+def _without_nan(value: object) -> object:
+    """Return a JSON value; a missing number is null in JSON, which has no NaN."""
+    if isinstance(value, list):
+        return list(map(_without_nan, value))
+    return None if value != value else value
 
 
 def find_webdataset(

@@ -4,6 +4,7 @@ from .arrow_views import (
     BytesColumn as BytesColumn,
     NestedColumn as NestedColumn,
     RaggedColumn as RaggedColumn,
+    numpy_values as numpy_values,
     ragged_array as ragged_array,
     vectors_type as vectors_type,
 )

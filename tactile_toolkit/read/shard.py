@@ -96,6 +96,11 @@ class Shard:
         """
         return self._footer[0]
 
+    def column_chunks(self) -> Iterator[Any]:
+        """Yield what the footer says of each column chunk."""
+        groups = map(self.metadata.row_group, range(self.metadata.num_row_groups))
+        return (group.column(index) for group in groups for index in range(group.num_columns))
+
     @property
     def schema(self) -> pa.Schema:
         """The Arrow schema with supported types, to which rows are converted when decoded."""

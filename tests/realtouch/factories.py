@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +19,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from datasets import ClassLabel, Features, Image, List, Value, Video
 from PIL import Image as Pictures
+
+from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 FPS = 25
 DIGIT_HEIGHT_M = 0.007
@@ -328,3 +330,46 @@ def _plain(value: Any) -> Any:
     if isinstance(value, dict):
         return {name: _plain(item) for name, item in value.items()}
     return value.item() if isinstance(value, np.generic) else value
+
+
+def bare_set(
+    folder: Path,
+    kind: str,
+    label: int | None = -1,
+    extras: Callable[[str], dict[str, pa.Array]] = lambda _split: {},
+    prefix: str = "r",
+) -> Path:
+    """Write a set as recordings of pictures alone are imported; ``extras`` are columns for a split.
+
+    Rounds of train have 3 and 2 touches, that of test has 2; clips have 4 and more frames.
+    """
+    (folder / "data").mkdir(parents=True, exist_ok=True)
+    layout = Layout(seconds=True, padded=False)
+    rows_of = single_rows if kind == "single" else partial(seq_rows, layout=layout)
+    for split, counts in BARE_TOUCHES.items():
+        rounds = [make_round(number, count, (48, 36), (4, 6)) for number, count in enumerate(counts)]
+        rows = rows_of(rounds)
+        ids = [f"{prefix}-{split}-{number}" for number in range(len(rows))]
+        columns: dict[str, Any] = {"id": pa.array(ids)}
+        if label is not None:
+            columns["label"] = pa.array([label] * len(rows), pa.int64())
+        for name, data_type in _BARE[kind].items():
+            columns[name] = pa.array([_plain(row[name]) for row in rows], data_type)
+        table = pa.table(columns | extras(split))
+        place = folder / "data" / f"{split}-00000-of-00001.parquet"
+        pq.write_table(table.cast(with_features(table.schema, ())), place, write_page_checksum=True)
+    return folder
+
+
+BARE_TOUCHES = {"train": (3, 2), "test": (2,)}
+_TIMES = pa.list_(pa.float64())
+_BARE: dict[str, dict[str, pa.DataType]] = {
+    "single": {"sensor_image": pa.list_(MEDIA_TYPE)},
+    "seq": {
+        "video_length_frames": pa.list_(pa.int64()),
+        "time_stamp_rel_seq": pa.list_(_TIMES),
+        "touch_start_time_rel": _TIMES,
+        "touch_end_time_rel": _TIMES,
+        "sensor_video": pa.list_(MEDIA_TYPE),
+    },
+}

@@ -222,8 +222,8 @@ def test_what_cannot_be_converted_is_said(
     position = "gel_pose_cell_frame_seq.position"
     bare = Layout(leave_out=(position, "gel_pose_cell_frame_seq.quaternion"))
     factories.write_set(tmp_path / "bare", {"train": seq_rows}, "seq", bare)
-    with pytest.raises(InputError, match=f"the source has no column '{position}'"):
-        realtouch.clips_to_images(tmp_path / "bare", out)
+    with pytest.raises(InputError, match=f"no column '{position}', which 'peak' needs; .*contact_start"):
+        realtouch.clips_to_images(tmp_path / "bare", out, "peak")
     with pytest.raises(InputError, match="holds single images already"):
         realtouch.clips_to_images(str(single_folder), out)
     with pytest.raises(InputError, match="unknown frame method 'finest'"):

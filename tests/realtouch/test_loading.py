@@ -162,7 +162,8 @@ def test_missing_columns_are_named_when_asked_for(seq_rows: list[dict], tmp_path
         (lambda: record.touch_start_time_rel, "touch_start_time_rel"),
         (lambda: record.sensor_video[0].contact_window, "touch_start_time_rel"),
         (lambda: record.gel_pose_cell_frame_seq, "gel_pose_cell_frame_seq.position"),
-        (lambda: dataset.touches().with_contact(), "gel_pose_cell_frame_seq.position"),
+        (lambda: dataset.touches().heights_m(), "gel_pose_cell_frame_seq.position"),
+        (lambda: dataset.touches().with_contact(0.006), "gel_pose_cell_frame_seq.position"),
     ):
         with pytest.raises(InputError, match=f"no column '{column}'"):
             ask()

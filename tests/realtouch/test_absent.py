@@ -1,0 +1,123 @@
+"""Sets with pictures and nothing else, as recordings are imported: every command takes them."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import realtouch
+from tactile_toolkit.errors import InputError
+from tests.command_line import call
+from tests.realtouch import factories
+
+KINDS = ("single", "seq")
+LABELS = (None, -1)
+"""Without the column, and with the value that imports give to touches of no class."""
+
+EXPORTS = ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch")
+_TRAIN = ["--split", "train"]
+COMMANDS: dict[str, list[str]] = {
+    "load": ["load", "SET", *_TRAIN],
+    "info": ["info", "SET"],
+    "verify": ["verify", "SET"],
+    "show": ["show", "SET"],
+    "preview": ["preview", "SET", *_TRAIN, "--kind", "all", "--out", "OUT"],
+    "gallery": ["gallery", "SET", "--out", "OUT"],
+    "card": ["card", "SET"],
+    "split": ["split", "SET", "--fractions", "0.5", "--out", "OUT"],
+    "merge": ["merge", "SET", "OTHER", "--out", "OUT"],
+    "select": ["select", "SET", "--contact", "--out", "OUT"],
+    "select ids": ["select", "SET", "--limit", "1", "--out", "OUT"],
+    "resize": ["resize", "SET", "--size", "32x24", "--out", "OUT"],
+    "frames": ["frames", "SET", "--out", "OUT"],
+    "clips-to-images": ["clips-to-images", "SET", "--out", "OUT"],
+    "clips-to-images best": ["clips-to-images", "SET", "--frame", "best", "--out", "OUT"],
+    **{f"export {each}": ["export", "SET", *_TRAIN, "--format", each, "--out", "OUT"] for each in EXPORTS},
+}
+
+
+@pytest.fixture(scope="module")
+def sets(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int | None], Path]:
+    """Return the folder of a set of a kind, with a label or without that column."""
+    home = tmp_path_factory.mktemp("bare")
+    for kind in KINDS:
+        for label in LABELS:
+            for name in ("set", "other"):
+                factories.bare_set(home / f"{kind}-{label}-{name}", kind, label, prefix=name)
+    return lambda kind, label: home / f"{kind}-{label}-set"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+@pytest.mark.parametrize("label", LABELS)
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_command_takes_a_set_of_pictures_alone(
+    kind: str, label: int | None, name: str, sets: Any, tmp_path: Path, capsys: Any
+) -> None:
+    if kind == "single" and name.startswith("clips-to-images"):
+        pytest.skip("converts clips")
+    folder = sets(kind, label)
+    if name == "card":
+        folder = Path(shutil.copytree(folder, tmp_path / "copy"))
+    places = {"SET": folder, "OTHER": f"{str(folder)[: -len('set')]}other", "OUT": tmp_path / "out"}
+    code = call("realtouch", *(places.get(word, word) for word in COMMANDS[name]))
+    said = capsys.readouterr()
+    assert code == 0, said.err
+    if "OUT" in COMMANDS[name] and name not in ("preview", "gallery", "split"):
+        assert call("realtouch", "verify", tmp_path / "out") == 0, capsys.readouterr().err
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_contact_is_decided_by_pictures_without_poses(kind: str, sets: Any, tmp_path: Path) -> None:
+    touches = realtouch.load(sets(kind, -1), "train").touches()
+    by_image = realtouch.contacts_by_image(touches).contact
+    np.testing.assert_array_equal(touches.in_contact(), by_image)
+    assert touches.with_contact() == touches[by_image]
+    with pytest.raises(InputError, match=r"no column 'gel_pose_cell_frame.*leave out the height"):
+        touches.with_contact(0.006)
+    rule = realtouch.summarise(touches.dataset).contact_rule
+    manifest = realtouch.select(sets(kind, -1), tmp_path / "out", contact=True, split="train")
+    assert manifest.spec["options"]["contact_rule"] == rule
+    assert "the picture differs from the background" in rule
+    assert "plate_z_m" not in realtouch.load(tmp_path / "out", "train").column_names
+
+
+def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
+    clips, out = sets("seq", -1), str(tmp_path / "out")
+    record = realtouch.load(clips, "train")[0]
+    others = "which 'peak' needs; next: choose the frame by one of contact_start, contact_end, best"
+    for ask in (
+        lambda: record.contact_frames("peak"),
+        lambda: realtouch.clips_to_images(clips, out, "peak"),
+        lambda: realtouch.frames(clips, out, frame="peak"),
+        lambda: realtouch.export(clips, out, "flat", frame="peak"),
+    ):
+        with pytest.raises(InputError, match=f"no column 'gel_pose_cell_frame_seq.position', {others}"):
+            ask()
+    for label in LABELS:
+        with pytest.raises(InputError, match="have no labels; next: choose by --ids, or import"):
+            realtouch.select(sets("single", label), out, labels=["3"])
+    with pytest.raises(InputError, match="no column 'object_id'"):
+        realtouch.select(clips, out, objects=[3])
+    assert not (tmp_path / "out").exists()
+
+
+def test_anytouch_leaves_out_no_image_of_a_set_without_classes(sets: Any, tmp_path: Path) -> None:
+    realtouch.export(sets("single", -1), tmp_path, "anytouch", split="train")
+    lines = (tmp_path / "anytouch/train_bg.txt").read_text().splitlines()
+    assert [line.split(",")[1] for line in lines] == ["0"] * 5
+
+
+def test_contact_of_a_round_that_does_not_fit_in_memory(sets: Any, monkeypatch: Any) -> None:
+    for kind in KINDS:
+        touches = realtouch.load(sets(kind, -1), "train").touches()
+        whole = realtouch.contacts_by_image(touches)
+        monkeypatch.setattr("realtouch.contacts._BATCH_BYTES", 2 * 36 * 48 * 3)
+        parts = realtouch.contacts_by_image(touches)
+        monkeypatch.undo()
+        for name in ("frame", "area_px", "intensity", "contact"):
+            np.testing.assert_array_equal(getattr(parts, name), getattr(whole, name))
