@@ -1,0 +1,206 @@
+"""Touches of a recording, found by its pictures: background, score of every picture, runs, clips.
+
+A picture shows contact by the rule of :func:`realtouch.contacts_by_image`. The background is the median of
+some pictures spread over the recording, then of those of them that show no contact against that first median:
+it is right where every pixel is at rest in more than half of them. Slow changes of the light are followed:
+each channel is scaled by its level, which is measured in these pictures, and whose running median a touch
+does not change. One picture is in memory at a time, and the spread ones.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from scipy.ndimage import median_filter
+
+from realtouch.avi import MAX_CLIP_FRAMES
+from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
+from realtouch.exchange.found_touches import ReadContents
+from realtouch.exchange.recordings import Recording
+from tactile_toolkit.alignment import Neighbours
+from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.touch import decode_image
+
+JOIN_S = 0.2
+"""Runs of pictures with contact are one touch if they are at most so far apart, seconds."""
+
+JOIN_PICTURES = 5
+"""The same without times, pictures."""
+
+MIN_PICTURES = 3
+"""Fewer pictures with contact are no touch."""
+
+MIN_MARGIN = 12
+"""Least number of pictures before and after a contact, as far as its neighbours leave so many."""
+
+_SPREAD = 48
+_SPREAD_BYTES = 64 << 20
+_LEAST_SPREAD = 5
+_LEAST_AT_REST = 3
+_LEVELS_TOGETHER = 9  # of neighbours in time, whose median is the level of the light
+_DARK = 16  # levels of pixels whose ratio is mostly noise
+_STEPS = 512  # of a ratio of levels: half a level of 255
+_PIXEL_STEP = 2
+
+
+@dataclass(frozen=True, slots=True)
+class ContactRun:
+    """A touch: numbers of the pictures of its clip, of its first and last contact, and of the best."""
+
+    start: int
+    stop: int
+    first: int
+    last: int
+    best: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContactRuns:
+    """The touches of a recording, in order, and how they were found.
+
+    Attributes
+    ----------
+    area_px : ndarray of int64, shape (frames,)
+        Changed pixels of each picture; 0 if it cannot be read.
+    runs : tuple of ContactRun
+    too_short : int
+        Number of runs with fewer pictures than a touch has.
+    unreadable : int
+        Number of pictures that cannot be read, or are of another size.
+    """
+
+    area_px: Int64 = field(repr=False)
+    runs: tuple[ContactRun, ...]
+    too_short: int
+    unreadable: int
+
+
+def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRule) -> ContactRuns:
+    """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
+    area_px, change = np.zeros((2, recording.frames), np.int64)
+    holds, unreadable = np.zeros(recording.frames, bool), 0
+    background = _Background(recording, contents, rule)
+    alone = replace(rule, crop=1.0)
+    for number, picture in enumerate(pictures_of(recording, [range(recording.frames)], contents)):
+        seen = background.seen_of(picture)
+        if seen is None:
+            unreadable += 1
+            continue
+        score = contact_score(seen, background.at(number), alone)
+        area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
+    starts, stops = _joined(holds, recording.time_s)
+    counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
+    long = np.array(counts, np.int64) >= MIN_PICTURES
+    runs = tuple(_with_margins(starts[long], stops[long], change))
+    if not runs:
+        raise ItemError(
+            "contact",
+            f"no touch in {recording.frames:,} pictures: none of {MIN_PICTURES} pictures or more in which "
+            f"{rule.min_area_px:,} pixels or more differ by more than {rule.min_change} levels from the gel at "
+            "rest",
+            next="take it whole (`--cut whole`), or state its touches by a table (`--cut TABLE`)",
+        )
+    return ContactRuns(area_px, runs, int(np.sum(~long)), unreadable)
+
+
+def pictures_of(
+    recording: Recording, parts: Iterable[range], contents: ReadContents
+) -> Iterator[UInt8 | None]:
+    """Yield some pictures of a recording, shape (H, W, 3), in order; None for one that cannot be read."""
+    clips = (recording.clip(part.start, part.stop, recording.name) for part in parts)
+    for content in contents(clips):
+        try:
+            yield None if isinstance(content, ItemError) else decode_image(content)
+        except ValueError:
+            yield None
+
+
+class _Background:
+    """The gel at rest within the window of the rule, scaled to the light at each picture.
+
+    Raises ItemError if no picture can be read.
+    """
+
+    def __init__(self, recording: Recording, contents: ReadContents, rule: ContactRule) -> None:
+        numbers = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64))
+        self.shape: tuple[int, ...] = ()
+        found: dict[int, UInt8] = {}
+        step = 1
+        spread = pictures_of(recording, (range(number, number + 1) for number in numbers.tolist()), contents)
+        for index, (number, picture) in enumerate(zip(numbers.tolist(), spread, strict=True)):
+            if picture is not None and not self.shape:
+                self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
+                step = -(-_SPREAD // max(_LEAST_SPREAD, _SPREAD_BYTES // picture[self.window].nbytes))
+            seen = self.seen_of(picture)
+            if seen is not None and (index % step == 0 or not found):
+                found[number] = seen.copy()
+        if not found:
+            raise ItemError("image", f"none of {len(numbers):,} pictures of the recording can be read")
+        pictures, self._last = np.stack(list(found.values())), (np.zeros(0), np.zeros(0, np.uint8))
+        self.base = median_in_memory(pictures)
+        levels = self._levels(pictures)
+        scores = (contact_score(*pair, replace(rule, crop=1.0)) for pair in zip(pictures, map(self._scaled, levels)))
+        at_rest = ~np.array([bool(rule.holds(score)) for score in scores])
+        if at_rest.sum() >= _LEAST_AT_REST:
+            alike = np.rint(pictures[at_rest] / levels[at_rest, np.newaxis, np.newaxis])
+            self.base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
+            levels = self._levels(pictures)
+        times = np.arange(recording.frames, dtype=np.float64)
+        around = Neighbours.of(times, np.array(list(found), np.float64), np.inf)
+        self._level_at = np.rint(around.interpolated(levels) * _STEPS) / _STEPS
+
+    def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
+        """Return the window of a picture; None for one that cannot be read or is of another size."""
+        if picture is None or picture.shape != self.shape:
+            return None
+        return picture[self.window]
+
+    def at(self, number: int) -> UInt8:
+        """Return the background of a picture by its number."""
+        levels = self._level_at[number]
+        if not np.array_equal(levels, self._last[0]):
+            self._last = levels, self._scaled(levels)
+        return self._last[1]
+
+    def _scaled(self, levels: Float64) -> UInt8:
+        return np.minimum(np.rint(self.base * levels), 255).astype(np.uint8)
+
+    def _levels(self, pictures: UInt8) -> Float64:
+        """Return how bright each channel of n pictures is against the background, slow changes only (n, 3)."""
+        levels = np.ones((len(pictures), 3))
+        for channel in range(3):
+            parts = pictures[:, ::_PIXEL_STEP, ::_PIXEL_STEP, channel]
+            base = self.base[::_PIXEL_STEP, ::_PIXEL_STEP, channel]
+            bright = base >= _DARK
+            if bright.any():
+                levels[:, channel] = np.median(parts[:, bright] / base[bright], axis=1)
+        smooth: Float64 = median_filter(levels, (_LEVELS_TOGETHER, 1), mode="nearest")
+        return smooth
+
+
+def _joined(holds: Bool, time_s: Float64 | None) -> tuple[Int64, Int64]:
+    """Return the starts and stops of runs of pictures with contact, close ones joined."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], holds, [False]])))
+    starts, stops = edges[::2], edges[1::2]
+    if not len(starts):
+        return starts, stops
+    if time_s is None:
+        is_far = starts[1:] - stops[:-1] > JOIN_PICTURES
+    else:
+        is_far = time_s[starts[1:]] - time_s[stops[:-1] - 1] > JOIN_S
+    return starts[np.append(True, is_far)], stops[np.append(is_far, True)]
+
+
+def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[ContactRun]:
+    """Yield runs as clips: as much before and after as the contact is long, up to half way to the next."""
+    middles = (stops[:-1] + starts[1:]) // 2
+    limits = [0, *middles.tolist(), len(change)]
+    for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
+        margin = min(max(stop - start, MIN_MARGIN), max(0, MAX_CLIP_FRAMES - (stop - start)) // 2)
+        best = start + int(np.argmax(change[start:stop]))
+        yield ContactRun(
+            max(start - margin, limits[number]), min(stop + margin, limits[number + 1]), start, stop - 1, best
+        )
