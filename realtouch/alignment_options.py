@@ -33,7 +33,10 @@ class Alignment:
         help="Value of a picture from a stream of another rate: the nearest sample, or between two.",
     )
     max_gap_ms: float = real(
-        100.0, above=0, metavar="MS", help="Pictures in longer gaps of a stream, or as far from it, get no value."
+        100.0,
+        above=0,
+        metavar="MS",
+        help="Longest gap of a stream in which pictures get values.",
     )
     time_offset_s: float = real(
         0.0, -1e12, 1e12, metavar="S", help="Added to the times of streams, where their clock is another one."

@@ -72,8 +72,10 @@ class Neighbours:
 
     def among(self, samples: Int64) -> Neighbours:
         """Return the same neighbours, numbered among some samples that hold them all."""
-        numbers = (np.searchsorted(samples, each) for each in (self.nearest, self.before, self.after))
-        return Neighbours(*numbers, self.share, self.missing)
+        nearest, before, after = (
+            np.searchsorted(samples, each) for each in (self.nearest, self.before, self.after)
+        )
+        return Neighbours(nearest, before, after, self.share, self.missing)
 
     def picked(self, values: AnyArray) -> AnyArray:
         """Return the nearest of values, shape (m, ...), for each time, shape (n, ...)."""
@@ -92,7 +94,8 @@ class Neighbours:
         The speed of the turn is constant (slerp); the real part may come first or last. Of quaternions of
         another length than one, the length is interpolated, so that a check of lengths still fails.
         """
-        first, second = (quaternions[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        samples = quaternions.astype(np.float64, copy=False)
+        first, second = samples[self.before], samples[self.after]
         lengths = [np.sqrt(_product(each, each)) for each in (first, second)]
         with np.errstate(invalid="ignore", divide="ignore"):  # there is no turn from or to zero
             start, end = (each / length for each, length in zip((first, second), lengths, strict=True))

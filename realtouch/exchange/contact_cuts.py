@@ -99,8 +99,7 @@ def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRul
         raise ItemError(
             "contact",
             f"no touch in {recording.frames:,} pictures: none of {MIN_PICTURES} pictures or more in which "
-            f"{rule.min_area_px:,} pixels or more differ by more than {rule.min_change} levels from the gel at "
-            "rest",
+            f"{rule.min_area_px:,} pixels differ by more than {rule.min_change} levels from the gel at rest",
             next="take it whole (`--cut whole`), or state its touches by a table (`--cut TABLE`)",
         )
     return ContactRuns(area_px, runs, int(np.sum(~long)), unreadable)
@@ -142,8 +141,9 @@ class _Background:
         pictures, self._last = np.stack(list(found.values())), (np.zeros(0), np.zeros(0, np.uint8))
         self.base = median_in_memory(pictures)
         levels = self._levels(pictures)
-        scores = (contact_score(*pair, replace(rule, crop=1.0)) for pair in zip(pictures, map(self._scaled, levels)))
-        at_rest = ~np.array([bool(rule.holds(score)) for score in scores])
+        whole = replace(rule, crop=1.0)
+        pairs = zip(pictures, map(self._scaled, levels), strict=True)
+        at_rest = np.array([not rule.holds(contact_score(*pair, whole)) for pair in pairs])
         if at_rest.sum() >= _LEAST_AT_REST:
             alike = np.rint(pictures[at_rest] / levels[at_rest, np.newaxis, np.newaxis])
             self.base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
@@ -169,7 +169,7 @@ class _Background:
         return np.minimum(np.rint(self.base * levels), 255).astype(np.uint8)
 
     def _levels(self, pictures: UInt8) -> Float64:
-        """Return how bright each channel of n pictures is against the background, slow changes only (n, 3)."""
+        """Return how bright each channel of n pictures is against the background, (n, 3), smooth in time."""
         levels = np.ones((len(pictures), 3))
         for channel in range(3):
             parts = pictures[:, ::_PIXEL_STEP, ::_PIXEL_STEP, channel]

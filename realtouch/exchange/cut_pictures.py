@@ -1,4 +1,4 @@
-"""Pictures of cuts: the changed area over time, with each touch marked, and a small picture of its best frame."""
+"""Pictures of cuts: the changed area over time, with each touch marked, and its best frame in small."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def draw_cuts(recording: Recording, found: ContactRuns, contents: ReadContents, 
     ]
     words = [
         f"{with_count(len(found.runs), 'touches')} in {with_count(recording.frames, 'pictures')}: "
-        f"at least {rule.min_area_px} changed pixels (red line), of a mean change of {rule.min_intensity:g} levels",
+        f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
         "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
         f"{found.too_short:,} too short, {with_count(found.unreadable, 'unreadable pictures')}",
     ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import PurePosixPath
 from typing import Any
 
@@ -35,7 +35,7 @@ class CutTable:
     start: str
     end: str
     per_second: float
-    recording: str | None
+    recording: str | None  # its column
     _used: dict[int, str] = field(default_factory=dict, repr=False)
     _first: str | None = None
 
@@ -45,7 +45,7 @@ class CutTable:
         home, name = source_of(path)
         if not home.exists(name):
             raise InputError(
-                f"no cut {path!r}{did_you_mean(path, CUTS)}; expected {', '.join(CUTS)} or the path of a table"
+                f"no cut {path!r}{did_you_mean(path, CUTS)}; expected {', '.join(CUTS)} or a path of a table"
             )
         names, lines = read_table(home, name)
         pairs = {f"start_{unit}": (f"end_{unit}", per_second) for unit, per_second in PER_SECOND.items()}
@@ -56,7 +56,7 @@ class CutTable:
         if len(known) != 1:
             found = " and ".join(known) or ", ".join(map(str, names)) or "none"
             raise InputError(
-                f"{home.address(name)!r} should say once when touches start and end; found the columns {found}",
+                f"{home.address(name)!r} should say once when touches start and end; found columns {found}",
                 next=f"name the columns {_UNITS_SHOWN}",
             )
         (end, per_second), (start,) = pairs[known[0]], known
@@ -103,7 +103,8 @@ class CutTable:
             return True
         meant = path_of(text_of(line, self.recording))
         path = PurePosixPath(recording.path)
-        return meant in {recording.name, recording.path, path.name, str(path.with_suffix("")), path.stem} - {""}
+        names = {recording.name, recording.path, path.name, str(path.with_suffix("")), path.stem}
+        return meant in names - {""}
 
     def _touch(self, recording: Recording, line: Mapping[str, Any], name: str) -> FoundTouch:
         try:
@@ -112,8 +113,10 @@ class CutTable:
             start, stop = self._interval(recording, line)
         except ItemError as error:
             return recording.unusable(error, name)
-        values = {key: value for key, value in line.items() if key not in (self.start, self.end, self.recording)}
-        return recording.bounded(start, stop, name).with_values(values)
+        used = (self.start, self.end, self.recording)
+        values = {key: value for key, value in line.items() if key not in used}
+        found = recording.bounded(start, stop, name)
+        return replace(found, values={**found.values, **values})
 
     def _interval(self, recording: Recording, line: Mapping[str, Any]) -> tuple[int, int]:
         """Return the first picture of a touch, and the one behind its last; ItemError if there is none."""

@@ -75,10 +75,10 @@ class Recording:
             contact=contact,
         )
 
-    def bounded(self, start: int, stop: int, name: str) -> FoundTouch:
+    def bounded(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
         """Return some pictures as a touch, which cannot be used if there are more than clips may have."""
         if stop - start <= MAX_CLIP_FRAMES:
-            return self.clip(start, stop, name)
+            return self.clip(start, stop, name, contact)
         found = f"a clip of {stop - start:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
         return self.unusable(ItemError("length", found, next=_SHORTER), name)
 
@@ -104,7 +104,8 @@ class Recording:
         """Yield each picture as a touch; what is said of a picture is said of the touch."""
         stem = self.name.replace("/", "-")
         for frame in range(self.frames):
-            each = {name: values[frame].tolist() for name, values in self.per_frame.items()}
+            # A slice, as an entry of an array of texts is no array.
+            each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
             if self.time_s is not None:
                 each.setdefault("time_s", float(self.time_s[frame]))
             values = {"round_id": self.name, **self.values, **each}
