@@ -8,8 +8,9 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from realtouch.contact_picture import ContactRule
-from realtouch.exchange.contact_cuts import ContactRun, ContactRuns, pictures_of
+from realtouch.exchange.contact_cuts import ContactRun, ContactRuns
 from realtouch.exchange.found_touches import ReadContents
+from realtouch.exchange.gel_at_rest import pictures_of
 from realtouch.exchange.recordings import Recording
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64, UInt8
@@ -110,7 +111,7 @@ def _draw_strip(
             continue
         for first, end, colour in ((run.start, run.stop, _CLIP), (run.first, run.last + 1, _CONTACT)):
             pen.rectangle((column(first), top, max(column(first), column(end) - 1), bottom), colour)
-        middle = column((run.first + run.last + 1) // 2)
+        middle = min(_WIDTH_PX - _LABEL_PX // 2, max(_LABEL_PX // 2, column((run.first + run.last + 1) // 2)))
         if start <= run.best < stop and middle - last_label >= _LABEL_PX:
             pictures.draw_text(pen, (middle, top - 2), f"{number:03d}", _TEXT_PX, anchor="mb")
             last_label = middle

@@ -76,8 +76,7 @@ class CutTable:
                 f"{recording.name!r}",
                 next=f"add a column {_RECORDING[0]!r} with the names of their files",
             )
-        self._first = recording.name
-        count = 0
+        self._first, count = recording.name, 0
         for number, line in enumerate(self.lines):
             if not self._means(line, recording):
                 continue
@@ -89,6 +88,8 @@ class CutTable:
                 )
             yield self._touch(recording, line, f"{recording.name}_{count:03d}")
             count += 1
+        if not count:
+            yield recording.unusable(ItemError("cut", f"no line of {self.place!r} names it"))
 
     def unused(self) -> Iterator[FoundTouch]:
         """Yield the lines of recordings that were not found, each with this problem."""
@@ -108,6 +109,8 @@ class CutTable:
 
     def _touch(self, recording: Recording, line: Mapping[str, Any], name: str) -> FoundTouch:
         try:
+            if recording.problem is not None:
+                raise recording.problem
             if None in line:
                 raise ItemError("columns", "the line has more values than the table has columns")
             start, stop = self._interval(recording, line)
