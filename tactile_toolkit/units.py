@@ -14,6 +14,9 @@ PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm",
 PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
 """Number of units in a radian."""
 
+PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
+"""Number of units in a second."""
+
 
 def stated_unit(name: str) -> str | None:
     """Return the unit that the name of a column ends with, such as ``mm`` or ``deg``; None without one."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+
+from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.exchange.found_touches import FoundTouch
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import ItemError
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
+
+_SHORTER = "cut it into touches, by `--cut contact` or a table of times (`--cut TABLE`)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -70,11 +75,37 @@ class Recording:
             contact=contact,
         )
 
+    def bounded(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
+        """Return some pictures as a touch, which cannot be used if there are more than clips may have."""
+        if stop - start <= MAX_CLIP_FRAMES:
+            return self.clip(start, stop, name, contact)
+        found = f"a clip of {stop - start:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
+        return self.unusable(ItemError("length", found, next=_SHORTER), name)
+
+    def unusable(self, problem: ItemError, name: str = "") -> FoundTouch:
+        """Return a touch of this recording, or all of it, that cannot be used, for one line in the list."""
+        return replace(self.clip(0, min(self.frames, 1), name or self.name), problem=problem)
+
+    def checked(self) -> Recording:
+        """Return the recording, with a problem if it has no picture, or times that run back."""
+        problem = self.problem
+        if problem is None and not self.frames:
+            problem = ItemError("empty", "the recording has no picture")
+        if problem is None and self.time_s is not None:
+            is_later = np.diff(self.time_s) >= 0  # False for NaN
+            if not is_later.all():
+                number = int(is_later.argmin()) + 1
+                before, after = self.time_s[number - 1 : number + 1].tolist()
+                found = f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
+                problem = ItemError("times", f"{found}; expected times that rise")
+        return replace(self, problem=problem)
+
     def images(self) -> Iterator[FoundTouch]:
         """Yield each picture as a touch; what is said of a picture is said of the touch."""
         stem = self.name.replace("/", "-")
         for frame in range(self.frames):
-            each = {name: values[frame].tolist() for name, values in self.per_frame.items()}
+            # A slice, as an entry of an array of texts is no array.
+            each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
             if self.time_s is not None:
                 each.setdefault("time_s", float(self.time_s[frame]))
             values = {"round_id": self.name, **self.values, **each}
@@ -85,8 +116,10 @@ class Recording:
 
 
 def touches_of(recording: Recording, cut: str) -> Iterator[FoundTouch]:
-    """Cut a recording into touches: see :data:`CUTS`."""
-    if cut == "frames":
+    """Cut a recording into its pictures, or take the whole: the first two of :data:`CUTS`."""
+    if recording.problem is not None:
+        yield recording.unusable(recording.problem)
+    elif cut == "frames":
         yield from recording.images()
-    elif cut == "whole":
-        yield recording.clip(0, recording.frames, recording.name)
+    else:
+        yield recording.bounded(0, recording.frames, recording.name)
