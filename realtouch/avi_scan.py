@@ -15,7 +15,7 @@ from typing import IO
 
 import numpy as np
 
-from realtouch.video_bounds import MAX_PICTURES, require_picture_size
+from realtouch.video_files import MAX_PICTURES, require_picture_size
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import ItemError
 

@@ -1,16 +1,21 @@
-"""Limits of videos of unknown origin, checked before a demuxer or decoder sees them."""
+"""Files of videos: what they are by their first bytes, and limits that hold before anything decodes them."""
 
 from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Iterator
-from typing import IO
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import IO, Protocol
 
 import numpy as np
 
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+from tactile_toolkit import store
+from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
@@ -20,6 +25,22 @@ MAX_PIXELS_IN_ALL = 1 << 40
 
 MAX_DURATION_S = 1e6
 
+JPEG_QUALITY = 95
+
+_VIDEO_ENDINGS = (
+    ".avi",
+    ".flv",
+    ".m4v",
+    ".mkv",
+    ".mov",
+    ".mp4",
+    ".mpeg",
+    ".mpg",
+    ".mts",
+    ".ts",
+    ".webm",
+    ".wmv",
+)
 _START_BYTES = 1024
 _IMAGE_BRANDS = (b"avif", b"avis", b"heic", b"heix", b"hevc", b"hevx", b"mif1", b"msf1")
 _TOP_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"uuid", b"styp")
@@ -59,6 +80,17 @@ def read_start(stream: IO[bytes]) -> bytes:
     """Return the first bytes of a file, from which :func:`demuxer_of` tells what it is."""
     stream.seek(0)
     return stream.read(_START_BYTES)
+
+
+def is_video(folder: store.DataFolder, path: str) -> bool:
+    """Return whether a file begins as a video, or is called one, so that its problem is listed."""
+    if path.lower().endswith(_VIDEO_ENDINGS):
+        return True
+    try:
+        with store.open_inside(folder, path) as stream:
+            return bool(demuxer_of(read_start(stream)))
+    except InputError:
+        return False
 
 
 def require_picture_size(width: int, height: int) -> None:
@@ -108,3 +140,60 @@ def _boxes(stream: IO[bytes]) -> Iterator[tuple[bytes, int, int]]:
         yield name, start, max(0, position + size - start)
         position = start if name in _HOLDERS else max(start, position + size)
     raise ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
+
+
+class PictureSource(Protocol):
+    """Where the pictures of a video are."""
+
+    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        """Yield some pictures of the opened file, encoded, or why one cannot be read."""
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A video; its pictures are numbered in the order in which they are shown.
+
+    Attributes
+    ----------
+    time_s : ndarray of float64, shape (n,)
+        When each picture is shown, seconds from the first; rises.
+    picture_bytes : int
+        About how many bytes an encoded picture takes.
+    conversion : str
+        What is done to its pictures; empty if they are taken as they are.
+    source : PictureSource
+        Where its pictures are.
+    """
+
+    time_s: Float64
+    picture_bytes: int
+    conversion: str
+    source: PictureSource
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def kept_jpeg(jpeg: bytes, number: int) -> bytes | ItemError:
+    """Return a JPEG as it is, or why it cannot be used."""
+    if len(jpeg) <= MAX_IMAGE_BYTES:
+        return jpeg
+    return ItemError("image", f"picture {number:,} takes more than {MAX_IMAGE_BYTES:,} bytes")
+
+
+def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:
+    """Return times from the first in seconds."""
+    since_first: Float64 = (ticks - ticks[0]).astype(np.float64)
+    return since_first * tick_s.numerator / tick_s.denominator
+
+
+@contextmanager
+def named_problems() -> Iterator[None]:
+    """Turn what FFmpeg and PyAV raise into ItemError."""
+    try:
+        yield
+    except ToolkitError:
+        raise
+    except Exception as error:  # FFmpegError is several, and PyAV raises those of the language
+        found = getattr(error, "strerror", None) or type(error).__name__
+        raise ItemError("video", f"it cannot be read ({found}); expected an intact video") from error
