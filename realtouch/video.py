@@ -1,0 +1,145 @@
+"""Videos as sequences of JPEG or PNG: their times, and any of their pictures.
+
+The JPEGs of MJPEG stay as they are. Everything else is decoded by FFmpeg (PyAV, extra ``video``) and encoded
+again (:mod:`realtouch.coded_video`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import IO
+
+from realtouch.avi_scan import AviPictures, scan_avi
+from realtouch.coded_video import coded_video
+from realtouch.video_files import (
+    Video,
+    demuxer_of,
+    kept_jpeg,
+    named_problems,
+    read_start,
+    require_bounded_boxes,
+    seconds_of,
+)
+from tactile_toolkit import store
+from tactile_toolkit.array_types import Float64
+from tactile_toolkit.errors import ItemError
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, image_size
+
+_KEPT_VIDEOS = 8
+
+
+def open_video(folder: store.DataFolder, path: str) -> Video:
+    """Find the pictures of a video; none but the first is decoded.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        The source.
+    path : str
+        Path of the file below it. What it is follows from its first bytes: AVI, MP4, MOV, Matroska, WebM or
+        MPEG-TS.
+
+    Raises
+    ------
+    ItemError
+        The file cannot be read, is damaged, exceeds the limits of :mod:`realtouch.video_files`, has several
+        streams of pictures, or asks to turn its pictures.
+    MissingExtraError
+        PyAV is needed and not installed.
+    """
+    return _open_video(folder.address(), path, folder.version(path))
+
+
+def times_s(folder: store.DataFolder, path: str) -> Float64:
+    """Return when each picture is shown, seconds from the first, shape (n,); raises as :func:`open_video`."""
+    return open_video(folder, path).time_s
+
+
+def encoded(folder: store.DataFolder, path: str, first: int, count: int) -> Iterator[bytes | ItemError]:
+    """Yield some pictures, JPEG or PNG, in the order shown; see :func:`encoded_pictures`."""
+    return encoded_pictures(folder, path, range(first, first + count))
+
+
+def encoded_pictures(
+    folder: store.DataFolder, path: str, numbers: Iterable[int]
+) -> Iterator[bytes | ItemError]:
+    """Yield some pictures of a video, encoded as JPEG, or as PNG where its codec is lossless.
+
+    Parameters
+    ----------
+    folder, path
+        As for :func:`open_video`.
+    numbers : iterable of int
+        Which pictures. As long as they rise, the file is read once.
+
+    Yields
+    ------
+    bytes or ItemError
+        The picture, or why it cannot be read: it is damaged, or depends on another that is.
+
+    Raises
+    ------
+    ItemError, MissingExtraError
+        As :func:`open_video`.
+    """
+    video = open_video(folder, path)
+    with store.open_inside(folder, path) as stream, named_problems():
+        yield from video.source.pictures(stream, numbers)
+
+
+@lru_cache(_KEPT_VIDEOS)
+def _open_video(address: str, path: str, version: object) -> Video:
+    with store.open_inside(store.open_folder(address), path) as stream:
+        return _found_video(stream)
+
+
+def _found_video(stream: IO[bytes]) -> Video:
+    start = read_start(stream)
+    demuxer = demuxer_of(start)
+    if not demuxer:
+        found = start[:12].hex(" ") or "nothing"
+        raise ItemError(
+            "container", f"a file that begins with {found}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
+        )
+    if demuxer == "avi":
+        jpegs = scan_avi(stream)
+        if jpegs is not None:
+            return _video_of_jpegs(stream, jpegs)
+    if demuxer == "mov":
+        require_bounded_boxes(stream)
+    return coded_video(stream, demuxer)
+
+
+@dataclass(frozen=True, eq=False)
+class _Jpegs:
+    """The JPEGs of an AVI, each by its place."""
+
+    found: AviPictures
+
+    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        for number in numbers:
+            stream.seek(int(self.found.starts[number]))
+            yield kept_jpeg(stream.read(min(int(self.found.sizes[number]), MAX_IMAGE_BYTES + 1)), number)
+
+
+def _video_of_jpegs(stream: IO[bytes], found: AviPictures) -> Video:
+    if not len(found.starts):
+        raise ItemError("length", "an AVI without pictures; expected one or more")
+    source = _Jpegs(found)
+    _require_one_field(next(source.pictures(stream, [0])), found.height)
+    conversion = "cut short; read up to the last whole picture" if found.is_cut else ""
+    times = seconds_of(found.slots, found.period_s)
+    return Video(times, int(found.sizes.mean()), conversion, source)
+
+
+def _require_one_field(jpeg: bytes | ItemError, height: int) -> None:
+    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
+    found = 0
+    if isinstance(jpeg, bytes):
+        with suppress(ValueError):  # damaged: it is found when it is read
+            found, _ = image_size(jpeg)
+    if found and 2 * found == height:
+        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")
