@@ -151,6 +151,8 @@ class ZarrGroup:
 
 def _fill(stated: Any, dtype: np.dtype[Any]) -> Any:
     """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
+    if dtype.kind in "SU":
+        return np.full(1, str(stated or ""), dtype)[0]
     if isinstance(stated, str):
         stated = float(stated)
     return np.full(1, stated or 0, dtype)[0]
@@ -215,24 +217,37 @@ class ZarrArray:
     def __post_init__(self) -> None:
         unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
         if unknown:
-            raise self.group.refused(
-                self.path,
+            raise self.refused(
                 f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
-                "code, lose values or are not known here; nothing was opened",
+                "code, lose values or are not known here; nothing was opened"
             )
         sizes = [*self.shape, *self.chunks]
         fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
         axes = list(range(len(self.shape)))
         fits &= sorted(self.axes) == axes == list(range(len(self.chunks)))
-        if not fits or self.dtype.kind not in "biuf" or self.separator not in ("/", "."):
-            raise self.group.refused(
-                self.path,
-                f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks",
+        fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0
+        if not fits or self.separator not in ("/", "."):
+            raise self.refused(
+                f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
             )
-        require_unpackable(self._chunk_bytes, f"{self.group.place}/{self.path}: a chunk")
+        require_unpackable(self._chunk_bytes, f"{self.place}: a chunk")
         count = math.prod(-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True))
         if count > _MOST_CHUNKS:
-            raise self.group.refused(self.path, f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
+            raise self.refused(f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
+
+    @property
+    def place(self) -> str:
+        """Address of the array, for messages."""
+        return f"{self.group.place}/{self.path}"
+
+    @property
+    def step(self) -> int:
+        """Rows that one chunk holds."""
+        return self.chunks[0]
+
+    def refused(self, problem: str) -> InputError:
+        """Return the error for an array that cannot be used."""
+        return self.group.refused(self.path, problem)
 
     @property
     def _chunk_bytes(self) -> int:
@@ -248,7 +263,7 @@ class ZarrArray:
     def rows(self, start: int, stop: int) -> AnyArray:
         """Return what lies at some places along the first axis, shape (stop - start, ...)."""
         size = (stop - start, *self.shape[1:])
-        what = f"{self.group.place}/{self.path}: {size} values"
+        what = f"{self.place}: {size} values"
         require_unpackable(math.prod(size) * self.dtype.itemsize, what)
         found = np.full(size, self.fill, self.dtype.newbyteorder("="))  # where no chunk is stored
         spans = [(start, stop), *((0, each) for each in self.shape[1:])]
