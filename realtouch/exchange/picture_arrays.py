@@ -1,5 +1,4 @@
-"""Arrays of others, an entry a picture: which axis holds channels, which values are levels of 8 bits, and
-what is said of each picture.
+"""Arrays of others: pictures, of which some axis holds the channels, and what is said of each picture.
 
 Arrays of 8 bits are taken as they are. Of all others, every value is looked at before anything is made: only
 what 8 bits hold without loss is converted.
@@ -85,6 +84,8 @@ class PictureArray:
             raise array.refused(
                 f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"
             )
+        if array.dtype.kind not in _DIVISORS:
+            raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
         most = _MOST_UNSTORED + stored // _LEAST_PICTURE_BYTES
         if len(pictures) > most:  # each takes time, though it need not take a byte
             raise array.refused(f"{len(pictures):,} pictures in {stored:,} bytes; expected at most {most:,}")
@@ -142,7 +143,7 @@ class PictureArray:
         tolerance = _LEAST_TOLERANCE
         if dtype.kind == "f":
             tolerance = max(tolerance, float(np.finfo(dtype).eps) * _MOST_LEVEL)
-        fitting = list(_DIVISORS.get(dtype.kind, ()))
+        fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
         for start in range(0, len(self), step):
             values = self._rows(start, min(start + step, len(self)))

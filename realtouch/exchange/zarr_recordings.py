@@ -1,4 +1,4 @@
-"""Groups of Zarr as recordings: an episode is a recording, and each array of ``data`` says something of it."""
+"""Groups of Zarr as recordings: an episode is a recording, and arrays of ``data`` are its columns."""
 
 from __future__ import annotations
 
