@@ -41,6 +41,8 @@ class Recording:
         Why it cannot be used.
     round : str
         Round of its clips, if that is not ``name``; pictures of a recording are always a round of their own.
+    cut : str
+        How it becomes touches by default, if the source states that; see :data:`CUTS`.
     left_out : tuple of str
         What the source says of the recording that is not imported, each with its shape or the reason.
     """
@@ -57,6 +59,7 @@ class Recording:
     time_s: Float64 | None = None
     problem: ItemError | None = None
     round: str = ""
+    cut: str = ""
     left_out: tuple[str, ...] = ()
 
     def clip(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:

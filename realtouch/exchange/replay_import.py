@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.replay import CLASSES, IDS, PIXELS
 from realtouch.exchange.zarr_recordings import (
@@ -17,6 +16,7 @@ from realtouch.exchange.zarr_recordings import (
     episodes_of,
     group_in,
     name_ours,
+    of_episodes,
     texts,
     whole_recording,
 )
@@ -41,6 +41,5 @@ def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | Non
     if len(ids) == len(ends):
         whole = name_ours(whole, _OUR_ARRAYS, texts(stated, CLASSES))
     else:
-        ids = [f"episode-{episode:06d}" for episode in range(len(ends))]
-    of_episode = {*columns.found_in(whole.per_frame).names(), NUMBERED}
-    yield from episodes_of(whole, ends, ids, of_episode)
+        ids = []
+    yield from episodes_of(whole, ends, ids, of_episodes(whole, columns))

@@ -135,6 +135,11 @@ class ZarrGroup:
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
+    def stated_shape(self, path: str) -> tuple[Any, ...]:
+        """Return what is stated as the shape of an array, unchecked; empty if there is none."""
+        found = self._stated(path)[1].get("shape")
+        return tuple(found) if isinstance(found, list) else ()
+
     def array(self, path: str) -> ZarrArray:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
@@ -307,8 +312,10 @@ class ZarrWriter(zipfile.ZipFile):
     def __enter__(self) -> Self:
         return self
 
-    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
-        """Write what Zarr states of an array."""
+    def describe(
+        self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str, fill: object = 0
+    ) -> None:
+        """Write what Zarr states of an array; ``fill`` is the value of what no chunk holds."""
         stated = {
             "zarr_format": 2,
             "shape": list(shape),
@@ -316,7 +323,7 @@ class ZarrWriter(zipfile.ZipFile):
             "dtype": dtype,
             "order": "C",
         }
-        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
+        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": fill, "filters": None}
         self.add_json(f"{path}/.zarray", stated, indent=4)
 
     def chunk(self, path: str, number: int, values: AnyArray) -> None:

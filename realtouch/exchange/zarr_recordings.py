@@ -56,9 +56,9 @@ def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str
     """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
     if named in known or (not named and len(known) == 1):
         return named or next(iter(known))
+    found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
     raise InputError(
-        f"{group.place!r} has {'no' if named else 'several'} array of pictures {named!r}; "
-        f"found {', '.join(known) or 'none'}",
+        f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
         next="name it with --map image=NAME",
     )
 
@@ -127,30 +127,35 @@ def episode_ends(group: ZarrGroup, frames: int) -> Int64:
     return ends
 
 
+def of_episodes(whole: Recording, columns: ImportColumns) -> set[str]:
+    """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
+    known = columns.found_in(whole.per_frame)
+    stated = {NUMBERED, known.label, known.object_id, known.round, known.split}
+    return {name for name, values in whole.per_frame.items() if name in stated or values.dtype.kind == "U"}
+
+
 def episodes_of(
     whole: Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
 ) -> Iterator[Recording]:
-    """Divide a recording into episodes.
+    """Divide a recording into episodes, by default called ``episode-000000`` and so on.
 
-    Text, and what ``of_episode`` names, is a value of the episode if it is the same in all its pictures, in
-    each episode.
+    What ``of_episode`` names is a value of each episode, if it never changes within one.
     """
+    names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
     starts = np.append(0, ends[:-1])
     per_frame = dict(whole.per_frame)
     lengths = ends - starts
     constant = {
         name: values[starts]
         for name, values in per_frame.items()
-        if values.ndim == 1
-        and (values.dtype.kind == "U" or name in of_episode)
-        and np.array_equal(values, np.repeat(values[starts], lengths))
+        if name in of_episode and np.array_equal(values, np.repeat(values[starts], lengths, axis=0))
     }
     times = next((per_frame[name] for name in TIMES if _rises(per_frame.get(name), starts)), None)
     per_frame = {name: values for name, values in per_frame.items() if name not in constant}
     if times is per_frame.get("time_s"):
         per_frame.pop("time_s", None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
-        values = {name: each[number].item() for name, each in constant.items()}
+        values = {name: each[number].tolist() for name, each in constant.items()}
         yield replace(
             whole,
             name=names[number],
