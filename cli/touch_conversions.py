@@ -132,11 +132,11 @@ class Export(_Options):
 
     layout: str = choice(
         MISSING,
-        ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"),
+        ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
         help="flat: Parquet, a row for each touch; webdataset: tars; lerobot: LeRobotDataset v3.0 of one "
-        "split; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; sparsh: pickled images; "
-        "anytouch: list files.",
+        "split; oxt: Zarr of FTP-1, likewise; replay: Zarr of Diffusion Policy, likewise; fota: tars of T3; "
+        "sparsh: pickled images; anytouch: list files.",
     )
     frame: str = _FRAME
 

@@ -40,6 +40,7 @@ _EXCHANGED = (
     "sparsh/*/dataset_*.*",
     "sparsh/*/bgs/bg_gs.jpg",
     "anytouch/*_bg.txt",
+    "oxt/touches.zarr.zip",
     "replay/touches.zarr.zip",
     "anytouch/touch_and_go/*/gelsight_frame/*.jpg",
 )

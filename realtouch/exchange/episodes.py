@@ -7,7 +7,7 @@ before they are read.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
@@ -40,11 +40,15 @@ def only_split(source: Source, choices: Choices, what: str) -> str:
 
 @dataclass(frozen=True)
 class Episodes:
-    """Step of the export: the frames of the episodes of a row, numbered within each."""
+    """Step of the export: the frames of the episodes of a row, numbered within each.
+
+    With ``number`` float64, poses and times keep their precision.
+    """
 
     fps: int
     size: tuple[int, int]
     names: tuple[str, ...]
+    number: pa.DataType = field(default_factory=pa.float32)
 
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
@@ -67,9 +71,9 @@ class Episodes:
             "round_id": (pa.string(), ("id",)),
             "touch": (pa.int64(), ("sensor_video",)),
             IMAGE: (MEDIA_TYPE, ("sensor_video", "sensor_image")),
-            STATE: (pa.list_(pa.float32(), 7), tuple(_POSES.values())),
-            ACTION: (pa.list_(pa.float32(), 2), ("pos_in_cell",)),
-            TIME: (pa.float32(), ("time_stamp_rel_seq",)),
+            STATE: (pa.list_(self.number, 7), tuple(_POSES.values())),
+            ACTION: (pa.list_(self.number, 2), ("pos_in_cell",)),
+            TIME: (self.number, ("time_stamp_rel_seq",)),
             "label": (pa.int64(), ("id",)),
             "object_id": (pa.int64(), ("object_id",)),
             "timestamp": (pa.float32(), ("id",)),
@@ -88,7 +92,7 @@ class Episodes:
                 self._require_size(row, number, image)
             count, start = len(images), f"{name}_{touch or 0:03d}"
             if row.has("pos_in_cell"):
-                columns[ACTION] = _vectors(row.intended_positions()[touches])
+                columns[ACTION] = self._vectors(row.intended_positions()[touches])
             image_names = [f"{start}_{frame:04d}" for frame in range(count)]
             columns |= {
                 "id": image_names,
@@ -112,7 +116,7 @@ class Episodes:
             row.entries_of("sensor_image")
             images = SensorImages(row)
             if len(images) and row.has(_POSES["single"]):
-                columns[STATE] = _states(row.poses())
+                columns[STATE] = self._states(row.poses())
             if len(images):
                 touches = list(range(len(images)))
                 yield None, touches, list(map(images.encoded, touches)), columns
@@ -120,10 +124,10 @@ class Episodes:
         for touch in range(row.touch_total()):
             clip, columns = TouchClip(row, touch), {}
             if row.has(_POSES["seq"]):
-                columns[STATE] = _states(row.pose_sequences(touch)[0])
+                columns[STATE] = self._states(row.pose_sequences(touch)[0])
             times_s = row.stamps_s(touch)
             if times_s is not None:
-                columns[TIME] = times_s[0].astype(np.float32)
+                columns[TIME] = times_s[0].astype(self.number.to_pandas_dtype())
             yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
@@ -137,11 +141,9 @@ class Episodes:
                 next="make them alike with `realtouch resize`",
             )
 
+    def _states(self, pose: Poses) -> pa.Array:
+        return self._vectors(np.hstack([pose.position_m, pose.quaternion]))
 
-def _states(pose: Poses) -> pa.Array:
-    return _vectors(np.hstack([pose.position_m, pose.quaternion]))
-
-
-def _vectors(values: AnyArray) -> pa.Array:
-    flat = np.ascontiguousarray(values, np.float32).reshape(-1)
-    return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])
+    def _vectors(self, values: AnyArray) -> pa.Array:
+        flat = np.ascontiguousarray(values, self.number.to_pandas_dtype()).reshape(-1)
+        return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
 T = TypeVar("T")
-ExportLayout = Literal["flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch"]
+ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"]
 EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
 
 
@@ -43,12 +43,13 @@ def export(
         ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
         LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
-        holds one split. ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
+        holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of FTP-1, of the same frames as pixels.
+        ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
         reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
         lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
     frame : str
-        Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"`` and
-        ``"replay"`` take all.
+        Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,
+        ``"oxt"`` and ``"replay"`` take all.
 
     Returns
     -------

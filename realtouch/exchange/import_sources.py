@@ -60,7 +60,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         format_ = recognised(place)
     layout = format_.layout
     every = _found(home, layout, columns, reading.table)
-    touches = chain.from_iterable(_touches(each, reading.cut or IMPORTS[layout].cut) for each in every)
+    touches = chain.from_iterable(_touches(each, reading.cut, IMPORTS[layout].cut) for each in every)
     items = [item.checked(number) for number, item in enumerate(touches)]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
@@ -91,7 +91,7 @@ def _known(item: FoundTouch) -> Iterable[str]:
     ]
 
 
-def _touches(found: FoundTouch | Recording, cut: str) -> Iterable[FoundTouch]:
+def _touches(found: FoundTouch | Recording, cut: str | None, default: str) -> Iterable[FoundTouch]:
     if isinstance(found, Recording):
-        return touches_of(found, cut)
+        return touches_of(found, cut or found.cut or default)
     return [found]

@@ -44,6 +44,12 @@ class Recording:
         Time of each picture, seconds; rises.
     problem : ItemError or None
         Why it cannot be used.
+    round : str
+        Round of its clips, if that is not ``name``; pictures of a recording are always a round of their own.
+    cut : str
+        How it becomes touches by default, if the source states that; see :data:`CUTS`.
+    left_out : tuple of str
+        What the source says of the recording that is not imported, each with its shape or the reason.
     """
 
     name: str
@@ -57,6 +63,9 @@ class Recording:
     per_frame: Mapping[str, AnyArray] = field(default_factory=dict)
     time_s: Float64 | None = None
     problem: ItemError | None = None
+    round: str = ""
+    cut: str = ""
+    left_out: tuple[str, ...] = ()
 
     def clip(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
         """Return some pictures as a touch; ``contact`` counts from the first of these."""
@@ -66,7 +75,7 @@ class Recording:
             self.path,
             self.first + start,
             self.frame_bytes * (stop - start),
-            {"round_id": self.name, **self.values},
+            {"round_id": self.round or self.name, **self.values},
             self.problem,
             part=self.part,
             frames=stop - start,

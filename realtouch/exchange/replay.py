@@ -12,9 +12,10 @@ from __future__ import annotations
 import hashlib
 import shutil
 import tempfile
+from abc import ABC, abstractmethod
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import IO
+from typing import IO, ClassVar
 
 import numpy as np
 import pyarrow as pa
@@ -27,15 +28,15 @@ from realtouch.exchange.zarr_arrays import ZarrWriter
 from realtouch.stored_round import stored_rows
 from realtouch.touch import touch_id
 from tactile_toolkit import read, store
-from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.array_types import AnyArray, Int64
 
 _FOLDER = "replay"
-_FILE = f"{_FOLDER}/touches.zarr.zip"
 PIXELS = "data/tactile"
 ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
 IDS, CLASSES = "round_ids", "class_names"  # attributes of ``meta`` in what is written here
+_PICTURE = {IMAGE, f"{IMAGE}.bytes", f"{IMAGE}.path"}
 _ARRAYS = {STATE: "state", ACTION: "action", TIME: "time_s", "label": "label", "object_id": "object_id"}
-_CHUNK_BYTES = 2 << 20
+CHUNK_BYTES = 2 << 20
 _IN_MEMORY_BYTES = 64 << 20
 
 
@@ -55,11 +56,14 @@ def _copy(source: IO[bytes], target: IO[bytes]) -> None:
 
 
 @dataclass(frozen=True)
-class _WriteBuffer:
-    """Writes the group, once the frames of all shards are there."""
+class WriteGroup(ABC):
+    """Writes a zipped group of all frames, once those of all shards are there."""
 
     size: tuple[int, int]
     names: tuple[str, ...]
+    file: ClassVar[str]
+    pictures: ClassVar[str]
+    sensors: ClassVar[tuple[int, ...]] = ()  # length of the axis of sensors, where there is one
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of the file by its path; an unchanged file is not written again."""
@@ -70,34 +74,59 @@ class _WriteBuffer:
             self._write(made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
-            if not store.is_unchanged(folder, _FILE, digest):
-                folder.write(_FILE, lambda stream: _copy(made, stream))
-        return {_FILE: digest}
+            if not store.is_unchanged(folder, self.file, digest):
+                folder.write(self.file, lambda stream: _copy(made, stream))
+        return {self.file: digest}
+
+    @abstractmethod
+    def add_columns(self, group: ZarrWriter, table: pa.Table, starts: Int64) -> None:
+        """Add all arrays but the pictures; ``table`` has a row a frame, ``starts`` those of episodes."""
 
     def _write(self, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
-        names = [name for name in _ARRAYS if name in shards[0].types]
-        more = [name for name in ("round_id", "touch", "frame_index") if name in shards[0].types]
-        table = pa.concat_tables([shard.read(columns=[*names, *more]) for shard in shards])
+        table = pa.concat_tables(
+            [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
+        )
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
-        arrays = {f"data/{_ARRAYS[name]}": _numbers(table[name].combine_chunks()) for name in names}
-        arrays[ENDS] = np.append(starts[1:], len(table)).astype("<i8")
-        shape = (len(table), *self.size, 3)
-        length = max(1, _CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
+        shape = (len(table), *self.sensors, *self.size, 3)
+        length = max(1, CHUNK_BYTES // (3 * self.size[0] * self.size[1]))
         with ZarrWriter(stream, ("data", "meta")) as group:
-            group.add_json(ATTRIBUTES, {IDS: _episode_ids(table.take(starts)), CLASSES: self.names})
-            for path, values in arrays.items():
-                group.describe(path, values.shape, values.shape, values.dtype.str)
-                group.chunk(path, 0, values)
-            group.describe(PIXELS, shape, (length, *shape[1:]), "|u1")
-            chunk = np.zeros((length, *shape[1:]), np.uint8)
+            self.add_columns(group, table, starts)
+            group.describe(self.pictures, shape, (length, *shape[1:]), "|u1")
+            chunk = np.zeros((length, *self.size, 3), np.uint8)
             for number, image in enumerate(_images(shards)):
                 decoded(image["bytes"], image["path"], chunk[number % length])
                 if (number + 1) % length == 0 or number + 1 == len(table):
                     chunk[number % length + 1 :] = 0  # as a chunk is filled behind the end
-                    group.chunk(PIXELS, number // length, chunk)
+                    group.chunk(self.pictures, number // length, chunk.reshape(length, *shape[1:]))
 
 
-def _episode_ids(firsts: pa.Table) -> list[str]:
+@dataclass(frozen=True)
+class _WriteBuffer(WriteGroup):
+    """Writes a replay buffer."""
+
+    file = f"{_FOLDER}/touches.zarr.zip"
+    pictures = PIXELS
+
+    def add_columns(self, group: ZarrWriter, table: pa.Table, starts: Int64) -> None:
+        """Add poses, positions, times and labels, each as one chunk."""
+        group.add_json(ATTRIBUTES, {IDS: episode_ids(table.take(starts)), CLASSES: self.names})
+        arrays = {
+            f"data/{array}": numbers(table[name].combine_chunks())
+            for name, array in _ARRAYS.items()
+            if name in table.schema.names
+        }
+        arrays[ENDS] = ends_of(table, starts)
+        for path, values in arrays.items():
+            group.describe(path, values.shape, values.shape, values.dtype.str)
+            group.chunk(path, 0, values)
+
+
+def ends_of(table: pa.Table, starts: Int64) -> AnyArray:
+    """Return the number of the frame behind each episode."""
+    return np.append(starts[1:], len(table)).astype("<i8")
+
+
+def episode_ids(firsts: pa.Table) -> list[str]:
     """Return the ids of the rounds that episodes are, or of the touches whose clips they are."""
     names: list[str] = firsts["round_id"].to_pylist()
     if "touch" not in firsts.schema.names:
@@ -110,9 +139,9 @@ def _images(shards: Sequence[read.Shard]) -> Iterator[StoredImage]:
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
-def _numbers(values: pa.Array) -> AnyArray:
+def numbers(values: pa.Array) -> AnyArray:
     """Return numbers, or lists of equal length, as an array, little end first."""
     if pa.types.is_fixed_size_list(values.type):
-        return _numbers(values.flatten()).reshape(len(values), -1)
+        return numbers(values.flatten()).reshape(len(values), -1)
     found: AnyArray = values.to_numpy()
     return found.astype(found.dtype.newbyteorder("<"))

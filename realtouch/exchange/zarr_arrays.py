@@ -135,6 +135,11 @@ class ZarrGroup:
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
+    def stated_shape(self, path: str) -> tuple[Any, ...]:
+        """Return what is stated as the shape of an array, unchecked; empty if there is none."""
+        found = self._stated(path)[1].get("shape")
+        return tuple(found) if isinstance(found, list) else ()
+
     def array(self, path: str) -> ZarrArray:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
@@ -151,6 +156,8 @@ class ZarrGroup:
 
 def _fill(stated: Any, dtype: np.dtype[Any]) -> Any:
     """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
+    if dtype.kind in "SU":
+        return np.full(1, str(stated or ""), dtype)[0]
     if isinstance(stated, str):
         stated = float(stated)
     return np.full(1, stated or 0, dtype)[0]
@@ -215,24 +222,37 @@ class ZarrArray:
     def __post_init__(self) -> None:
         unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
         if unknown:
-            raise self.group.refused(
-                self.path,
+            raise self.refused(
                 f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
-                "code, lose values or are not known here; nothing was opened",
+                "code, lose values or are not known here; nothing was opened"
             )
         sizes = [*self.shape, *self.chunks]
         fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
         axes = list(range(len(self.shape)))
         fits &= sorted(self.axes) == axes == list(range(len(self.chunks)))
-        if not fits or self.dtype.kind not in "biuf" or self.separator not in ("/", "."):
-            raise self.group.refused(
-                self.path,
-                f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks",
+        fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0
+        if not fits or self.separator not in ("/", "."):
+            raise self.refused(
+                f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
             )
-        require_unpackable(self._chunk_bytes, f"{self.group.place}/{self.path}: a chunk")
+        require_unpackable(self._chunk_bytes, f"{self.place}: a chunk")
         count = math.prod(-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True))
         if count > _MOST_CHUNKS:
-            raise self.group.refused(self.path, f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
+            raise self.refused(f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
+
+    @property
+    def place(self) -> str:
+        """Address of the array, for messages."""
+        return f"{self.group.place}/{self.path}"
+
+    @property
+    def step(self) -> int:
+        """Rows that one chunk holds."""
+        return self.chunks[0]
+
+    def refused(self, problem: str) -> InputError:
+        """Return the error for an array that cannot be used."""
+        return self.group.refused(self.path, problem)
 
     @property
     def _chunk_bytes(self) -> int:
@@ -248,7 +268,7 @@ class ZarrArray:
     def rows(self, start: int, stop: int) -> AnyArray:
         """Return what lies at some places along the first axis, shape (stop - start, ...)."""
         size = (stop - start, *self.shape[1:])
-        what = f"{self.group.place}/{self.path}: {size} values"
+        what = f"{self.place}: {size} values"
         require_unpackable(math.prod(size) * self.dtype.itemsize, what)
         found = np.full(size, self.fill, self.dtype.newbyteorder("="))  # where no chunk is stored
         spans = [(start, stop), *((0, each) for each in self.shape[1:])]
@@ -292,8 +312,10 @@ class ZarrWriter(zipfile.ZipFile):
     def __enter__(self) -> Self:
         return self
 
-    def describe(self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str) -> None:
-        """Write what Zarr states of an array."""
+    def describe(
+        self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str, fill: object = 0
+    ) -> None:
+        """Write what Zarr states of an array; ``fill`` is the value of what no chunk holds."""
         stated = {
             "zarr_format": 2,
             "shape": list(shape),
@@ -301,7 +323,7 @@ class ZarrWriter(zipfile.ZipFile):
             "dtype": dtype,
             "order": "C",
         }
-        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": 0, "filters": None}
+        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": fill, "filters": None}
         self.add_json(f"{path}/.zarray", stated, indent=4)
 
     def chunk(self, path: str, number: int, values: AnyArray) -> None:

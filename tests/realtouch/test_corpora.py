@@ -136,7 +136,7 @@ def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last of the ends says."""
-    monkeypatch.setattr("realtouch.exchange.replay._CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.exchange.replay.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
     with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:
         for path in ("", "data/", "meta/"):

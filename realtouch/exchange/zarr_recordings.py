@@ -1,0 +1,196 @@
+"""Groups of Zarr as recordings: an episode is a recording, and arrays of ``data`` are its columns."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from realtouch.exchange.fields import NUMBERED
+from realtouch.exchange.found_touches import FoundTouch, source_of
+from realtouch.exchange.picture_arrays import PictureArray, columns_of, encoded_pictures
+from realtouch.exchange.recordings import Recording
+from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
+from realtouch.touch_options import ImportColumns
+from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.errors import InputError, ItemError
+
+DATA, ENDS, ATTRIBUTES = "data", "meta/episode_ends", "meta/.zattrs"
+TIMES = ("time_s", "timestamps", "timestamp")
+"""Arrays that hold the time of each picture, the first that is known; floats count seconds."""
+
+_ENDINGS = (".zarr", ".zarr.zip")
+_ENDS_SHOWN = 8
+_MOST_ARRAYS = 500
+
+
+def group_in(home: store.DataFolder) -> ZarrGroup:
+    """Return the group that a folder or zip is, or the only one that it holds."""
+    if home.address().lower().endswith(".zip"):
+        return ZarrGroup(*source_of(home.address()))
+    if home.exists(".zgroup") or home.exists("zarr.json"):
+        return ZarrGroup(home, "")
+    names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
+    if len(names) != 1:
+        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
+    return ZarrGroup(home, names[0])
+
+
+def data_names(group: ZarrGroup) -> list[str]:
+    """List the arrays of ``data``; InputError without any, or for too many."""
+    names = group.arrays(DATA)
+    if not 0 < len(names) <= _MOST_ARRAYS:
+        found = f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'"
+        raise InputError(
+            f"{found}; expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
+            next="give the group itself; a zip holds what is inside of the group's folder",
+        )
+    return names
+
+
+def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str:
+    """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
+    if named in known or (not named and len(known) == 1):
+        return named or next(iter(known))
+    found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
+    raise InputError(
+        f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
+        next="name it with --map image=NAME",
+    )
+
+
+def whole_recording(
+    group: ZarrGroup, names: Sequence[str], pictures: tuple[str, int | None], columns: ImportColumns
+) -> Recording:
+    """Return all episodes as one recording, given its pictures: an array, and which sensor of it.
+
+    InputError for pictures that are none, and for a column that was named and is not one.
+    """
+    name, sensor = pictures
+    shown = PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
+    wanted = {*columns.found_in(names).names(), NUMBERED}
+    arrays: dict[str, ZarrArray] = {}
+    left_out = []
+    for each in names:
+        try:
+            arrays[each] = group.array(f"{DATA}/{each}")
+        except InputError as error:
+            if each in wanted:
+                raise
+            left_out.append(f"{each} ({error.what})")
+    del arrays[name]
+    per_frame, others = columns_of(arrays, len(shown), wanted)
+    return Recording(
+        name,
+        group.home.address(),
+        group.path,
+        f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}",
+        0,
+        len(shown),
+        math.prod(shown.shape[1:]),
+        per_frame=per_frame,
+        left_out=(*left_out, *others),
+    )
+
+
+def open_pictures(item: FoundTouch) -> PictureArray:
+    """Open the pictures that an item is one of."""
+    divisor, sensor, name = item.part.split(" ", 2)
+    array = ZarrGroup(store.open_folder(item.home), item.path).array(name)
+    return PictureArray(array, float(divisor), int(sensor) if sensor else None)
+
+
+def describe_conversion(items: Sequence[FoundTouch]) -> str:
+    """Return what is done to the pictures of a group; empty if they are taken as they are."""
+    return open_pictures(items[0]).described()
+
+
+def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
+    """Yield the pixels of each picture of some items as PNG, in order."""
+    return encoded_pictures(items, open_pictures)
+
+
+def episode_ends(group: ZarrGroup, frames: int) -> Int64:
+    """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
+    array = group.array(ENDS)
+    ends = np.zeros(0, np.int64)
+    if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
+        ends = array.rows(0, array.shape[0]).astype(np.int64)
+    if not len(ends) or ends[-1] != frames or (np.diff(ends, prepend=0) <= 0).any():
+        found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
+        expected = f"integers that rise to {frames:,}, the number of frames"
+        raise array.refused(f"episodes end at {found}; expected {expected}")
+    return ends
+
+
+def of_episodes(whole: Recording, columns: ImportColumns) -> set[str]:
+    """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
+    known = columns.found_in(whole.per_frame)
+    stated = {NUMBERED, known.label, known.object_id, known.round, known.split}
+    return {name for name, values in whole.per_frame.items() if name in stated or values.dtype.kind == "U"}
+
+
+def episodes_of(
+    whole: Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
+) -> Iterator[Recording]:
+    """Divide a recording into episodes, by default called ``episode-000000`` and so on.
+
+    What ``of_episode`` names is a value of each episode, if it never changes within one.
+    """
+    names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
+    starts = np.append(0, ends[:-1])
+    per_frame = dict(whole.per_frame)
+    lengths = ends - starts
+    constant = {
+        name: values[starts]
+        for name, values in per_frame.items()
+        if name in of_episode and np.array_equal(values, np.repeat(values[starts], lengths, axis=0))
+    }
+    times = next((per_frame[name] for name in TIMES if _rises(per_frame.get(name), starts)), None)
+    per_frame = {name: values for name, values in per_frame.items() if name not in constant}
+    if times is per_frame.get("time_s"):
+        per_frame.pop("time_s", None)
+    for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
+        values = {name: each[number].tolist() for name, each in constant.items()}
+        yield replace(
+            whole,
+            name=names[number],
+            first=whole.first + start,
+            frames=end - start,
+            values={**whole.values, **values},
+            per_frame={name: each[start:end] for name, each in per_frame.items()},
+            time_s=None if times is None else times[start:end].astype(np.float64),
+        )
+
+
+def _rises(times: AnyArray | None, starts: Int64) -> bool:
+    """Return whether an array holds seconds that rise in each episode."""
+    if times is None or times.dtype.kind != "f" or times.ndim != 1 or not np.isfinite(times).all():
+        return False
+    falls = np.flatnonzero(times[1:] < times[:-1]) + 1
+    return bool(np.isin(falls, starts).all())
+
+
+def texts(stated: Mapping[str, object], name: str) -> list[str]:
+    """Return a list of texts that attributes state; empty if they do not."""
+    found = stated.get(name)
+    return [str(each) for each in found] if isinstance(found, list) else []
+
+
+def name_ours(
+    whole: Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
+) -> Recording:
+    """Return a recording that this toolkit wrote with its columns named as in its tables."""
+    per_frame = dict(whole.per_frame)
+    for name, names in vectors.items():
+        if name in per_frame:
+            per_frame |= dict(zip(names, np.atleast_2d(per_frame.pop(name).T), strict=False))
+    label = per_frame.get(NUMBERED)
+    if label is not None and label.dtype.kind in "iu" and label.ndim == 1:
+        known = np.array([*class_names, ""])
+        per_frame[f"{NUMBERED}_name"] = known[np.where((label >= 0) & (label < len(class_names)), label, -1)]
+    return replace(whole, per_frame=per_frame)

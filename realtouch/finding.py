@@ -1,0 +1,34 @@
+"""What a check of recordings reports."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that is wrong with a recording.
+
+    Attributes
+    ----------
+    rule : str
+        Name of the rule, for example ``frozen-frames``.
+    found, expected : str
+        The value found and the threshold, each with its unit.
+    where : str
+        Split, round or file concerned.
+    touches : tuple of str
+        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``) in data sets and as a path in other formats.
+    count : int
+        Number of all touches concerned.
+    next : str
+        A sentence with the next step.
+    """
+
+    rule: str
+    found: str
+    expected: str
+    where: str
+    touches: tuple[str, ...] = ()
+    count: int = 0
+    next: str = ""

@@ -1,0 +1,211 @@
+"""Open-X-Tactile, the Zarr of FTP-1: written as its contract says, read back, and recordings of others."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import realtouch
+from realtouch.exchange.found_touches import IMPORTS
+from realtouch.exchange.recordings import Recording
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError
+from tests.command_line import call
+
+zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
+
+T, H, W = 7, 12, 16
+ENDS = np.array([4, 7])
+RANDOM = np.random.default_rng(5)
+PADS = RANDOM.integers(0, 256, (T, 2, H, W, 3), np.uint8)
+TIPS = RANDOM.integers(0, 256, (T, 1, H, W, 3), np.uint8)
+
+
+def tactile(side: str, group: str, data: Any, kind: str = "image", sensor: str = "GelSightMini") -> Any:
+    """Return the four members of a group."""
+    count = data.shape[1]
+    return {
+        f"{side}_tactile_data_{group}": data,
+        f"{side}_tactile_area_{group}": np.tile(np.arange(count), (T, 1)),
+        f"{side}_tactile_sensor_{group}": np.full(T, sensor),
+        f"{side}_tactile_type_{group}": np.full(T, kind),
+    }
+
+
+def arrays(**changes: Any) -> dict[str, Any]:
+    """Return the arrays of a set of another laboratory; ``None`` leaves one out."""
+    found = {
+        "timestamps": np.array([0, 0.1, 0.2, 0.35, 0, 0.1, 0.2]),
+        "camera_ego_rgb": np.zeros((T, 20, 20, 3), np.uint8),
+        "right_wrist_pose": RANDOM.normal(size=(T, 6)),
+        "right_hand_joints": RANDOM.normal(size=(T, 1)).astype(np.float32),
+        "right_hand_joints_idx": np.full((T, 1), 28, np.int32),
+        "sub_task_instruction": np.repeat(["lift the bottle", "wipe"], [4, 3]),
+        **tactile("right", "gripper", PADS),
+        **tactile("left", "force", RANDOM.normal(size=(T, 4, 2)), "state", "InspireHand"),
+    }
+    return {name: values for name, values in (found | changes).items() if values is not None}
+
+
+def write(path: Path, data: dict[str, Any], ends: Any = ENDS) -> Path:
+    """Write a set by the package zarr: a folder, or a stored zip for a name that ends so."""
+    store_ = zarr.storage.ZipStore(path, mode="w") if path.suffix == ".zip" else str(path)
+    group = zarr.open_group(store_, mode="w", zarr_format=2)
+    for name, values in {**{f"data/{name}": data[name] for name in data}, "meta/episode_ends": ends}.items():
+        values = np.asarray(values)
+        group.create_array(name, data=values, chunks=(min(3, len(values)), *values.shape[1:]))
+    if path.suffix == ".zip":
+        group.store.close()
+    return path
+
+
+def recordings(source: Path, image: str = "file", layout: str = "oxt") -> list[Recording]:
+    columns = realtouch.ImportColumns(image=image)
+    return list(IMPORTS[layout].find(store.open_folder(str(source)), columns, None))
+
+
+def decoded(touches: Any) -> np.ndarray:
+    return np.stack([touch.image for touch in touches])
+
+
+@pytest.fixture(params=["single", "seq"])
+def source(request: pytest.FixtureRequest) -> Path:
+    return request.getfixturevalue(f"{request.param}_folder")
+
+
+def test_the_contract_holds_for_what_is_written(
+    source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As the loader of FTP-1 opens it, by the package zarr: rows a frame, four members of each group."""
+    monkeypatch.setattr("realtouch.exchange.replay.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.exchange.oxt.CHUNK_BYTES", 500)
+    realtouch.export(source, tmp_path / "a", "oxt", split="train")
+    path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
+    with zipfile.ZipFile(path) as archive:
+        assert {each.compress_type for each in archive.infolist()} == {zipfile.ZIP_STORED}
+    group = zarr.open_group(zarr.storage.ZipStore(path, mode="r"), mode="r")
+    data, ends = {name: array[:] for name, array in group["data"].arrays()}, group["meta/episode_ends"][:]
+    assert {len(values) for values in data.values()} == {ends[-1]}
+    rounds = list(realtouch.load(source, "train"))
+    touches = list(realtouch.load(source, "train").touches())
+    if isinstance(rounds[0], realtouch.TouchSeqRound):
+        pixels = np.concatenate([touch.clip.frames() for touch in touches])
+        poses = [pose for touch in touches for pose in touch.clip.poses]
+        np.testing.assert_array_equal(
+            data["timestamps"], np.concatenate([touch.clip.timestamps_s for touch in touches])
+        )
+        labels = np.repeat([touch.label for touch in touches], [len(touch.clip) for touch in touches])
+        assert np.diff(ends, prepend=0).tolist() == [len(touch.clip) for touch in touches]
+    else:
+        pixels, poses = decoded(touches), [touch.gel_pose for touch in touches]
+        labels = np.array([touch.label for touch in touches])
+        assert np.diff(ends, prepend=0).tolist() == [each.touch_count for each in rounds]
+    np.testing.assert_array_equal(data["right_tactile_data_gelsight"], pixels[:, None])
+    assert data["right_tactile_area_gelsight"].tolist() == [[0]] * len(pixels)
+    assert set(data["right_tactile_sensor_gelsight"]) == {"GelSightMini"}
+    assert set(data["right_tactile_type_gelsight"]) == {"image"}
+    expected = np.array([[*pose.translation, *pose.rotation.as_rotvec()] for pose in poses])
+    np.testing.assert_allclose(data["right_wrist_pose"], expected, rtol=0, atol=1e-11)
+    assert data["sub_task_instruction"].tolist() == [f"touch an object of class {each}" for each in labels]
+    assert not data["camera_main_rgb"].any()
+    assert "black pictures" in group["meta"].attrs["what_stands_for"]["camera_main_rgb"]
+    assert realtouch.verify(tmp_path / "a").ok
+    realtouch.export(source, tmp_path / "b", "oxt", split="train")
+    assert (tmp_path / "b" / "oxt" / "touches.zarr.zip").read_bytes() == path.read_bytes()
+
+
+def test_what_is_written_comes_back(source: Path, tmp_path: Path) -> None:
+    realtouch.export(source, tmp_path / "there", "oxt", split="train")
+    assert call("realtouch", "import", tmp_path / "there", "--out", tmp_path / "back") == 0
+    before, after = (realtouch.load(each, "train") for each in (source, tmp_path / "back"))
+    assert before.ids.tolist() == after.ids.tolist()
+    assert before.labels.tolist() == after.labels.tolist()
+    assert before.label_names == after.label_names
+    for old, new in zip(before.touches(), after.touches(), strict=True):
+        assert type(old.round) is type(new.round)
+        assert (old.id, old.object_id) == (new.id, new.object_id)
+        np.testing.assert_array_equal(old.pos_in_cell_m, new.pos_in_cell_m)
+        if isinstance(old.round, realtouch.TouchSeqRound):
+            np.testing.assert_array_equal(old.clip.poses.position_m, new.clip.poses.position_m)
+            np.testing.assert_array_equal(old.clip.poses.quaternion, new.clip.poses.quaternion)
+            np.testing.assert_allclose(old.clip.timestamps_s, new.clip.timestamps_s, rtol=0, atol=1e-6)
+            error = old.clip.frames().astype(float) - new.clip.frames()
+            assert np.abs(error).mean() < 3
+        else:
+            np.testing.assert_array_equal(old.image, new.image)
+            np.testing.assert_array_equal(old.gel_pose.translation, new.gel_pose.translation)
+            np.testing.assert_array_equal(old.gel_pose.quaternion, new.gel_pose.quaternion)
+
+
+@pytest.mark.parametrize("name", ["task.zarr", "task.zarr.zip"])
+def test_a_set_of_others_becomes_recordings(name: str, tmp_path: Path) -> None:
+    """Every array with a row a frame is a column by its own name; texts of whole episodes are values."""
+    data = arrays(left_tactile_data_tip=TIPS)
+    source = write(tmp_path / name, data)
+    first, second = recordings(source, "right_tactile_data_gripper[1]")
+    assert (first.frames, second.frames, second.first) == (4, 3, 4)
+    assert first.values == {
+        "sub_task_instruction": "lift the bottle",
+        "right_tactile_sensor_gripper": "GelSightMini",
+        "right_tactile_type_gripper": "image",
+        "left_tactile_sensor_force": "InspireHand",
+        "left_tactile_type_force": "state",
+    }
+    assert second.values["sub_task_instruction"] == "wipe"
+    for each, part in ((first, slice(0, 4)), (second, slice(4, 7))):
+        for column, values in each.per_frame.items():
+            wanted = np.asarray(data[column][part]).reshape(values.shape)
+            np.testing.assert_array_equal(values, wanted, err_msg=column)
+        np.testing.assert_array_equal(each.time_s, data["timestamps"][part])
+    assert {"right_wrist_pose", "left_tactile_data_force", "right_tactile_area_gripper"} <= {*first.per_frame}
+    assert first.left_out == ("camera_ego_rgb (7, 20, 20, 3)", "left_tactile_data_tip (7, 1, 12, 16, 3)")
+    columns = realtouch.ImportColumns(image="right_tactile_data_gripper[1]")
+    realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    touches = realtouch.load(tmp_path / "out", "train").touches()
+    np.testing.assert_array_equal(decoded(touches), PADS[:, 1])
+    assert set(touches.labels.tolist()) == {-1}
+
+
+def test_the_sensor_is_named_where_there_are_several(tmp_path: Path) -> None:
+    two = r"right_tactile_data_gripper\[0\], right_tactile_data_gripper\[1\]"
+    source = write(tmp_path / "a.zarr", arrays())
+    with pytest.raises(InputError, match=f"not one array of pictures.*{two}.*--map image"):
+        recordings(source)
+    for name in ("right_tactile_data_gripper", "right_tactile_data_gripper[2]", "camera_ego_rgb"):
+        with pytest.raises(InputError, match=f"no array of pictures .*{two}"):
+            recordings(source, name)
+    only = {name: None for name in arrays() if "gripper" in name} | tactile("left", "tip", TIPS)
+    (first, _) = recordings(write(tmp_path / "b.zarr", arrays(**only)))
+    assert first.part.endswith("data/left_tactile_data_tip")
+    with pytest.raises(InputError, match="found none"):
+        recordings(write(tmp_path / "c.zarr", {"timestamps": np.arange(T)}))
+
+
+def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> None:
+    for number, (times, is_known) in enumerate(
+        (
+            (np.arange(T), False),  # of an integer, the unit is not known
+            (np.array([0, 0.1, 0.2, 0.1, 0, 1, 2]), False),
+            (np.array([5, 6, 7, 8, 1, 1, 2.0]), True),
+            (np.array([0, np.nan, 2, 3, 0, 1, 2]), False),
+        )
+    ):
+        source = write(tmp_path / f"{number}.zarr", arrays(timestamps=times))
+        first, _ = recordings(source, "right_tactile_data_gripper[0]")
+        assert (first.time_s is not None) == is_known
+        np.testing.assert_array_equal(first.per_frame["timestamps"], times[:4])
+
+
+def test_text_that_is_none_is_refused(tmp_path: Path) -> None:
+    source = write(tmp_path / "a.zarr", arrays(sub_task_instruction=np.full(T, "abc")))
+    for chunk in (source / "data" / "sub_task_instruction").glob("[0-9]*"):
+        chunk.write_bytes(np.full(9, 0xDFFF, "<u4").tobytes())
+    stated = source / "data" / "sub_task_instruction" / ".zarray"
+    stated.write_text(json.dumps(json.loads(stated.read_text()) | {"compressor": None}))
+    with pytest.raises(InputError, match="letters that are not Unicode"):
+        recordings(source, "right_tactile_data_gripper[0]")
