@@ -69,7 +69,7 @@ class Episodes:
             IMAGE: (MEDIA_TYPE, ("sensor_video", "sensor_image")),
             STATE: (pa.list_(pa.float32(), 7), tuple(_POSES.values())),
             ACTION: (pa.list_(pa.float32(), 2), ("pos_in_cell",)),
-            TIME: (pa.float32(), ("time_stamp_rel_seq",)),
+            TIME: (pa.float64(), ("time_stamp_rel_seq",)),
             "label": (pa.int64(), ("label",)),
             "object_id": (pa.int64(), ("object_id",)),
             "timestamp": (pa.float32(), ("id",)),
@@ -123,7 +123,7 @@ class Episodes:
                 columns[STATE] = _states(row.pose_sequences(touch)[0])
             times_s = row.stamps_s(touch)
             if times_s is not None:
-                columns[TIME] = times_s[0].astype(np.float32)
+                columns[TIME] = times_s[0]
             yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
