@@ -6,6 +6,7 @@ A row is a touch, with its picture in a column of bytes, or of ``bytes`` and ``p
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
+
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
 from realtouch.exchange.found_touches import FoundTouch, path_of, source_of
 from realtouch.touch_options import ImportColumns
@@ -36,7 +37,7 @@ def find_flat(home: store.DataFolder, columns: ImportColumns, table: str | None)
 
 
 def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
-    """Return the folder and the paths of its Parquet files, or one that is a file itself; InputError for none."""
+    """Return the folder and the paths of its Parquet files, or of one that is named itself."""
     if home.address().endswith(_ENDING):
         home, name = source_of(home.address())
         return home, [name]
@@ -51,10 +52,11 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
     for stored in MEDIA_COLUMN.values():
         if stored in parquet.types:
             raise InputError(
-                f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, which needs no import",
+                f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
+                "which needs no import",
                 next="open the data set by its folder, as with `realtouch info`",
             )
-    known = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
+    known: list[str] = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
     chosen = [column for column in known if name in ("", column)]
     if len(chosen) == 1:
         return chosen[0]
@@ -66,16 +68,14 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
     )
 
 
-def _touches(
-    home: store.DataFolder, path: str, parquet: ForeignParquet, column: str
-) -> Iterator[FoundTouch]:
+def _touches(home: store.DataFolder, path: str, parquet: ForeignParquet, column: str) -> Iterator[FoundTouch]:
     names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
     stated: dict[str, object] = {}
     if shard is not None and _SPLIT not in names:
         stated[_SPLIT] = shard.split
-    left_out = _OF_ORDER if _OURS <= {*names} else ()
+    left_out = _OF_ORDER if {*names} >= _OURS else ()
     for number, row in enumerate(parquet.rows([*names, f"{column}.path"])):
         name = _base_name(row.pop(column, None)) or f"{stem}_{number:06d}"
         values = {**stated, **{key: value for key, value in row.items() if key not in left_out}}

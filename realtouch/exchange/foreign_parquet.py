@@ -33,7 +33,7 @@ def is_picture(data_type: pa.DataType | None) -> bool:
     if pa.types.is_struct(data_type):
         index = data_type.get_field_index("bytes")
         return index >= 0 and is_picture(data_type.field(index).type)
-    return pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type)
+    return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
 
 
 class ForeignParquet:
@@ -52,14 +52,15 @@ class ForeignParquet:
         if len(self.types) < len(self._file.schema_arrow.names):
             raise InputError(f"{self.place!r} has two columns of one name; expected a name for each")
         groups = map(self._file.metadata.row_group, range(self._file.num_row_groups))
-        self._starts = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
+        self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
-        return int(self._starts[-1])
+        return self._starts[-1]
 
     def picture_bytes(self, name: str) -> int:
         """Return about how many bytes a picture of a column takes."""
-        return sum(each.total_uncompressed_size for each in self._chunks([name])) // max(1, len(self)) + 1
+        size = sum(int(each.total_uncompressed_size) for each in self._chunks([name]))
+        return size // max(1, len(self)) + 1
 
     def rows(self, names: Sequence[str]) -> Iterator[dict[str, Any]]:
         """Yield some columns of each row; InputError for more than may be unpacked."""
@@ -69,7 +70,7 @@ class ForeignParquet:
             yield from found or ({} for _ in range(len(table)))
 
     def arrays(self, names: Sequence[str]) -> dict[str, AnyArray]:
-        """Return columns as arrays with an entry a row; what is missing is NaN, or None in an array of objects.
+        """Return columns as arrays with an entry a row; what is missing is NaN, or None among objects.
 
         Raises ItemError for lists of several lengths in one column, else as :meth:`rows` does.
         """
@@ -99,7 +100,9 @@ class ForeignParquet:
             yield image or ItemError("missing", f"row {row:,} of {name!r} holds no bytes; expected a picture")
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
-        sizes = (max(each.total_uncompressed_size, _VALUE_BYTES * each.num_values) for each in self._chunks(names))
+        sizes = (
+            max(each.total_uncompressed_size, _VALUE_BYTES * each.num_values) for each in self._chunks(names)
+        )
         require_unpackable(sum(sizes), f"{self.place!r}:", self.size_bytes)
         unpacked = 0
         for group in range(len(self._starts) - 1):

@@ -1,8 +1,8 @@
 """LeRobotDatasets v2.0, v2.1 and v3.0 as recordings: an episode is a sequence of pictures of one camera.
 
 Facts of the format: ``meta/info.json`` says what the features are and where files lie. Frames are rows of
-Parquet: of one episode a file (v2), or of many (v3). Pictures are stored in these rows (dtype ``image``) or in
-videos (dtype ``video``), for which v3 states at how many seconds an episode begins.
+Parquet: of one episode a file (v2), or of many (v3). Pictures are in these rows (dtype ``image``) or in video
+(dtype ``video``), where v3 states at how many seconds an episode begins.
 """
 
 from __future__ import annotations
@@ -163,9 +163,14 @@ def _rows_of(episode: Episode, columns: Mapping[str, AnyArray]) -> slice:
 
 
 def _times(per_frame: Mapping[str, AnyArray], fps: float) -> Float64:
-    """Return the times of frames, seconds: as stated, or by the frame rate where they are rounded from that."""
+    """Return the times of frames, seconds: as stated, or by the frame rate if they are that, rounded."""
     stated = per_frame.get("timestamp", np.empty(0, object))
-    if stated.dtype.kind != "f" or stated.ndim > 1 or not np.isfinite(stated).all() or (np.diff(stated) < 0).any():
+    if (
+        stated.dtype.kind != "f"
+        or stated.ndim > 1
+        or not np.isfinite(stated).all()
+        or (np.diff(stated) < 0).any()
+    ):
         raise ItemError("time", f"the column 'timestamp' is {stated.dtype}; expected seconds that rise")
     exact: Float64 = np.arange(len(stated)) / fps
     if np.array_equal(exact.astype(stated.dtype), stated):
@@ -180,8 +185,8 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
         raise ItemError(
             "video",
-            f"the {len(shown_s):,} pictures of its video, until {shown_s[-1]:.3f} s, are not shown at the times "
-            f"of its {len(wanted_s):,} frames, from {wanted_s[0]:.3f} s to {wanted_s[-1]:.3f} s",
+            f"the {len(shown_s):,} pictures of its video, until {shown_s[-1]:.3f} s, are not shown at the "
+            f"times of its {len(wanted_s):,} frames, from {wanted_s[0]:.3f} s to {wanted_s[-1]:.3f} s",
         )
     return first
 

@@ -1,4 +1,4 @@
-"""Metadata of a LeRobotDataset: features, episodes, tasks. Paths in it are names below the data set, or refused."""
+"""Metadata of a LeRobotDataset: features, episodes and tasks."""
 
 from __future__ import annotations
 
@@ -167,23 +167,26 @@ def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[E
 
 def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
     number, length = (msgspec.convert(line.get(name), _Count) for name in ("episode_index", "length"))
-    data, video = (_below(line, f"{folder}/") for folder in ("data", f"videos/{camera}"))
-    chunk = {"episode_chunk": number // info.chunks_size, "episode_index": number, "video_key": camera}
-    paths = [
-        _filled(path or "", {**chunk, "chunk_index": files.chunk_index, "file_index": files.file_index})
-        for path, files in ((info.data_path, data), (info.video_path, video))
-    ]
+    rows, video = (_files(line, f"{folder}/") for folder in ("data", f"videos/{camera}"))
+
+    def path(template: str, files: _Files) -> str:
+        numbers = {"chunk_index": files.chunk_index, "file_index": files.file_index}
+        chunk = number // info.chunks_size
+        values = {**numbers, "episode_chunk": chunk, "episode_index": number, "video_key": camera}
+        return _filled(template, values)
+
     others = {name: value for name, value in line.items() if not _OF_FILES.fullmatch(name)}
+    paths = path(info.data_path, rows), path(info.video_path or "", video)
     return Episode(number, length, *paths, video.from_timestamp, {**info.split_of(number), **others})
 
 
-def _below(line: Mapping[str, Any], prefix: str) -> _Files:
+def _files(line: Mapping[str, Any], prefix: str) -> _Files:
     found = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
     return msgspec.convert(found, _Files)
 
 
 def _filled(template: str, values: Mapping[str, object]) -> str:
-    """Fill in a path. (`str.format` would look up attributes, and take as much memory as a path asks for.)"""
+    # Not by `str.format`, which looks up attributes, and takes as much memory as a path asks for.
     return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
 
 
@@ -201,7 +204,9 @@ def _content(home: store.DataFolder, path: str) -> bytes:
     with open_source(home, path) as stream:
         content = stream.read(_MOST_BYTES + 1)
     if len(content) > _MOST_BYTES:
-        raise InputError(f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read")
+        raise InputError(
+            f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read"
+        )
     return content
 
 

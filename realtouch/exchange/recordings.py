@@ -74,7 +74,8 @@ class Recording:
         """Yield each picture as a touch; what is said of a picture is said of the touch."""
         stem = self.name.replace("/", "-")
         for frame in range(self.frames):
-            each = {name: values[frame].tolist() for name, values in self.per_frame.items()}
+            # A slice, as an entry of an array of texts is no array.
+            each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
             if self.time_s is not None:
                 each.setdefault("time_s", float(self.time_s[frame]))
             values = {"round_id": self.name, **self.values, **each}
