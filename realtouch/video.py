@@ -1,0 +1,576 @@
+"""Videos as sequences of JPEG or PNG: their times, and any of their pictures.
+
+The JPEGs of MJPEG stay as they are. Everything else is decoded by FFmpeg (PyAV, extra ``video``) and encoded
+again. Each picture is decoded from the key picture before it, whatever was asked for before; so that the bytes
+of a picture do not depend on which others are read.
+"""
+
+from __future__ import annotations
+
+from array import array
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from fractions import Fraction
+from functools import lru_cache
+from itertools import chain, groupby
+from typing import IO, TYPE_CHECKING, Protocol, cast
+
+import numpy as np
+
+from realtouch.avi_scan import AviPictures, scan_avi
+from realtouch.video_bounds import (
+    MAX_DURATION_S,
+    MAX_PICTURES,
+    MAX_PIXELS_IN_ALL,
+    demuxer_of,
+    read_start,
+    require_bounded_boxes,
+    require_picture_size,
+)
+from tactile_toolkit import store
+from tactile_toolkit.array_types import Float64, Int64, UInt8
+from tactile_toolkit.errors import ItemError, ToolkitError, needs_extra
+from tactile_toolkit.touch import (
+    MAX_IMAGE_BYTES,
+    MAX_IMAGE_PIXELS,
+    ImageFormat,
+    encode_image,
+    image_size,
+)
+
+if TYPE_CHECKING:
+    from av import Packet, VideoCodecContext, VideoFrame
+    from av.video.stream import VideoStream
+
+JPEG_QUALITY = 95
+
+_LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
+_LOSSY = (
+    "av1", "cinepak", "dnxhd", "dvvideo", "flv1", "h263", "h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video",
+    "mpeg4", "msmpeg4v2", "msmpeg4v3", "prores", "svq3", "theora", "vc1", "vp6f", "vp8", "vp9", "wmv2", "wmv3",
+)  # fmt: skip
+_COVER = 0x400  # a flag of FFmpeg
+# Nothing beside the file is opened, and an index of an AVI that leads to others is not followed.
+_OPTIONS = {
+    "max_pixels": str(MAX_IMAGE_PIXELS),
+    "max_streams": "32",
+    "protocol_whitelist": "none",
+    "enable_drefs": "0",
+    "use_absolute_path": "0",
+    "use_odml": "0",
+}
+_DECODER_OPTIONS = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"}
+_BUFFER_BYTES = 1 << 16
+_PACKETS_TRIED = 300  # for the first picture
+_PACKETS_PASSED = 32  # at most, rather than to seek
+_MOST_READ = 4  # times the size of a file that its packets may take
+_SPARE_BYTES = 1 << 20
+_MOST_BITS = 12
+# Bilinear, accurately rounded, bit-exact: the same pixels on every processor.
+_SCALING = 0x2 | 0x40000 | 0x80000
+_UPRIGHT = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32)
+_TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
+_KEPT_VIDEOS = 8
+
+
+class PictureSource(Protocol):
+    """Where the pictures of a video are."""
+
+    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        """Yield some pictures of the opened file, encoded, or why one cannot be read; numbers rise."""
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """A video; its pictures are numbered in the order in which they are shown.
+
+    Attributes
+    ----------
+    time_s : ndarray of float64, shape (n,)
+        When each picture is shown, seconds from the first; rises.
+    picture_bytes : int
+        About how many bytes an encoded picture takes.
+    conversion : str
+        What is done to its pictures; empty if they are taken as they are.
+    source : PictureSource
+        Where its pictures are.
+    """
+
+    time_s: Float64
+    picture_bytes: int
+    conversion: str
+    source: PictureSource
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+def open_video(folder: store.DataFolder, path: str) -> Video:
+    """Find the pictures of a video; none but the first is decoded.
+
+    Parameters
+    ----------
+    folder : DataFolder
+        The source.
+    path : str
+        Path of the file below it. What it is follows from its first bytes: AVI, MP4, MOV, Matroska, WebM or
+        MPEG-TS.
+
+    Raises
+    ------
+    ItemError
+        The file cannot be read, is damaged, exceeds the limits of :mod:`realtouch.video_bounds`, has several
+        streams of pictures, or asks to turn its pictures.
+    MissingExtraError
+        PyAV is needed and not installed.
+    """
+    return _open_video(folder.address(), path, folder.version(path))
+
+
+def times_s(folder: store.DataFolder, path: str) -> Float64:
+    """Return when each picture is shown, seconds from the first, shape (n,); raises as :func:`open_video`."""
+    return open_video(folder, path).time_s
+
+
+def encoded(folder: store.DataFolder, path: str, first: int, count: int) -> Iterator[bytes | ItemError]:
+    """Yield some pictures, JPEG or PNG, in the order in which they are shown; see :func:`encoded_pictures`."""
+    return encoded_pictures(folder, path, range(first, first + count))
+
+
+def encoded_pictures(
+    folder: store.DataFolder, path: str, numbers: Iterable[int]
+) -> Iterator[bytes | ItemError]:
+    """Yield some pictures of a video, encoded as JPEG, or as PNG where its codec is lossless.
+
+    Parameters
+    ----------
+    folder, path
+        As for :func:`open_video`.
+    numbers : iterable of int
+        Which pictures; they rise.
+
+    Yields
+    ------
+    bytes or ItemError
+        The picture, or why it cannot be read: it is damaged, or depends on another that is.
+
+    Raises
+    ------
+    ItemError, MissingExtraError
+        As :func:`open_video`.
+    """
+    video = open_video(folder, path)
+    with store.open_inside(folder, path) as stream:
+        yield from video.source.pictures(stream, numbers)
+
+
+@lru_cache(_KEPT_VIDEOS)
+def _open_video(address: str, path: str, version: object) -> Video:
+    with store.open_inside(store.open_folder(address), path) as stream:
+        return _found_video(stream)
+
+
+def _found_video(stream: IO[bytes]) -> Video:
+    start = read_start(stream)
+    demuxer = demuxer_of(start)
+    if not demuxer:
+        found = start[:12].hex(" ") or "nothing"
+        raise ItemError(
+            "container", f"a file that begins with {found}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
+        )
+    if demuxer == "avi":
+        jpegs = scan_avi(stream)
+        if jpegs is not None:
+            return _video_of_jpegs(stream, jpegs)
+    if demuxer == "mov":
+        require_bounded_boxes(stream)
+    return _coded_video(stream, demuxer)
+
+
+@dataclass(frozen=True, eq=False)
+class _Jpegs:
+    """The JPEGs of an AVI, each by its place."""
+
+    found: AviPictures
+
+    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        for number in numbers:
+            stream.seek(int(self.found.starts[number]))
+            yield _kept_jpeg(stream.read(min(int(self.found.sizes[number]), MAX_IMAGE_BYTES + 1)), number)
+
+
+def _kept_jpeg(jpeg: bytes, number: int) -> bytes | ItemError:
+    if len(jpeg) <= MAX_IMAGE_BYTES:
+        return jpeg
+    return ItemError("image", f"picture {number:,} takes more than {MAX_IMAGE_BYTES:,} bytes")
+
+
+def _video_of_jpegs(stream: IO[bytes], found: AviPictures) -> Video:
+    if not len(found.starts):
+        raise ItemError("length", "an AVI without pictures; expected one or more")
+    source = _Jpegs(found)
+    _require_one_field(next(source.pictures(stream, [0])), found.height)
+    conversion = "cut short; read up to the last whole picture" if found.is_cut else ""
+    times = _seconds(found.slots, found.period_s)
+    return Video(times, int(found.sizes.mean()), conversion, source)
+
+
+def _require_one_field(jpeg: bytes | ItemError, height: int) -> None:
+    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
+    found = 0
+    if isinstance(jpeg, bytes):
+        with suppress(ValueError):  # damaged: it is found when it is read
+            found, _ = image_size(jpeg)
+    if found and 2 * found == height:
+        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")
+
+
+def _seconds(ticks: Int64, tick_s: Fraction) -> Float64:
+    """Return times from the first in seconds."""
+    return (ticks - ticks[0]) * float(tick_s.numerator) / float(tick_s.denominator)
+
+
+def _coded_video(stream: IO[bytes], demuxer: str) -> Video:
+    """Find the pictures of a video by a demuxer."""
+    with _sentences():
+        reader = _Reader(stream, demuxer)
+        packets = reader.read_packets()
+        _require_bounded(stream, packets)
+        words = reader.look_at_first(packets)
+    source = _Coded(demuxer, reader.codec, packets)
+    times = _seconds(packets.pts[packets.shown], packets.tick_s)
+    if times[-1] > MAX_DURATION_S:
+        raise ItemError("length", f"a video of {times[-1]:,.0f} s; the limit is {MAX_DURATION_S:,.0f} s")
+    if source.is_kept:
+        return Video(times, packets.total_bytes // len(packets.pts), ", ".join(words), source)
+    height, width = packets.size
+    if len(times) * height * width > MAX_PIXELS_IN_ALL:
+        what = f"{len(times):,} pictures of {width} x {height} pixels"
+        raise ItemError("length", f"{what}; the limit is {MAX_PIXELS_IN_ALL:,} pixels in all")
+    stored = "PNG" if source.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
+    words.insert(0, f"{reader.codec} decoded, stored as {stored}")
+    return Video(times, height * width // 2, ", ".join(words), source)
+
+
+@dataclass(frozen=True, eq=False)
+class _Packets:
+    """What is known of the packets of a stream of pictures, which are numbered in the order of the file.
+
+    ``shown`` are those whose pictures are shown, in the order of these; ``keys`` those from which decoding can
+    begin, by time, and ``found_at`` the times by which a demuxer finds these.
+    """
+
+    pts: Int64
+    shown: Int64
+    keys: Int64
+    found_at: Int64
+    tick_s: Fraction
+    size: tuple[int, int]
+    total_bytes: int
+
+    def key_of(self, number: int) -> int:
+        """Return from which key a picture is decoded: the last one that is not shown after it."""
+        pts = self.pts[self.shown[number]]
+        return max(0, int(np.searchsorted(self.pts[self.keys], pts, "right")) - 1)
+
+    def first_shown(self, key: int) -> int:
+        """Return the time of the first picture that is decoded from a key."""
+        shown = self.pts[self.shown]
+        return int(shown[min(np.searchsorted(shown, self.pts[self.keys[key]]), len(shown) - 1)])
+
+
+def _require_bounded(stream: IO[bytes], packets: _Packets) -> None:
+    """Raise ItemError for packets that take more than the file, and for pictures shown at the same time."""
+    if not len(packets.shown):
+        raise ItemError("length", "a video without pictures; expected one or more")
+    if not len(packets.keys):
+        raise ItemError("damaged", "a video without a key picture, from which decoding could begin")
+    size = stream.seek(0, 2)
+    if packets.total_bytes > _MOST_READ * size + _SPARE_BYTES:
+        found = f"{packets.total_bytes:,} bytes of pictures in a file of {size:,}"
+        raise ItemError("damaged", f"{found}; expected no more than the file holds")
+    same = int(np.count_nonzero(np.diff(packets.pts[packets.shown]) == 0))
+    if same:
+        raise ItemError(
+            "time", f"{same:,} pictures are shown at the same time as another; expected rising times"
+        )
+
+
+class _Reader:
+    """The packets of the only stream of pictures of a video, in the order of the file, and its decoder."""
+
+    def __init__(self, stream: IO[bytes], demuxer: str) -> None:
+        self._stream, self._demuxer = stream, demuxer
+        self.is_cut = False
+        self._open()
+        self.codec = self._video.codec_context.codec.canonical_name
+        if self.codec not in (*_LOSSLESS, *_LOSSY):
+            raise ItemError("codec", f"pictures by the codec {self.codec!r}, which is not read here")
+
+    def _open(self) -> None:
+        with needs_extra("reading this video", "av", "video"):
+            import av
+            from av.video.reformatter import VideoReformatter
+        self._stream.seek(0)
+        self._container = av.open(
+            self._stream,
+            format=self._demuxer,
+            options=_OPTIONS,
+            metadata_errors="replace",
+            buffer_size=_BUFFER_BYTES,
+        )
+        videos = [each for each in self._container.streams.video if not _is_cover(each)]
+        if len(videos) != 1:
+            raise ItemError("streams", f"a file of {len(videos)} streams of pictures; expected one")
+        self._video, self._reformatter = videos[0], VideoReformatter()
+        context = self._video.codec_context
+        require_picture_size(context.width, context.height)
+        context.thread_count = 1
+        context.options = _DECODER_OPTIONS
+        self._packets, self._next = self._demuxed(), 0
+
+    def _demuxed(self) -> Iterator[Packet[VideoStream]]:
+        """Yield the packets from where the container is; each has a time."""
+        context = self._video.codec_context
+        for packet in self._container.demux(self._video):
+            if not packet.size:  # a picture that was dropped, or the end
+                continue
+            if packet.pts is None:
+                if packet.dts is None or context.has_b_frames:
+                    problem = (
+                        "the file does not state when its pictures are shown, which is not their order in it"
+                    )
+                    raise ItemError("time", problem, next="convert it to MP4 or MKV")
+                packet.pts = packet.dts
+            yield packet
+
+    def read_packets(self) -> _Packets:
+        """Read all packets; none is decoded."""
+        pts, shown, keys, found_at = array("q"), array("q"), array("q"), array("q")
+        total_bytes = 0
+        with self._ending_early():
+            for number, packet in enumerate(self._packets):
+                if number >= MAX_PICTURES:
+                    raise ItemError("length", f"more than {MAX_PICTURES:,} pictures; the limit is that")
+                at = cast(int, packet.pts)
+                pts.append(at)
+                total_bytes += packet.size
+                if not packet.is_discard:
+                    shown.append(number)
+                if packet.is_keyframe:
+                    keys.append(number)
+                    found_at.append(at if packet.dts is None else min(at, packet.dts))
+        self.is_cut |= self._video.frames > len(pts)
+        times = np.frombuffer(pts, np.int64)
+        order = np.frombuffer(shown, np.int64)
+        context = self._video.codec_context
+        return _Packets(
+            times,
+            order[np.argsort(times[order], kind="stable")],
+            np.frombuffer(keys, np.int64),
+            np.frombuffer(found_at, np.int64),
+            Fraction(cast(Fraction, self._video.time_base)),
+            (context.height, context.width),
+            total_bytes,
+        )
+
+    @contextmanager
+    def _ending_early(self) -> Iterator[None]:
+        """Note that the file ends in the middle, or is damaged there."""
+        import av
+
+        try:
+            yield
+        except av.FFmpegError:
+            self.is_cut = True
+
+    def look_at_first(self, packets: _Packets) -> list[str]:
+        """Decode the first picture; return what is done to pictures beyond decoding them.
+
+        ItemError where none can be decoded, or 8 bits would lose most of it, or where it is to be turned.
+        """
+        run = _Run(self, packets, 0, min(_PACKETS_TRIED, len(packets.pts)) - 1)
+        frame = next(run.frames, None)
+        if frame is None:
+            raise ItemError(
+                "frame", f"no picture of the first {_PACKETS_TRIED} can be decoded ({self.codec})"
+            )
+        require_upright(frame)
+        words = _words_of(frame)
+        if self.is_cut:
+            words.append("cut short; read up to the last whole picture")
+        return words
+
+    def packet(self, wanted: int, packets: _Packets) -> Packet[VideoStream] | None:
+        """Return a packet by its number; None where it is not there any more."""
+        if not 0 <= wanted - self._next <= _PACKETS_PASSED:
+            self._seek(wanted, packets)
+        for packet in self._packets:
+            self._next += 1
+            if self._next > wanted:
+                return packet
+        return None
+
+    def _seek(self, wanted: int, packets: _Packets) -> None:
+        """Go to the last key packet before a packet, or to the first packet where it is not found."""
+        import av
+
+        key = int(np.searchsorted(packets.keys, wanted, "right")) - 1
+        number = int(packets.keys[max(key, 0)])
+        at = packets.pts[number]
+        if number:
+            with suppress(av.FFmpegError):
+                self._container.seek(int(packets.found_at[key]), stream=self._video)
+                self._packets = self._demuxed()
+                for packet in self._packets:
+                    if packet.is_keyframe and packet.pts == at:
+                        self._packets, self._next = chain([packet], self._packets), number
+                        return
+                    if packet.is_keyframe and cast(int, packet.pts) > at:
+                        break
+        self._open()
+
+    def decoder(self) -> VideoCodecContext:
+        """Return the decoder, which has seen nothing."""
+        context = self._video.codec_context
+        if context.is_open:
+            context.flush_buffers()
+        return context
+
+    def pixels(self, frame: VideoFrame) -> UInt8:
+        """Return a picture as RGB, shape (H, W, 3)."""
+        return self._reformatter.reformat(frame, format="rgb24", interpolation=_SCALING).to_ndarray()
+
+
+class _Run:
+    """Pictures that are decoded from some packets on; ``broken_at`` is the first packet that is damaged."""
+
+    def __init__(self, reader: _Reader, packets: _Packets, first: int, last: int) -> None:
+        self.broken_at = len(packets.pts)
+        self.frames = self._decoded(reader, packets, first, last)
+
+    def _decoded(self, reader: _Reader, packets: _Packets, first: int, last: int) -> Iterator[VideoFrame]:
+        import av
+
+        decoder = reader.decoder()
+        for number in range(first, last + 1):
+            found: list[VideoFrame] = []
+            try:
+                packet = reader.packet(number, packets)
+                if packet is None or packet.is_corrupt:
+                    self.broken_at = min(self.broken_at, number)
+                if packet is not None:
+                    found = decoder.decode(packet)
+            except av.FFmpegError:
+                self.broken_at = min(self.broken_at, number)
+            yield from found
+        with suppress(av.FFmpegError):
+            yield from decoder.decode(None)
+
+
+@dataclass(frozen=True, eq=False)
+class _Coded:
+    """The pictures of a coded video."""
+
+    demuxer: str
+    codec: str
+    packets: _Packets
+
+    @property
+    def is_kept(self) -> bool:
+        """Whether its packets are JPEGs."""
+        return self.codec == "mjpeg"
+
+    @property
+    def kind(self) -> ImageFormat:
+        """How its pictures are encoded again."""
+        return "png" if self.codec in _LOSSLESS else "jpeg"
+
+    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        with _sentences():
+            reader = _Reader(stream, self.demuxer)
+            if self.is_kept:
+                for number in numbers:
+                    packet = reader.packet(int(self.packets.shown[number]), self.packets)
+                    yield _missing(number) if packet is None else _kept_jpeg(bytes(packet), number)
+                return
+            for key, group in groupby(numbers, key=self.packets.key_of):
+                yield from self._decoded(reader, key, list(group))
+
+    def _decoded(self, reader: _Reader, key: int, numbers: Sequence[int]) -> Iterator[bytes | ItemError]:
+        """Yield pictures that are decoded from a key.
+
+        With intra refresh, which has no key pictures after the first, those after a key are not whole when
+        decoding begins there; so that it begins a key earlier.
+        """
+        places = self.packets.shown[numbers]
+        last = int(places.max())
+        for start in (key, max(0, key - 1)):
+            run = _Run(reader, self.packets, int(self.packets.keys[start]), last)
+            frame = next(run.frames, None)
+            is_late = frame is None or cast(int, frame.pts) > self.packets.first_shown(key)
+            if not is_late or run.broken_at <= last:
+                break
+        for number, place in zip(numbers, places.tolist(), strict=True):
+            wanted = int(self.packets.pts[place])
+            while frame is not None and cast(int, frame.pts) < wanted:
+                frame = next(run.frames, None)
+            if frame is None or frame.pts != wanted or frame.is_corrupt or place >= run.broken_at:
+                yield _missing(number)
+                continue
+            yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
+
+
+def _missing(number: int) -> ItemError:
+    problem = "cannot be decoded: it, or a picture that it depends on, is damaged or missing"
+    return ItemError("frame", f"picture {number:,} {problem}")
+
+
+def _is_cover(stream: VideoStream) -> bool:
+    """Return whether a stream is a still image, such as the cover of a film."""
+    return bool(stream.disposition & _COVER)
+
+
+def require_upright(frame: VideoFrame) -> None:
+    """Raise ItemError where a picture is to be turned or mirrored when it is shown."""
+    matrix = frame.side_data.get("DISPLAYMATRIX")
+    if matrix is None:
+        return
+    found = np.frombuffer(bytes(matrix), np.int32)
+    if not np.array_equal(found[_TURN], _UPRIGHT[_TURN]):
+        problem = "its display matrix asks to turn its pictures, which some readers do; expected upright ones"
+        raise ItemError("image", problem)
+
+
+def _words_of(frame: VideoFrame) -> list[str]:
+    """Return what is done to pictures like this one; ItemError where 8 bits would lose most of it."""
+    parts = frame.format.components
+    bits = max(each.bits for each in parts)
+    colours = [each for each in parts if not each.is_alpha]
+    if bits > _MOST_BITS or (bits > 8 and len(colours) == 1):
+        raise ItemError(
+            "image", f"pictures of {bits} bits ({frame.format.name}), most of which 8 would lose; expected 8"
+        )
+    words = []
+    if bits > 8:
+        words.append(f"{bits} bits rounded to 8")
+    if len(colours) < len(parts):
+        words.append("alpha left out")
+    if len(colours) == 1 and not frame.format.has_palette:
+        words.append("one channel")
+    if frame.interlaced_frame:
+        words.append("interlaced lines left as they are")
+    return words
+
+
+@contextmanager
+def _sentences() -> Iterator[None]:
+    """Turn what FFmpeg and PyAV raise into ItemError."""
+    try:
+        yield
+    except ToolkitError:
+        raise
+    except Exception as error:  # FFmpegError is several, and PyAV raises those of the language
+        found = getattr(error, "strerror", None) or type(error).__name__
+        raise ItemError("video", f"FFmpeg cannot read it ({found}); expected an intact video") from error
