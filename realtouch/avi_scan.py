@@ -83,8 +83,8 @@ def scan_avi(stream: IO[bytes]) -> AviPictures | None:
             raise ItemError("length", f"an AVI of more than {MAX_PICTURES:,} pictures; the limit is that")
     if scan.number is None or not scan.is_jpeg:
         return None
-    found = [np.frombuffer(each, np.int64) for each in (starts, sizes, slots)]
-    return AviPictures(*found, scan.period_s(), scan.height, scan.is_cut)
+    at, of, when = (np.frombuffer(each, np.int64) for each in (starts, sizes, slots))
+    return AviPictures(at, of, when, scan.period_s(), scan.height, scan.is_cut)
 
 
 class _Scan:
@@ -117,8 +117,8 @@ class _Scan:
                     return
                 raise ItemError(
                     "damaged",
-                    f"an AVI that is damaged at byte {position:,}, after {pictures_seen:,} pictures; expected "
-                    "a chunk inside of the file",
+                    f"an AVI that is damaged at byte {position:,}, after {pictures_seen:,} pictures; "
+                    "expected a chunk inside of the file",
                 )
             elif name in (b"strh", b"strf"):
                 self._read_header(name, start, size)

@@ -1,8 +1,8 @@
 """Videos as sequences of JPEG or PNG: their times, and any of their pictures.
 
 The JPEGs of MJPEG stay as they are. Everything else is decoded by FFmpeg (PyAV, extra ``video``) and encoded
-again. Each picture is decoded from the key picture before it, whatever was asked for before; so that the bytes
-of a picture do not depend on which others are read.
+again. Each picture is decoded from the key picture before it, so that its bytes do not depend on which others
+are read.
 """
 
 from __future__ import annotations
@@ -47,8 +47,9 @@ JPEG_QUALITY = 95
 
 _LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
 _LOSSY = (
-    "av1", "cinepak", "dnxhd", "dvvideo", "flv1", "h263", "h264", "hevc", "mjpeg", "mpeg1video", "mpeg2video",
-    "mpeg4", "msmpeg4v2", "msmpeg4v3", "prores", "svq3", "theora", "vc1", "vp6f", "vp8", "vp9", "wmv2", "wmv3",
+    "av1", "cinepak", "dnxhd", "dvvideo", "flv1", "h263", "h264", "hevc", "mjpeg", "mpeg1video",
+    "mpeg2video", "mpeg4", "msmpeg4v2", "msmpeg4v3", "prores", "svq3", "theora", "vc1", "vp6f", "vp8", "vp9",
+    "wmv2", "wmv3",
 )  # fmt: skip
 _COVER = 0x400  # a flag of FFmpeg
 # Nothing beside the file is opened, and an index of an AVI that leads to others is not followed.
@@ -62,7 +63,7 @@ _OPTIONS = {
 }
 _DECODER_OPTIONS = {"max_pixels": str(MAX_IMAGE_PIXELS), "err_detect": "explode"}
 _BUFFER_BYTES = 1 << 16
-_PACKETS_TRIED = 300  # for the first picture
+_PICTURES_TRIED = 100  # to decode the first
 _PACKETS_PASSED = 32  # at most, rather than to seek
 _MOST_READ = 4  # times the size of a file that its packets may take
 _SPARE_BYTES = 1 << 20
@@ -72,6 +73,11 @@ _SCALING = 0x2 | 0x40000 | 0x80000
 _UPRIGHT = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32)
 _TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
 _KEPT_VIDEOS = 8
+_UNTIMED = ItemError(
+    "time",
+    "the file does not state when its pictures are shown, which is not their order in it",
+    next="convert it to MP4 or MKV",
+)
 
 
 class PictureSource(Protocol):
@@ -134,7 +140,7 @@ def times_s(folder: store.DataFolder, path: str) -> Float64:
 
 
 def encoded(folder: store.DataFolder, path: str, first: int, count: int) -> Iterator[bytes | ItemError]:
-    """Yield some pictures, JPEG or PNG, in the order in which they are shown; see :func:`encoded_pictures`."""
+    """Yield some pictures, JPEG or PNG, in the order shown; see :func:`encoded_pictures`."""
     return encoded_pictures(folder, path, range(first, first + count))
 
 
@@ -228,7 +234,8 @@ def _require_one_field(jpeg: bytes | ItemError, height: int) -> None:
 
 def _seconds(ticks: Int64, tick_s: Fraction) -> Float64:
     """Return times from the first in seconds."""
-    return (ticks - ticks[0]) * float(tick_s.numerator) / float(tick_s.denominator)
+    since_first = (ticks - ticks[0]).astype(np.float64)
+    return since_first * tick_s.numerator / tick_s.denominator
 
 
 def _coded_video(stream: IO[bytes], demuxer: str) -> Video:
@@ -257,8 +264,8 @@ def _coded_video(stream: IO[bytes], demuxer: str) -> Video:
 class _Packets:
     """What is known of the packets of a stream of pictures, which are numbered in the order of the file.
 
-    ``shown`` are those whose pictures are shown, in the order of these; ``keys`` those from which decoding can
-    begin, by time, and ``found_at`` the times by which a demuxer finds these.
+    ``shown`` are those whose pictures are shown, in the order of these; ``keys`` those from which decoding
+    can begin, and ``found_at`` the times by which a demuxer finds these.
     """
 
     pts: Int64
@@ -315,6 +322,7 @@ class _Reader:
         self._stream.seek(0)
         self._container = av.open(
             self._stream,
+            "r",
             format=self._demuxer,
             options=_OPTIONS,
             metadata_errors="replace",
@@ -338,10 +346,7 @@ class _Reader:
                 continue
             if packet.pts is None:
                 if packet.dts is None or context.has_b_frames:
-                    problem = (
-                        "the file does not state when its pictures are shown, which is not their order in it"
-                    )
-                    raise ItemError("time", problem, next="convert it to MP4 or MKV")
+                    raise _UNTIMED
                 packet.pts = packet.dts
             yield packet
 
@@ -361,6 +366,7 @@ class _Reader:
                 if packet.is_keyframe:
                     keys.append(number)
                     found_at.append(at if packet.dts is None else min(at, packet.dts))
+        self._next = len(pts)
         self.is_cut |= self._video.frames > len(pts)
         times = np.frombuffer(pts, np.int64)
         order = np.frombuffer(shown, np.int64)
@@ -390,27 +396,32 @@ class _Reader:
 
         ItemError where none can be decoded, or 8 bits would lose most of it, or where it is to be turned.
         """
-        run = _Run(self, packets, 0, min(_PACKETS_TRIED, len(packets.pts)) - 1)
+        run = _Run(self, packets, 0, min(_PICTURES_TRIED, len(packets.pts)) - 1)
         frame = next(run.frames, None)
         if frame is None:
-            raise ItemError(
-                "frame", f"no picture of the first {_PACKETS_TRIED} can be decoded ({self.codec})"
-            )
+            what = f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
+            raise ItemError("frame", what)
+        if self._demuxer == "avi":
+            at = [cast(int, each.pts) for each in chain([frame], run.frames)]
+            if at != sorted(at):
+                raise _UNTIMED
         require_upright(frame)
         words = _words_of(frame)
         if self.is_cut:
             words.append("cut short; read up to the last whole picture")
         return words
 
-    def packet(self, wanted: int, packets: _Packets) -> Packet[VideoStream] | None:
-        """Return a packet by its number; None where it is not there any more."""
+    def go_to(self, wanted: int, packets: _Packets) -> None:
+        """Make a packet, by its number, the next one."""
         if not 0 <= wanted - self._next <= _PACKETS_PASSED:
             self._seek(wanted, packets)
-        for packet in self._packets:
-            self._next += 1
-            if self._next > wanted:
-                return packet
-        return None
+        while self._next < wanted and self.packet() is not None:
+            pass
+
+    def packet(self) -> Packet[VideoStream] | None:
+        """Return the next packet; None behind the last."""
+        self._next += 1
+        return next(self._packets, None)
 
     def _seek(self, wanted: int, packets: _Packets) -> None:
         """Go to the last key packet before a packet, or to the first packet where it is not found."""
@@ -432,7 +443,7 @@ class _Reader:
         self._open()
 
     def decoder(self) -> VideoCodecContext:
-        """Return the decoder, which has seen nothing."""
+        """Return the decoder, which has seen nothing; another one after :meth:`go_to`."""
         context = self._video.codec_context
         if context.is_open:
             context.flush_buffers()
@@ -440,29 +451,34 @@ class _Reader:
 
     def pixels(self, frame: VideoFrame) -> UInt8:
         """Return a picture as RGB, shape (H, W, 3)."""
-        return self._reformatter.reformat(frame, format="rgb24", interpolation=_SCALING).to_ndarray()
+        scaled = self._reformatter.reformat(frame, format="rgb24", interpolation=_SCALING)
+        return np.asarray(scaled.to_ndarray(), np.uint8)
 
 
 class _Run:
-    """Pictures that are decoded from some packets on; ``broken_at`` is the first packet that is damaged."""
+    """Pictures that are decoded from a packet on; ``broken_at`` is the first packet that is damaged.
+
+    Packets of pictures that are shown before the first one may depend on what lies before it: their damage
+    does not count.
+    """
 
     def __init__(self, reader: _Reader, packets: _Packets, first: int, last: int) -> None:
         self.broken_at = len(packets.pts)
-        self.frames = self._decoded(reader, packets, first, last)
+        self._reader, self._pts = reader, packets.pts
+        reader.go_to(first, packets)
+        self.frames = self._decoded(first, last)
 
-    def _decoded(self, reader: _Reader, packets: _Packets, first: int, last: int) -> Iterator[VideoFrame]:
+    def _decoded(self, first: int, last: int) -> Iterator[VideoFrame]:
         import av
 
-        decoder = reader.decoder()
+        decoder = self._reader.decoder()
         for number in range(first, last + 1):
             found: list[VideoFrame] = []
-            try:
-                packet = reader.packet(number, packets)
-                if packet is None or packet.is_corrupt:
-                    self.broken_at = min(self.broken_at, number)
-                if packet is not None:
-                    found = decoder.decode(packet)
-            except av.FFmpegError:
+            packet, is_damaged = self._reader.packet(), True
+            if packet is not None and not packet.is_corrupt:
+                with suppress(av.FFmpegError):
+                    found, is_damaged = decoder.decode(packet), False
+            if is_damaged and self._pts[number] >= self._pts[first]:
                 self.broken_at = min(self.broken_at, number)
             yield from found
         with suppress(av.FFmpegError):
@@ -492,7 +508,8 @@ class _Coded:
             reader = _Reader(stream, self.demuxer)
             if self.is_kept:
                 for number in numbers:
-                    packet = reader.packet(int(self.packets.shown[number]), self.packets)
+                    reader.go_to(int(self.packets.shown[number]), self.packets)
+                    packet = reader.packet()
                     yield _missing(number) if packet is None else _kept_jpeg(bytes(packet), number)
                 return
             for key, group in groupby(numbers, key=self.packets.key_of):
@@ -509,8 +526,7 @@ class _Coded:
         for start in (key, max(0, key - 1)):
             run = _Run(reader, self.packets, int(self.packets.keys[start]), last)
             frame = next(run.frames, None)
-            is_late = frame is None or cast(int, frame.pts) > self.packets.first_shown(key)
-            if not is_late or run.broken_at <= last:
+            if frame is not None and cast(int, frame.pts) <= self.packets.first_shown(key):
                 break
         for number, place in zip(numbers, places.tolist(), strict=True):
             wanted = int(self.packets.pts[place])
@@ -537,7 +553,7 @@ def require_upright(frame: VideoFrame) -> None:
     matrix = frame.side_data.get("DISPLAYMATRIX")
     if matrix is None:
         return
-    found = np.frombuffer(bytes(matrix), np.int32)
+    found = np.frombuffer(cast("memoryview", matrix), np.int32)
     if not np.array_equal(found[_TURN], _UPRIGHT[_TURN]):
         problem = "its display matrix asks to turn its pictures, which some readers do; expected upright ones"
         raise ItemError("image", problem)

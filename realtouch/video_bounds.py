@@ -25,8 +25,8 @@ _IMAGE_BRANDS = (b"avif", b"avis", b"heic", b"heix", b"hevc", b"hevx", b"mif1", 
 _TOP_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"uuid", b"styp")
 _TS_PACKETS = ((188, 0), (192, 4))  # bytes of a packet, and where its mark stands in it
 _TS_SEEN = 4
-# Boxes of ISO/IEC 14496-12 that hold others, and those that state how many samples or edits there are: at which
-# byte the count stands.
+# Boxes of ISO/IEC 14496-12 that hold others, and those that state how many samples or edits there are, by the
+# byte at which the count stands.
 _HOLDERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"traf")
 _COUNTS_AT = {b"stsz": 8, b"stz2": 8, b"trun": 4, b"elst": 4}
 _RUNS = (b"stts", b"ctts")  # run lengths
