@@ -73,7 +73,7 @@ class Episodes:
             IMAGE: (MEDIA_TYPE, ("sensor_video", "sensor_image")),
             STATE: (pa.list_(self.number, 7), tuple(_POSES.values())),
             ACTION: (pa.list_(self.number, 2), ("pos_in_cell",)),
-            TIME: (self.number, ("time_stamp_rel_seq",)),
+            TIME: (pa.float64(), ("time_stamp_rel_seq",)),
             "label": (pa.int64(), ("id",)),
             "object_id": (pa.int64(), ("object_id",)),
             "timestamp": (pa.float32(), ("id",)),
@@ -127,7 +127,7 @@ class Episodes:
                 columns[STATE] = self._states(row.pose_sequences(touch)[0])
             times_s = row.stamps_s(touch)
             if times_s is not None:
-                columns[TIME] = times_s[0].astype(self.number.to_pandas_dtype())
+                columns[TIME] = times_s[0]
             yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:

@@ -14,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+import msgspec
 import numpy as np
 import pyarrow as pa
 from PIL import Image
@@ -31,6 +32,7 @@ from realtouch.convert.conversion import (
 )
 from realtouch.exchange.episodes import IMAGE, Episodes, only_split
 from realtouch.exchange.flat import FRAMES_PER_MEDIA
+from realtouch.exchange.lerobot_metadata import Mark
 from realtouch.exchange.stored_images import decoded
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import read, store
@@ -44,8 +46,9 @@ FILE_BYTES = 100 << 20
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 _VERSION = "v3.0"
 _GROUP_BYTES = 16 << 20
-_DTYPES = {pa.float32(): "float32"}
+_DTYPES = {pa.float32(): "float32", pa.float64(): "float64"}
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
+_OF_READERS = ("round_id", "touch")
 # Images of an episode that are decoded for its statistics.
 _IMAGES_SEEN = 8
 _LEVELS = 256
@@ -77,7 +80,7 @@ def plan_lerobot(
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
         extra_dirs=(FOLDER,),
-        write_files=_WriteMeta(split, step.fps, step.size, tasks),
+        write_files=_WriteMeta(split, step, tasks, source.kind == "seq"),
         pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // image_bytes)),
     )
 
@@ -129,6 +132,7 @@ class _PackEpisodes:
             "dataset_to_index": frame + firsts + lengths,
             "meta/episodes/chunk_index": chunks,
             "meta/episodes/file_index": files,
+            **{name: rows[name].take(firsts) for name in _OF_READERS if name in rows.schema.names},
             **columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
         encodings = ((f"{IMAGE}.bytes", "PLAIN"),)
@@ -181,9 +185,9 @@ class _WriteMeta:
     """Writes the metadata of a LeRobotDataset after all its episodes."""
 
     split: str
-    fps: int
-    size: tuple[int, int]
+    step: Episodes
     tasks: tuple[str, ...]
+    are_clips: bool
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
@@ -210,16 +214,17 @@ class _WriteMeta:
             "chunks_size": FILES_PER_CHUNK,
             "data_files_size_in_mb": FILE_BYTES >> 20,
             "video_files_size_in_mb": 200,
-            "fps": self.fps,
+            "fps": self.step.fps,
             "splits": {self.split: f"0:{episodes}"},
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
             "video_path": None,
             "features": {each.name: self._feature(each) for each in frames},
+            "realtouch": msgspec.to_builtins(Mark(self.step.names, self.are_clips)),
         }
 
     def _feature(self, each: pa.Field) -> dict[str, object]:
         if each.type == MEDIA_TYPE:
-            return {"dtype": "image", "shape": [*self.size, 3], "names": ["height", "width", "channels"]}
+            return {"dtype": "image", "shape": [*self.step.size, 3], "names": ["height", "width", "channels"]}
         if pa.types.is_fixed_size_list(each.type):
             names = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"][: each.type.list_size]
             return {"dtype": "float32", "shape": [len(names)], "names": names}

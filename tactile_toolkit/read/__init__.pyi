@@ -58,6 +58,9 @@ from .stream import (
     Stream as Stream,
     loader_worker as loader_worker,
 )
+from .supported_types import (
+    supported_table as supported_table,
+)
 from .training_batches import (
     TrainingBatches as TrainingBatches,
     shared_zeros as shared_zeros,

@@ -1,0 +1,89 @@
+"""Tables of images in Parquet as touches: the export ``flat`` of this toolkit, and those of others.
+
+A row is a touch, with its picture in a column of bytes, or of ``bytes`` and ``path`` as `datasets` stores it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
+from realtouch.exchange.found_touches import FoundTouch, path_of, source_of
+from realtouch.touch_options import ImportColumns
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.touch import MEDIA_COLUMN
+from tactile_toolkit.wording import did_you_mean
+
+_ENDING = ".parquet"
+_SPLIT = "split"
+# Of our export: ids of touches, and the order in which they stand anyway.
+_OURS = {"id", "round_id", "label_name", "touch", "frame"}
+_OF_ORDER = ("id", "touch", "frame")
+
+stored_images = stored_pictures
+
+
+def find_flat(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
+    """Yield a touch for each row of the files, in their order; the split is that of the file's name."""
+    home, paths = _files(home)
+    for path in paths:
+        try:
+            parquet = ForeignParquet(home, path)
+        except ItemError as error:
+            raise InputError(f"{home.address(path)!r}: {error.what}") from error
+        column = _picture_column(parquet, columns.image_name)
+        yield from _touches(home, path, parquet, column)
+
+
+def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
+    """Return the folder and the paths of its Parquet files, or of one that is named itself."""
+    if home.address().endswith(_ENDING):
+        home, name = source_of(home.address())
+        return home, [name]
+    paths = sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
+    if not paths:
+        raise InputError(f"{home.address()!r} holds no Parquet files; expected a row for each touch in them")
+    return home, paths
+
+
+def _picture_column(parquet: ForeignParquet, name: str) -> str:
+    """Return the column of pictures: that named, or the only one (InputError)."""
+    for stored in MEDIA_COLUMN.values():
+        if stored in parquet.types:
+            raise InputError(
+                f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
+                "which needs no import",
+                next="open the data set by its folder, as with `realtouch info`",
+            )
+    known: list[str] = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
+    chosen = [column for column in known if name in ("", column)]
+    if len(chosen) == 1:
+        return chosen[0]
+    found = ", ".join(known) or f"none among {', '.join(parquet.types)}"
+    expected = f"{name!r}{did_you_mean(name, known)}" if name else "one"
+    raise InputError(
+        f"{parquet.place!r} has the columns of pictures {found}; expected {expected}",
+        next="choose one with --map image=NAME",
+    )
+
+
+def _touches(home: store.DataFolder, path: str, parquet: ForeignParquet, column: str) -> Iterator[FoundTouch]:
+    names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+    size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
+    shard = store.ShardName.parse(path.rpartition("/")[2])
+    stated: dict[str, object] = {}
+    if shard is not None and _SPLIT not in names:
+        stated[_SPLIT] = shard.split
+    left_out = _OF_ORDER if {*names} >= _OURS else ()
+    for number, row in enumerate(parquet.rows([*names, f"{column}.path"])):
+        name = _base_name(row.pop(column, None)) or f"{stem}_{number:06d}"
+        values = {**stated, **{key: value for key, value in row.items() if key not in left_out}}
+        yield FoundTouch(name, home.address(), path, number, size, values, part=column)
+
+
+def _base_name(picture: object) -> str:
+    """Return the name of the file that a picture was, without its folder; empty if it is not known."""
+    if isinstance(picture, Mapping) and isinstance(picture.get("path"), str):
+        return path_of(picture["path"]).rpartition("/")[2]
+    return ""

@@ -1,0 +1,181 @@
+"""Parquet files of others: columns as arrays, and pictures, of which a few are in memory at a time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from itertools import groupby
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.exchange.found_touches import FoundTouch
+from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+
+if TYPE_CHECKING:
+    from pyarrow import parquet as pq
+
+_ROWS_AT_ONCE = 4096
+# A value may be stored once and be repeated in each row, so that the size of a column says little.
+_BYTES_AT_ONCE = 256 << 20
+_TEXT = "BYTE_ARRAY"
+_VALUE_BYTES = 8
+
+
+def is_picture(data_type: pa.DataType | None) -> bool:
+    """Return whether a column may hold encoded pictures: bytes, or a struct of them and a path."""
+    if data_type is None:
+        return False
+    if pa.types.is_struct(data_type):
+        index = data_type.get_field_index("bytes")
+        return index >= 0 and is_picture(data_type.field(index).type)
+    return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
+
+
+class ForeignParquet:
+    """A Parquet file below a source, whose content is not trusted.
+
+    Raises ItemError if it is missing or lies elsewhere, IntegrityError if it is damaged, and InputError if
+    two columns have one name.
+    """
+
+    def __init__(self, home: store.DataFolder, path: str) -> None:
+        self.size_bytes = store.size_inside(home, path)
+        self.place = home.address(path)
+        with store.named_damage(self.place):
+            self._file = store.open_checked(self.place if home.is_local else home.open(path))
+            self.types = dict(zip(self._file.schema_arrow.names, self._file.schema_arrow.types, strict=True))
+        if len(self.types) < len(self._file.schema_arrow.names):
+            raise InputError(f"{self.place!r} has two columns of one name; expected a name for each")
+        groups = map(self._file.metadata.row_group, range(self._file.num_row_groups))
+        self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
+
+    def __len__(self) -> int:
+        return self._starts[-1]
+
+    def picture_bytes(self, name: str) -> int:
+        """Return about how many bytes a picture of a column takes."""
+        size = sum(int(each.total_uncompressed_size) for each in self._chunks([name]))
+        return size // max(1, len(self)) + 1
+
+    def rows(self, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+        """Yield some columns of each row; InputError for more than may be unpacked."""
+        for table in self._bounded(names):
+            with _named_values(self.place):
+                found = table.to_pylist()
+            yield from found or ({} for _ in range(len(table)))
+
+    def arrays(self, names: Sequence[str]) -> dict[str, AnyArray]:
+        """Return columns as arrays with an entry a row; what is missing is NaN, or None among objects.
+
+        Raises ItemError for lists of several lengths in one column, else as :meth:`rows` does.
+        """
+        found = list(self._bounded(names))
+        if not found:
+            return {name: np.empty(0) for name in names}
+        with _named_values(self.place):
+            joined = pa.concat_tables(found)
+            return {name: _array(name, joined[name].combine_chunks()) for name in names}
+
+    def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
+        """Yield the encoded picture in each of some rows; those that stand in order are read once."""
+        group, start, batches, held = -1, 0, iter(()), pa.table({name: []})
+        for row in rows:
+            wanted = int(np.searchsorted(self._starts, row, side="right")) - 1
+            if not 0 <= row < len(self):
+                yield ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
+                continue
+            if wanted != group or row < start:
+                group, start, held = wanted, self._starts[wanted], held.slice(0, 0)
+                batches = self._tables(group, [name])
+            while row >= start + len(held):
+                start, held = start + len(held), next(batches)
+            image = held[name][row - start].as_py()
+            if isinstance(image, dict):
+                image = image["bytes"]
+            yield image or ItemError("missing", f"row {row:,} of {name!r} holds no bytes; expected a picture")
+
+    def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
+        sizes = (
+            max(each.total_uncompressed_size, _VALUE_BYTES * each.num_values) for each in self._chunks(names)
+        )
+        require_unpackable(sum(sizes), f"{self.place!r}:", self.size_bytes)
+        unpacked = 0
+        for group in range(len(self._starts) - 1):
+            for table in self._tables(group, names):
+                unpacked += table.nbytes
+                require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+                yield table
+
+    def _chunks(self, names: Sequence[str], group: int | None = None) -> list[pq.ColumnChunkMetaData]:
+        """Return what the footer states of some columns, of one row group or of all."""
+        metadata = self._file.metadata
+        groups = map(metadata.row_group, range(metadata.num_row_groups) if group is None else [group])
+        prefixes = tuple(f"{name}." for name in names)
+        every = (each.column(index) for each in groups for index in range(each.num_columns))
+        return [each for each in every if f"{each.path_in_schema}.".startswith(prefixes)]
+
+    def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
+        """Yield the rows of a row group, few at a time; IntegrityError if it holds fewer than stated."""
+        chunks = self._chunks(names, group)
+        largest = max((1, *(each.total_uncompressed_size for each in chunks if each.physical_type == _TEXT)))
+        rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
+        missing = self._starts[group + 1] - self._starts[group]
+        with store.named_damage(self.place):
+            # Without threads of Arrow: shards are imported in parallel.
+            for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
+                missing -= len(batch)
+                yield read.supported_table(pa.Table.from_batches([batch]))
+        if missing:
+            problem = f" is damaged, row group {group} holds {missing:,} rows less than its footer states"
+            raise IntegrityError.in_file(self.place, problem)
+
+
+@contextmanager
+def _named_values(place: str) -> Iterator[None]:
+    """Turn errors about values that Python and numpy do not have into an IntegrityError."""
+    try:
+        with store.named_damage(place):
+            yield
+    except (ValueError, OverflowError) as error:
+        raise IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
+
+
+def _array(name: str, values: pa.Array) -> AnyArray:
+    """Return an Arrow array as numpy, with an axis for each level of lists."""
+    if isinstance(values, pa.ExtensionArray):
+        values = values.storage
+    if not isinstance(values, (pa.ListArray, pa.FixedSizeListArray)):
+        found: AnyArray = values.to_numpy(zero_copy_only=False)
+        return found
+    present = values.drop_null()
+    widths = np.unique(present.value_lengths()).tolist()
+    if len(widths) > 1:
+        found_lengths = f"lists of {widths[0]} and of {widths[-1]} values"
+        raise ItemError("column", f"{found_lengths} in the column {name!r}; expected one length")
+    inner = _array(name, present.flatten())
+    rows = inner.reshape(len(present), *(widths or [0]), *inner.shape[1:])
+    if len(present) == len(values):
+        return rows
+    whole = np.full((len(values), *rows.shape[1:]), None, object)
+    if rows.dtype.kind in "iuf":
+        whole = np.full(whole.shape, np.nan)
+    whole[values.is_valid().to_numpy(zero_copy_only=False)] = rows
+    return whole
+
+
+def stored_pictures(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
+    """Yield the pictures of each item, whose ``part`` is their column of a Parquet file."""
+    for (_, _, name), group in groupby(items, key=lambda item: (item.home, item.path, item.part)):
+        same = list(group)
+        rows = (row for item in same for row in range(item.start, item.start + max(1, item.frames)))
+        try:
+            parquet = ForeignParquet(store.open_folder(same[0].home), same[0].path)
+        except ItemError as error:
+            yield from (error for _ in rows)
+            continue
+        yield from parquet.pictures(name, rows)

@@ -1,0 +1,222 @@
+"""Metadata of a LeRobotDataset: features, episodes and tasks."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import msgspec
+
+from realtouch.exchange.fields import shown
+from realtouch.exchange.foreign_parquet import ForeignParquet
+from realtouch.exchange.found_touches import open_source
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.wording import did_you_mean
+
+_INFO = "meta/info.json"
+_PICTURES = ("image", "video")
+_DEPTH = ("is_depth_map", "video.is_depth_map")
+_MOST_BYTES = 256 << 20
+_VERSION = re.compile(r"v(2\.[01]|3\.0)")
+_FIELD = re.compile(r"\{(\w+)(?::0?([0-9])d)?\}")
+_RANGE = re.compile(r"(\d{1,15}):(\d{1,15})")
+# What is said of episodes for readers of files, and what follows from their frames.
+_OF_FILES = re.compile(r"(stats|data|meta|videos)/.*|dataset_(from|to)_index|tasks|length|episode_index")
+_Count = Annotated[int, msgspec.Meta(ge=0, lt=1 << 50)]
+
+
+class Feature(msgspec.Struct, frozen=True):
+    """What is stored of each frame."""
+
+    dtype: str
+    info: Mapping[str, Any] | None = None
+
+    @property
+    def is_camera(self) -> bool:
+        """Whether it holds pictures, of colours or depth."""
+        return self.dtype in _PICTURES
+
+    @property
+    def is_depth(self) -> bool:
+        """Whether it holds maps of depth."""
+        return any((self.info or {}).get(key) for key in _DEPTH)
+
+
+class Mark(msgspec.Struct, frozen=True):
+    """What an export of this toolkit says of itself.
+
+    ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
+    feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.
+    """
+
+    class_names: tuple[str, ...]
+    clips: bool
+    extra: Mapping[str, str] = {}
+
+
+class Info(msgspec.Struct, frozen=True):
+    """The content of ``meta/info.json``; ``realtouch`` is the mark of exports of this toolkit."""
+
+    codebase_version: str
+    fps: Annotated[float, msgspec.Meta(gt=0, lt=1e6)]
+    features: Mapping[str, Feature]
+    data_path: str
+    video_path: str | None = None
+    chunks_size: Annotated[int, msgspec.Meta(gt=0, lt=1 << 50)] = 1000
+    splits: Mapping[str, str] | None = None
+    realtouch: Mark | None = None
+
+    @property
+    def is_v2(self) -> bool:
+        """Whether there is a file for each episode."""
+        return self.codebase_version.startswith("v2")
+
+    def camera(self, name: str, where: str) -> str:
+        """Return the feature of the pictures to import: that named, or the only one that is not depth.
+
+        Raises InputError for none or several.
+        """
+        cameras = [key for key, each in self.features.items() if each.is_camera and not each.is_depth]
+        chosen = [key for key in cameras if name in ("", key)]
+        if len(chosen) == 1:
+            return chosen[0]
+        found = ", ".join(cameras) or f"none; its features are {', '.join(self.features)}"
+        expected = f"{name!r} among them{did_you_mean(name, cameras)}" if name else "one"
+        raise InputError(
+            f"{where!r} has the cameras {found}; expected {expected}", next="choose one with --map image=NAME"
+        )
+
+    def split_of(self, episode: int) -> dict[str, object]:
+        """Return the split of an episode, as far as one is stated."""
+        for name, text in (self.splits or {}).items():
+            found = _RANGE.fullmatch(text)
+            if found and int(found[1]) <= episode < int(found[2]):
+                return {"split": name}
+        return {}
+
+
+@dataclass(frozen=True)
+class Episode:
+    """An episode: where its frames are, how many there are, and what else is said of it."""
+
+    number: int
+    length: int
+    data_path: str
+    video_path: str
+    video_start_s: float
+    values: Mapping[str, object]
+
+    @property
+    def name(self) -> str:
+        """Name, also of the round."""
+        return f"episode_{self.number:06d}"
+
+
+class _Files(msgspec.Struct, frozen=True):
+    """Which files of version 3 hold something of an episode, and at how many seconds it begins in a video."""
+
+    chunk_index: _Count = 0
+    file_index: _Count = 0
+    from_timestamp: Annotated[float, msgspec.Meta(ge=0, lt=1e9)] = 0.0
+
+
+def read_info(home: store.DataFolder) -> Info:
+    """Read what a data set says of itself; InputError for another version, or if it cannot be read."""
+    with _refused(home, _INFO):
+        info = msgspec.json.decode(_content(home, _INFO), type=Info)
+    if not _VERSION.fullmatch(info.codebase_version):
+        problem = f"{home.address(_INFO)!r} states version {shown(info.codebase_version)!r}"
+        raise InputError(
+            f"{problem}; expected v2.0, v2.1 or v3.0", next="convert it with the tools of LeRobot"
+        )
+    return info
+
+
+def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
+    """Return the text of each task by its number; InputError if they cannot be read."""
+    path = "meta/tasks.jsonl" if info.is_v2 else "meta/tasks.parquet"
+    tasks: dict[int, str] = {}
+    for line in _lines(home, path) if home.exists(path) else ():
+        number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
+        if not isinstance(number, int) or len(texts) != 1:
+            raise InputError(f"{home.address(path)!r}: {shown(line)}; expected a number and a text")
+        tasks[number] = texts[0]
+    return tasks
+
+
+def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[Episode]:
+    """Yield the episodes, whose numbers rise; InputError if their metadata cannot be read."""
+    paths = ["meta/episodes.jsonl"]
+    if not info.is_v2:
+        paths = sorted(path for path in home.walk("meta/episodes") if path.endswith(".parquet"))
+    last = -1
+    for path in paths:
+        for line in _lines(home, path):
+            with _refused(home, path):
+                episode = _episode(info, camera, line)
+            if episode.number <= last:
+                found = f"episode {episode.number:,} after {last:,}"
+                raise InputError(f"{home.address(path)!r} holds {found}; expected numbers that rise")
+            last = episode.number
+            yield episode
+
+
+def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
+    number, length = (msgspec.convert(line.get(name), _Count) for name in ("episode_index", "length"))
+    rows, video = (_files(line, f"{folder}/") for folder in ("data", f"videos/{camera}"))
+
+    def path(template: str, files: _Files) -> str:
+        numbers = {"chunk_index": files.chunk_index, "file_index": files.file_index}
+        chunk = number // info.chunks_size
+        values = {**numbers, "episode_chunk": chunk, "episode_index": number, "video_key": camera}
+        return _filled(template, values)
+
+    others = {name: value for name, value in line.items() if not _OF_FILES.fullmatch(name)}
+    paths = path(info.data_path, rows), path(info.video_path or "", video)
+    return Episode(number, length, *paths, video.from_timestamp, {**info.split_of(number), **others})
+
+
+def _files(line: Mapping[str, Any], prefix: str) -> _Files:
+    found = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
+    return msgspec.convert(found, _Files)
+
+
+def _filled(template: str, values: Mapping[str, object]) -> str:
+    # Not by `str.format`, which looks up attributes, and takes as much memory as a path asks for.
+    return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
+
+
+def _lines(home: store.DataFolder, path: str) -> Iterator[Mapping[str, Any]]:
+    """Yield the lines of a JSON lines or Parquet file; of the latter without statistics."""
+    with _refused(home, path):
+        if path.endswith(".jsonl"):
+            yield from msgspec.json.Decoder(Mapping[str, Any]).decode_lines(_content(home, path))
+            return
+        parquet = ForeignParquet(home, path)
+        yield from parquet.rows([name for name in parquet.types if not name.startswith("stats/")])
+
+
+def _content(home: store.DataFolder, path: str) -> bytes:
+    with open_source(home, path) as stream:
+        content = stream.read(_MOST_BYTES + 1)
+    if len(content) > _MOST_BYTES:
+        raise InputError(
+            f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read"
+        )
+    return content
+
+
+@contextmanager
+def _refused(home: store.DataFolder, path: str) -> Iterator[None]:
+    """Raise InputError, which names the file, for metadata that cannot be used."""
+    try:
+        yield
+    except ItemError as error:
+        raise InputError(f"{home.address(path)!r}: {error.what}") from error
+    except (msgspec.MsgspecError, UnicodeError, RecursionError, ArithmeticError) as error:
+        problem = f"no metadata of a LeRobotDataset ({error})"
+        raise InputError(f"{home.address(path)!r} holds {problem}") from error

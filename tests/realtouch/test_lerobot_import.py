@@ -1,0 +1,322 @@
+"""LeRobotDatasets of others and of this toolkit as touches."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
+from realtouch.exchange.recordings import Recording, touches_of
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError
+from tactile_toolkit.touch import decode_image
+from tests.realtouch import lerobot_sets
+from tests.realtouch.factories import FPS
+from tests.realtouch.lerobot_sets import CAMERA, TASKS, Truth, write_json, write_lerobot
+
+KINDS = [(version, dtype) for version in ("v2.1", "v3.0") for dtype in ("image", "video")]
+
+
+def found(home: Path, **columns: Any) -> list[Recording]:
+    return list(find_lerobot(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None))
+
+
+def pictures(recording: Recording, cut: str = "whole") -> list[Any]:
+    return list(encoded_frames(touches_of(recording, cut)))
+
+
+@pytest.mark.parametrize(("version", "dtype"), KINDS)
+def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: Path) -> None:
+    """Every column under its own name, exactly; pictures as stored, or as decoded."""
+    truth = write_lerobot(tmp_path, version, dtype)
+    recordings = found(tmp_path)
+    assert [each.frames for each in recordings] == list(truth.lengths)
+    assert [each.problem for each in recordings] == [None] * 3
+    for number, recording in enumerate(recordings):
+        columns = truth.columns[number]
+        assert recording.name == f"episode_{number:06d}"
+        split = "test" if number == 2 else "train"
+        assert recording.values == {"task": TASKS[number % 2], "split": split, "operator": f"o{number}"}
+        assert recording.time_s is not None
+        np.testing.assert_array_equal(recording.time_s, columns["frame_index"] / FPS)
+        known = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
+        assert recording.per_frame.keys() == columns.keys() - known
+        for name, values in recording.per_frame.items():
+            np.testing.assert_array_equal(values, columns[name], err_msg=name)
+            assert name == "note" or values.dtype == columns[name].dtype
+        if dtype == "image":
+            assert pictures(recording) == truth.jpegs[number]
+            assert pictures(recording, "frames") == truth.jpegs[number]
+            continue
+        assert pictures(recording) == pictures(recording, "frames")
+        shown = np.stack(list(map(decode_image, pictures(recording)))).astype(int)
+        assert shown.shape == truth.pixels[number].shape
+        assert np.abs(shown - truth.pixels[number]).mean() < 4  # the bar at another place makes 15 and more
+    items = [item for recording in recordings for item in touches_of(recording, "frames")]
+    backwards = list(encoded_frames(items[::-1]))
+    assert backwards == [each for recording in recordings for each in pictures(recording)][::-1]
+    assert bool(describe_conversion(items)) == (dtype == "video")
+
+
+@pytest.mark.parametrize(("version", "dtype"), KINDS)
+def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
+    version: str, dtype: str, tmp_path: Path
+) -> None:
+    write_lerobot(tmp_path, version, dtype, Truth((3, 2), (CAMERA, "observation.images.wrist")))
+    with pytest.raises(InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "):
+        found(tmp_path)
+    with pytest.raises(InputError, match=r"expected 'tactil' among them"):
+        found(tmp_path, image="tactil")
+    recordings = found(tmp_path, image="observation.images.wrist")
+    assert [len(pictures(each)) for each in recordings] == [3, 2]
+    assert f"'{CAMERA}' was left out" in describe_conversion(list(touches_of(recordings[0], "whole")))
+    info = json.loads((tmp_path / "meta" / "info.json").read_text())
+    info["features"]["observation.images.wrist"]["info"] = {"is_depth_map": True, "depth_unit": "m"}
+    write_json(tmp_path / "meta" / "info.json", info)
+    assert len(found(tmp_path)) == 2  # one camera is left, beside the depth
+    for name in (CAMERA, "observation.images.wrist"):
+        info["features"][name]["dtype"] = "float32"
+    write_json(tmp_path / "meta" / "info.json", info)
+    with pytest.raises(InputError, match=r"the cameras none; its features are .*, timestamp"):
+        found(tmp_path)
+
+
+def test_several_tasks_in_an_episode_are_those_of_its_frames(tmp_path: Path) -> None:
+    truth = Truth()
+    truth.columns[0]["task_index"][3:] = 1
+    write_lerobot(tmp_path, truth=truth)
+    first, second, _ = found(tmp_path)
+    assert first.per_frame["task"].tolist() == [*[TASKS[0]] * 3, *[TASKS[1]] * 2]
+    assert (first.values.get("task"), second.values["task"]) == (None, TASKS[1])
+
+
+def test_missing_values_stay_missing_and_times_are_as_stated(tmp_path: Path) -> None:
+    truth = Truth((4,))
+    truth.columns[0]["timestamp"] = np.array([0, 0.01, 0.5, 0.75], np.float32)
+    write_lerobot(tmp_path, truth=truth)
+    (path,) = (tmp_path / "data").rglob("*.parquet")
+    rows = pq.read_table(path)
+    for name, values in (
+        ("count", pa.array([1, None, 3, 4])),
+        ("text", pa.array(["a", None, "c", "d"])),
+        ("vector", pa.array([[1.0, 2.0], None, [3.0, None], [5.0, 6.0]])),
+        ("marker", pa.array([[[1, 2], [3, 4]]] * 4)),
+    ):
+        rows = rows.append_column(name, values)
+    pq.write_table(rows, path)
+    (only,) = found(tmp_path)
+    assert only.time_s is not None
+    np.testing.assert_array_equal(only.time_s, truth.columns[0]["timestamp"].astype(np.float64))
+    np.testing.assert_array_equal(only.per_frame["count"], [1, np.nan, 3, 4])
+    assert only.per_frame["text"].tolist() == ["a", None, "c", "d"]
+    np.testing.assert_array_equal(only.per_frame["vector"], [[1, 2], [np.nan] * 2, [3, np.nan], [5, 6]])
+    assert only.per_frame["marker"].shape == (4, 2, 2)
+
+
+def drop_rows(home: Path) -> None:
+    path = next(iter(sorted((home / "data").rglob("*.parquet"))))
+    pq.write_table(pq.read_table(path).slice(1), path)
+
+
+def cut_file(pattern: str) -> Callable[[Path], None]:
+    def cut(home: Path) -> None:
+        path = next(iter(sorted(home.rglob(pattern))))
+        path.write_bytes(path.read_bytes()[:-50])
+
+    return cut
+
+
+def remove(pattern: str) -> Callable[[Path], None]:
+    return lambda home: next(iter(sorted(home.rglob(pattern)))).unlink()
+
+
+def state(**values: Any) -> Callable[[Path], None]:
+    def change(home: Path) -> None:
+        path = home / "meta" / "info.json"
+        write_json(path, {**json.loads(path.read_text()), **values})
+
+    return change
+
+
+def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable[[Path], None]:
+    def change(home: Path) -> None:
+        path = next(iter(sorted((home / "data").rglob("*.parquet"))))
+        rows = pq.read_table(path)
+        pq.write_table(rows.set_column(rows.schema.get_field_index(name), name, values(rows)), path)
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("dtype", "spoil", "words"),
+    [
+        ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
+        ("image", cut_file("episode_000000.parquet"), "is damaged"),
+        ("image", remove("episode_000000.parquet"), "the file does not exist"),
+        ("image", change_column("timestamp", lambda rows: pa.array([0.0, 1, 0.5, 2, 3])), "expected seconds"),
+        ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
+        ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
+        ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
+        ("image", change_column("note", lambda rows: pa.array([[1], [1, 2], [], [], []])), "expected one length"),
+        ("video", cut_file("episode_000000.mp4"), ""),
+        ("video", remove("episode_000000.mp4"), "the file does not exist"),
+        ("video", state(fps=50), ""),
+        ("video", change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)), "not shown at the times"),
+    ],
+)
+def test_an_episode_that_cannot_be_used_is_one_item_with_the_reason(
+    dtype: str, spoil: Callable[[Path], None], words: str, tmp_path: Path
+) -> None:
+    write_lerobot(tmp_path, "v2.1", dtype)
+    spoil(tmp_path)
+    recordings = found(tmp_path)
+    assert [each.frames for each in recordings][1:] == [7, 4] or not words
+    problems = [each.problem for each in recordings]
+    if words:
+        assert re.search(words, str(problems[0]))
+        assert problems[1:] == [None, None]
+    items = list(touches_of(recordings[0], "frames"))
+    assert len(items) == recordings[0].frames
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"data_path": "../{episode_index}.parquet"}, "not the plain relative path"),
+        ({"data_path": "/etc/passwd"}, "not the plain relative path"),
+        ({"data_path": "link/x.parquet"}, "a link leads out of the folder"),
+        ({"data_path": "{episode_index.__class__}"}, "the file does not exist"),
+        ({"data_path": "{episode_index:0999999999d}"}, "the file does not exist"),
+        ({"video_path": "../../{episode_index}.mp4"}, "not the plain relative path"),
+        ({"video_path": None}, "not the plain relative path"),
+    ],
+)
+@pytest.mark.parametrize("version", ["v2.1", "v3.0"])
+def test_paths_in_metadata_stay_inside(
+    version: str, values: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    home = tmp_path / "home"
+    write_lerobot(home, version, "video")
+    (home / "link").symlink_to(tmp_path)
+    state(**values)(home)
+    assert {words in str(each.problem) for each in found(home)} == {True}
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("info.json", b"{", r"info\.json' holds no metadata of a LeRobotDataset"),
+        ("info.json", b"[]", "Expected `object`"),
+        ("info.json", b"[" * 100_000, r"info\.json' holds no metadata"),
+        ("info.json", b"\xff", r"info\.json' holds no metadata"),
+        ("episodes.jsonl", b'{"episode_index": -1, "length": 3}', "Expected `int` >= 0"),
+        ("episodes.jsonl", b'{"episode_index": 1e999, "length": 3}', r"episodes\.jsonl' holds no metadata"),
+        ("episodes.jsonl", b'{"episode_index": 3}', "Expected `int`"),
+        ("episodes.jsonl", b'{"episode_index": 3, "length": 2}\n' * 2, "episode 3 after 3; expected numbers that"),
+        ("tasks.jsonl", b'{"task_index": 1}', "expected a number and a text"),
+        ("tasks.jsonl", b"1", "Expected `object`"),
+    ],
+)
+def test_metadata_that_cannot_be_used_are_named(
+    name: str, content: bytes, words: str, tmp_path: Path
+) -> None:
+    write_lerobot(tmp_path, "v2.1")
+    (tmp_path / "meta" / name).write_bytes(content)
+    with pytest.raises(InputError, match=words):
+        found(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        ({"codebase_version": "v1.6"}, r"states version 'v1\.6'; expected v2\.0, v2\.1 or v3\.0"),
+        ({"fps": 0}, r"Expected `float` > 0"),
+        ({"chunks_size": 0}, r"Expected `int`"),
+        ({"features": {"a": {}}}, r"missing required field `dtype`"),
+        ({"data_path": None}, r"Expected `str`"),
+    ],
+)
+def test_what_a_set_says_of_itself_is_checked(values: dict[str, Any], words: str, tmp_path: Path) -> None:
+    write_lerobot(tmp_path)
+    state(**values)(tmp_path)
+    with pytest.raises(InputError, match=words):
+        found(tmp_path)
+
+
+def test_metadata_of_version_3_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    write_lerobot(tmp_path)
+    path = tmp_path / "meta" / "episodes" / "chunk-000" / "file-001.parquet"
+    lines = pq.read_table(path)
+    pq.write_table(lines.set_column(0, "episode_index", pa.array([1])), path)
+    with pytest.raises(InputError, match=r"file-001\.parquet' holds episode 1 after 1"):
+        found(tmp_path)
+    pq.write_table(pa.table({"length": [3]}), path)
+    with pytest.raises(InputError, match=r"file-001\.parquet' holds no metadata"):
+        found(tmp_path)
+    path.write_bytes(b"PAR1")
+    with pytest.raises(ToolkitError, match=r"file-001\.parquet' is damaged"):
+        found(tmp_path)
+
+
+def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
+    write_lerobot(tmp_path, "v2.1")
+    change_column(
+        CAMERA, lambda rows: pa.array([None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type)
+    )(tmp_path)
+    first, *_ = found(tmp_path)
+    images = pictures(first)
+    assert [str(each) for each in images[:3]] == [
+        f"row {row} of '{CAMERA}' holds no bytes; expected a picture" for row in range(3)
+    ]
+    assert all(isinstance(each, bytes) for each in images[3:])
+    remove("episode_000001.parquet")(tmp_path)
+    gone = pictures(found(tmp_path)[0]) and list(encoded_frames(touches_of(found(tmp_path)[2], "whole")))
+    assert len(gone) == 4
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_an_export_of_this_toolkit_comes_back(
+    kind: Any, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    """Pictures byte for byte, poses as single precision has them; rounds, classes, objects and times."""
+    source = request.getfixturevalue(f"{kind}_folder")
+    realtouch.export(source, tmp_path / "there", "lerobot", split="train")
+    before = realtouch.load(source, "train")
+    recordings = found(tmp_path / "there" / "lerobot")
+    number = 0
+    for record in before:
+        touches = [list(range(record.touch_count))] if kind == "single" else [[t] for t in range(record.touch_count)]
+        for chosen in touches:
+            recording, number = recordings[number], number + 1
+            expected = {"round_id": record.id, "split": "train", "label": record.label}
+            assert recording.values.items() >= expected.items()
+            assert recording.values["label_name"] == before.label_names[record.label]
+            assert recording.values["object_id"] == record.object_id
+            assert not {"task", "touch"} & {*recording.values, *recording.per_frame}
+            xy = record.pos_in_cell_m[chosen].astype(np.float32)
+            names = realtouch.touch_options.POSITION_COLUMNS
+            if kind == "single":
+                images = [bytes(record.sensor_image.encoded(touch)) for touch in chosen]
+                pose = record.gel_pose_cell_frame
+                np.testing.assert_array_equal(np.stack([recording.per_frame[name] for name in names], -1), xy)
+            else:
+                clip = record.sensor_video[chosen[0]]
+                images = [bytes(clip.encoded(frame)) for frame in range(len(clip))]
+                pose = clip.poses
+                assert [recording.values[name] for name in names] == xy[0].tolist()
+                np.testing.assert_array_equal(recording.time_s, clip.time_s)
+            assert pictures(recording) == images
+            seven = np.hstack([pose.position_m, pose.quaternion]).astype(np.float32)
+            names = realtouch.touch_options.POSE_COLUMNS
+            assert {*names} <= {*recording.per_frame} | {*realtouch.touch_options.POSITION_COLUMNS}
+            np.testing.assert_array_equal(np.stack([recording.per_frame[name] for name in names], -1), seven)
+    assert number == len(recordings)
