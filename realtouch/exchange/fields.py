@@ -237,18 +237,15 @@ def _numbers(
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     is_nested = numbers.ndim == 3 and numbers.shape[1:] in ((3, 4), (4, 4))
-    if numbers.ndim == 2 or is_nested:
+    if is_nested:
         numbers = numbers.reshape(len(numbers), -1)
     if numbers.ndim != 2 or numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
         first = found[0] if len(names) == 1 else [each[0] for each in found]
-        raise ItemError(
-            reason, f"{shown(first)}; expected {expected_counts(sizes)} finite numbers{_hint(sizes)}"
-        )
+        expected = f"{sizes[0]} finite numbers"
+        if len(sizes) > 1:
+            expected += f", or {expected_counts(sizes[1:])} of a matrix (--euler and --rotvec are of 6)"
+        raise ItemError(reason, f"{shown(first)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])
-
-
-def _hint(sizes: tuple[int, ...]) -> str:
-    return " (of six, --euler or --rotvec states what the last three are)" if len(sizes) > 1 else ""
 
 
 def _words(values: Sequence[object] | AnyArray) -> Any:

@@ -53,7 +53,7 @@ def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | Non
     if name not in names:
         raise InputError(
             f"{group.place!r} has no array of pictures {name!r}; found {', '.join(names)}",
-            next="name it with --image-column",
+            next="name it with --map image=NAME",
         )
     pictures = PictureArray.of(group.array(f"data/{name}"))
     ends, stated = _episode_ends(group.array(ENDS), len(pictures)), group.json(ATTRIBUTES)
