@@ -1,8 +1,10 @@
-"""Units of length and angle, as numbers and as names of columns state them: ``x_mm`` is in millimetres."""
+"""Units as numbers and as names of columns state them: ``x_mm`` is in mm, ``time_ms`` in milliseconds."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import dataclass
 
 from tactile_toolkit.errors import InputError
 
@@ -18,24 +20,38 @@ PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Number of units in a second."""
 
 
+@dataclass(frozen=True, slots=True)
+class Quantity:
+    """A quantity whose unit a column states: what messages call it, the option, and units in that of SI."""
+
+    name: str
+    option: str
+    per_unit: Mapping[str, float]
+
+    def divisor(self, column: str, given: str | None = None) -> float:
+        """Return the number of units of a column in a metre, radian or second.
+
+        The name of the column states the unit, or ``given`` does; else it is metre, radian or second.
+        InputError: both state one and differ, or the column states the unit of another quantity.
+        """
+        stated = stated_unit(column)
+        if stated and (stated not in self.per_unit or (given and stated != given)):
+            expected = f"{given}, as {self.option} states" if given else self.name
+            raise InputError(
+                f"the column {column!r} states {stated} in its name; expected {expected}",
+                next="rename the column, or name another one",
+            )
+        return self.per_unit.get(stated or given or "", 1.0)
+
+
+LENGTH = Quantity("a length", "--length-unit", PER_METRE)
+ANGLE = Quantity("an angle", "--angle-unit", PER_RADIAN)
+TIME = Quantity("a time", "--time-unit", PER_SECOND)
+
+
 def stated_unit(name: str) -> str | None:
     """Return the unit that the name of a column ends with, such as ``mm`` or ``deg``; None without one."""
     _, _, ending = name.rpartition("_")
     unit = ending.lower()
-    return unit if "_" in name and (unit in PER_METRE or unit in PER_RADIAN) else None
-
-
-def length_per_metre(name: str, given: str | None = None) -> float:
-    """Return the number of units of a column in a metre.
-
-    The name of the column states the unit, or ``given`` does; the default is metres. InputError: both state
-    one and differ, or the column states an angle.
-    """
-    stated = stated_unit(name)
-    if stated in PER_RADIAN or (stated and given and stated != given):
-        expected = f"{given}, as --length-unit states" if given else "a length"
-        raise InputError(
-            f"the column {name!r} states {stated} in its name; expected {expected}",
-            next="rename the column, or name another one",
-        )
-    return PER_METRE[stated or given or "m"]
+    is_known = unit in PER_METRE or unit in PER_RADIAN or unit in PER_SECOND
+    return unit if "_" in name and is_known else None

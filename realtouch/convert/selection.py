@@ -135,7 +135,7 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
         if not dataset.has_column("object_id"):
             raise InputError(
                 f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
-                next="choose by --labels, or import it again with --object-column",
+                next="choose by --labels, or import it again with --map object=COLUMN",
             )
         object_ids = dataset.int_column("object_id")
         ranges = map(np.ravel, options["objects"])

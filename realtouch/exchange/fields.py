@@ -1,17 +1,18 @@
-"""What the fields of a source say of a touch, in our units; each is refused with the reason."""
+"""What the fields of a source say of touches and pictures, in our units; each is refused with the reason."""
 
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from realtouch.poses import bad_pose
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit.errors import ItemError
+from realtouch.touch_options import ImportColumns, expected_counts
+from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.units import TIME
 
 NUMBERED = "label"
 """The field of our own exports that numbers the classes."""
@@ -19,18 +20,25 @@ NUMBERED = "label"
 UNKNOWN = ("-1", "-1.0")
 """The number of a class that is not known, as `datasets` has it."""
 
+Fields = Mapping[str, Sequence[object] | AnyArray]
+"""Columns by their names, each with an entry for every touch or picture."""
+
 _NUMBER = re.compile(r"^(0|[1-9][0-9]*)(?:\.0+)?\Z")
 _DECIMAL_COMMA = re.compile(r"\s*[+-]?[0-9]*,[0-9]+(?:[eE][+-]?[0-9]+)?\s*")
+_LIST = re.compile(r"[\[\](),;]")
 _LONGEST_SHOWN = 80  # letters of a value that a message repeats
 _LONGEST_INTEGER = 18  # digits
 # The cell is 0.12 m wide. What lies farther from it than that, or three times as high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
+_MOST_TURN = 4 * np.pi  # of a rotation vector; a longer one is in degrees
+_TOLERANCE = 1e-3  # of a matrix, as of the length of a quaternion
+_NO_TILT = 1e-6  # of a frame by which x and y alone can be transformed
 
 
 def text_of(values: Mapping[str, object], name: str | None) -> str:
     """Return a value as text; empty for null, NaN, lists and objects of JSON."""
     value = values.get(name) if name else None
-    if value is None or value != value or isinstance(value, (list, dict)):
+    if value is None or isinstance(value, (list, dict, np.ndarray)) or value != value:
         return ""
     return str(value).strip()
 
@@ -45,19 +53,21 @@ def integer_text(text: str) -> str:
     return _NUMBER.sub(r"\1", text)
 
 
-def label_of(values: Mapping[str, object], column: str | None, names: Sequence[str]) -> int:
-    """Return the number of the class, -1 if it is unknown; ItemError if it is not a class."""
-    if isinstance(values.get(column or NUMBERED), (list, dict)):
-        raise ItemError(
-            "label", f"the label {shown(values[column or NUMBERED])}; expected a name or a number"
-        )
+def label_of(values: Mapping[str, object], column: str | None, numbers: Mapping[str, int]) -> int:
+    """Return the number of the class, -1 if it is unknown; ItemError if it is not a class.
+
+    ``numbers`` are those of the classes by name.
+    """
+    stated = values.get(column or NUMBERED)
+    if isinstance(stated, (list, dict)):
+        raise ItemError("label", f"the label {shown(stated)}; expected a name or a number")
     label = text_of(values, column) or text_of(values, NUMBERED)
-    if not names or label in UNKNOWN:
+    if not numbers or label in UNKNOWN:
         return -1
-    for text in (label, integer_text(label)):
-        if text in names:
-            return names.index(text)
-    raise ItemError("label", f"the label {shown(label)!r}; expected a class")
+    number = numbers.get(label, numbers.get(integer_text(label)))
+    if number is None:
+        raise ItemError("label", f"the label {shown(label)!r}; expected a class")
+    return number
 
 
 def object_of(values: Mapping[str, object], column: str | None) -> int:
@@ -70,65 +80,206 @@ def object_of(values: Mapping[str, object], column: str | None) -> int:
     return int(text)
 
 
-def position_of(values: Mapping[str, object], columns: ImportColumns) -> tuple[float, ...]:
-    """Return the intended position, x and y in metres, or nothing; ItemError for anything else."""
-    position = _numbers(values, columns, columns.position, 2, "position")
-    _require_metres(position, "position")
-    return position
+def each_of(
+    read: Callable[[Fields, ImportColumns], Float64], values: Fields, columns: ImportColumns, count: int
+) -> tuple[Float64 | None, dict[int, ItemError]]:
+    """Read all touches or pictures at once, or one by one where some are wrong.
+
+    Returns an array with an entry for each, and what is wrong with those that cannot be used; without a
+    single one that can, there is no array.
+    """
+    try:
+        return read(values, columns), {}
+    except ItemError:
+        pass
+    problems: dict[int, ItemError] = {}
+    found: Float64 | None = None
+    for number in range(count):
+        try:
+            (each,) = read({name: column[number : number + 1] for name, column in values.items()}, columns)
+        except ItemError as error:
+            problems[number] = error
+        else:
+            if found is None:
+                found = np.full((count, *np.shape(each)), np.nan)
+            found[number] = each
+    return found, problems
 
 
-def pose_of(values: Mapping[str, object], columns: ImportColumns) -> tuple[float, ...]:
-    """Return position in metres and quaternion x, y, z, w, or nothing; ItemError if it is not a pose."""
-    pose = _numbers(values, columns, columns.pose, 7, "pose")
-    if not pose:
-        return ()
-    if columns.order == "wxyz":
-        pose = (*pose[:3], *pose[4:], pose[3])
-    wrong = bad_pose(np.array([pose[:3]]), np.array([pose[3:]]))
+def positions(values: Fields, columns: ImportColumns) -> Float64:
+    """Return intended positions, x and y in metres, cell frame, shape (n, 2).
+
+    Raises ItemError for anything else; InputError for a frame that makes them depend on a height.
+    """
+    place = _numbers(values, columns, columns.position or (), (2,), "position")
+    if columns.frame is not None:
+        turn, shift = _frame(columns)
+        if np.abs(turn[:2, 2]).max() > _NO_TILT:
+            raise InputError(
+                "the frame tilts, so that an x and y of the source is no x and y of the cell",
+                next="leave out the positions: --map position=",
+            )
+        place = place @ turn[:2, :2].T + shift[:2]
+    _require_metres(place, "position")
+    return place
+
+
+def poses(values: Fields, columns: ImportColumns) -> Float64:
+    """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
+
+    Raises ItemError for anything else.
+    """
+    numbers = _numbers(values, columns, columns.pose or (), columns.pose_sizes, "pose")
+    size = numbers.shape[1]
+    if size == 7:
+        place, turns = numbers[:, :3], numbers[:, 3:]
+        if columns.order == "wxyz":
+            turns = turns[:, [1, 2, 3, 0]]
+    elif size == 6:
+        place, turns = numbers[:, :3], _turned(numbers[:, 3:], columns)
+    else:
+        place, turns = numbers[:, 3:12:4], _quaternions(numbers)
+    wrong = bad_pose(place, turns)
     if wrong is not None:
         raise ItemError("pose", wrong[1])
-    _require_metres(pose[:3], "pose")
-    return pose
+    if columns.frame is not None:
+        from scipy.spatial.transform import Rotation
+
+        turn, shift = _frame(columns)
+        place = place @ turn.T + shift
+        turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
+    _require_metres(place, "pose")
+    return np.hstack([place, turns])
 
 
-def _require_metres(place: tuple[float, ...], reason: str) -> None:
-    if any(abs(each) > most for each, most in zip(place, _FARTHEST_M, strict=False)):
+def times_s(values: Sequence[object] | AnyArray, columns: ImportColumns) -> Float64:
+    """Return times in seconds, shape (n,); ItemError for anything but finite numbers or points in time."""
+    found = np.asarray(values)
+    if found.dtype.kind in "mM":
+        unit = np.datetime_data(found.dtype)[0]
+        if np.isnat(found).any() or unit == "generic":
+            raise ItemError("time", "a time is missing; expected one for each picture")
+        return found.astype(f"{found.dtype.kind}8[ns]").astype(np.int64) / 1e9
+    try:
+        times = _floats(values)
+    except (TypeError, ValueError, OverflowError):
+        times = np.empty(0)
+    if times.ndim == 2 and times.shape[1] == 1:
+        times = times[:, 0]
+    if times.shape != (len(values),) or not np.isfinite(times).all():
+        raise ItemError("time", f"the times {shown(list(values[:4]))}; expected finite numbers")
+    return times / TIME.divisor(columns.time or "", columns.time_unit)
+
+
+def _turned(angles: Float64, columns: ImportColumns) -> Float64:
+    """Return the quaternions of Euler angles or of rotation vectors, radians."""
+    from scipy.spatial.transform import Rotation
+
+    if columns.euler is not None:
+        return Rotation.from_euler(columns.euler, angles).as_quat()
+    if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
+        raise ItemError(
+            "pose",
+            f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
+            "(--angle-unit states another unit)",
+        )
+    return Rotation.from_rotvec(angles).as_quat()
+
+
+def _quaternions(numbers: Float64) -> Float64:
+    """Return the quaternions of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
+    from scipy.spatial.transform import Rotation
+
+    matrices = numbers.reshape(len(numbers), -1, 4)
+    turns = matrices[:, :3, :3]
+    is_unit = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _TOLERANCE
+    is_last = np.abs(matrices[:, 3:] - np.array([0, 0, 0, 1])).max(axis=(1, 2), initial=0) <= _TOLERANCE
+    if not (is_unit & (np.linalg.det(turns) > 0) & is_last).all():
+        raise ItemError(
+            "pose",
+            f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
+            "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
+        )
+    return Rotation.from_matrix(turns).as_quat()
+
+
+def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
+    """Return rotation and shift, in metres, from the frame of the source to that of the cell."""
+    from scipy.spatial.transform import Rotation
+
+    matrix = np.array(columns.frame)
+    per_metre = columns.divisors((), 2)[0]
+    return Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
+
+
+def _require_metres(places: Float64, reason: str) -> None:
+    is_far = (np.abs(places) > _FARTHEST_M[: places.shape[1]]).any(axis=1)
+    if is_far.any():
         raise ItemError(
             reason,
-            f"the position {shown(place)}, in metres, lies farther outside of the cell than it is wide; "
-            "expected metres in the cell frame (--length-unit states another unit)",
+            f"the position {shown(tuple(places[is_far.argmax()].tolist()))}, in metres, lies farther outside "
+            "of the cell than it is wide; expected metres in the cell frame (--length-unit states another "
+            "unit, --frame another frame)",
         )
 
 
 def _numbers(
-    values: Mapping[str, object],
-    columns: ImportColumns,
-    names: tuple[str, ...] | None,
-    count: int,
-    reason: str,
-) -> tuple[float, ...]:
-    """Return the numbers of some columns, or of one that holds all of them, lengths in metres."""
-    if not names:
-        return ()
-    found: Any = [values.get(name) for name in names]
-    if len(names) == 1:
-        found = found[0]
-        if isinstance(found, str):
-            found = found.replace(",", " ").strip("[]() ").split()
-    numbers: tuple[float, ...] = ()
-    with suppress(TypeError, ValueError, OverflowError):
-        numbers = tuple(map(_number, found))
-    if len(numbers) != count or not np.isfinite(numbers).all():
-        raise ItemError(reason, f"{shown(found)}; expected {count} finite numbers")
-    divisors = columns.per_metre(names, count)
-    return tuple(number / each for number, each in zip(numbers, divisors, strict=True))
+    values: Fields, columns: ImportColumns, names: tuple[str, ...], sizes: tuple[int, ...], reason: str
+) -> Float64:
+    """Return the numbers of some columns, or of one with all, shape (n, size), in metres and radians."""
+    found: Any = [values[name] for name in names]
+    try:
+        if len(names) == 1:
+            found = _words(found[0])
+            numbers = _floats(found)
+        else:
+            numbers = np.stack([_floats(each).reshape(len(each)) for each in found], axis=1)
+    except (TypeError, ValueError, OverflowError):
+        numbers = np.empty((0, 0))
+    is_nested = numbers.ndim == 3 and numbers.shape[1:] in ((3, 4), (4, 4))
+    if is_nested:
+        numbers = numbers.reshape(len(numbers), -1)
+    if numbers.ndim != 2 or numbers.shape[1] not in sizes or not np.isfinite(numbers).all():
+        first = found[0] if len(names) == 1 else [each[0] for each in found]
+        expected = f"{sizes[0]} finite numbers"
+        if len(sizes) > 1:
+            expected += f", or {expected_counts(sizes[1:])} of a matrix (--euler and --rotvec are of 6)"
+        raise ItemError(reason, f"{shown(first)}; expected {expected}")
+    return numbers / columns.divisors(names, numbers.shape[1])
 
 
-def _number(value: Any) -> float:
-    """Return a number; a comma inside is the decimal mark, as spreadsheets of some countries write it."""
+def _words(values: Sequence[object] | AnyArray) -> Any:
+    """Return values with lists in place of texts that hold several numbers."""
+    if isinstance(values, np.ndarray):
+        return values
+    return [_LIST.sub(" ", value).split() if isinstance(value, str) else value for value in values]
+
+
+def _floats(values: Sequence[object] | AnyArray) -> Float64:
+    """Return numbers, or lists of numbers, as an array, shape (n, ...)."""
+    if isinstance(values, np.ndarray) and values.dtype.kind in "iuf":
+        return values.astype(np.float64)
+    if {float, int}.issuperset(map(type, values)):
+        return np.array(values, np.float64)
+    return np.array(list(map(_number, values)), np.float64)
+
+
+def _number(value: Any) -> Any:
+    """Return a number or a list of numbers; ValueError or TypeError for anything else.
+
+    A comma inside a number is the decimal mark, as spreadsheets of some countries write it.
+    """
     if isinstance(value, str):
-        if "_" in value:  # which Python passes over
-            raise ValueError
-        if _DECIMAL_COMMA.fullmatch(value):
-            value = value.replace(",", ".")
+        return number_of(value)
+    if isinstance(value, (list, tuple, np.ndarray)):
+        return list(map(_number, value))
     return float(value)
+
+
+def number_of(text: str) -> float:
+    """Return the number that a text is; ValueError for anything else."""
+    if "_" in text:  # which Python passes over
+        raise ValueError
+    if _DECIMAL_COMMA.fullmatch(text):
+        text = text.replace(",", ".")
+    return float(text)

@@ -23,7 +23,7 @@ from tactile_toolkit.text_tables import TABLE_ENDINGS
 def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
     """Yield a touch for each line of the table; a missing file is the touch's problem."""
     if columns.image is None:
-        raise InputError("no column names the images", next="add --image-column NAME")
+        raise InputError("no column names the images", next="add --map image=COLUMN")
     folder, found = home, ""
     if table is None:
         found = _table_name(home)

@@ -150,7 +150,9 @@ def _sample(
         problems.append(ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
         found = ", ".join(each.ending for each in images)
-        problems.append(ItemError("images", f"the images {found}; expected one (--image-column names it)"))
+        problems.append(
+            ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
+        )
     values: dict[str, Any] = {}
     for member in members:
         if member.ending == "json":

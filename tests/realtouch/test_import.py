@@ -117,7 +117,7 @@ def test_cards_of_touches_on_objects_alone_claim_nothing_of_a_plate(
     realtouch.select(single_folder, tmp_path / "some", contact=True)
     realtouch.export(tmp_path / "some", tmp_path / "tars", "webdataset")
     back = tmp_path / "back"
-    arguments = ("--format", "webdataset", "--object-column=", "--out", back)
+    arguments = ("--format", "webdataset", "--map=object=", "--out", back)
     assert call("realtouch", "import", tmp_path / "tars" / "webdataset", *arguments) == 0
     card = (back / "README.md").read_text()
     assert "do not count as contact: 16 of 16 (" in card

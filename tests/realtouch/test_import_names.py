@@ -73,7 +73,7 @@ def test_text_that_cannot_be_stored_or_seen(tmp_path: Path, capsys: pytest.Captu
     write_tar(tmp_path / "a.tar", members)
     out = tmp_path / "out"
     arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--workers", 1)
-    assert call("realtouch", *arguments, "--round-column", "round", "--out", out) == 0
+    assert call("realtouch", *arguments, "--map", "round=round", "--out", out) == 0
     for command in ("verify", "info", "card"):
         assert call("realtouch", command, out) == 0
     found = realtouch.load(out, "train")

@@ -117,7 +117,7 @@ def test_a_tar_with_a_header_that_cannot_be_true(
     good = (tmp_path / "a.tar").read_bytes().rstrip(b"\0")
     good += bytes(-len(good) % 512)
     (tmp_path / "a.tar").write_bytes(good + odd + bytes(10_240))
-    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--label-column", "cls")
+    arguments = ("import", tmp_path / "a.tar", "--format", "webdataset", "--map", "label=cls")
     assert call("realtouch", *arguments, "--workers", 1, "--out", tmp_path / "out") == 3
     said = capsys.readouterr().err
     assert words in said

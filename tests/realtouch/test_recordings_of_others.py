@@ -213,7 +213,7 @@ def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None
         realtouch.export(tmp_path / "out", tmp_path / "anytouch", "anytouch")
 
 
-@pytest.mark.parametrize("options", [(), ("--label-column=",)])
+@pytest.mark.parametrize("options", [(), ("--map=label=",)])
 def test_an_empty_label_column_means_none(
     options: tuple[str, ...], home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -222,7 +222,9 @@ def test_an_empty_label_column_means_none(
     assert call("realtouch", *words) == 0
     said = capsys.readouterr().err
     assert "no classes are known (--map label=COLUMN names their column), so all labels are -1" in said
-    assert "fields that were not imported, with their numbers of touches: class (4)" in said
+    assert "not imported" not in said
+    rows = pq.read_table(tmp_path / "out" / "data")
+    assert rows["extra.class"].to_pylist() == [[0], [1], [2], [3]]
 
 
 def test_pictures_of_sparsh_never_have_labels(tmp_path: Path) -> None:
@@ -314,7 +316,7 @@ def test_the_summary_counts_rounds_and_touches_apart(
 ) -> None:
     lines = [{"file": f"pictures/{number}.jpg", "session": "one"} for number in range(4)]
     write_table(home, [*lines, {"file": "none.jpg", "session": "one"}])
-    words = ("import", home, "--format", "folder", "--round-column", "session", "--out", tmp_path / "out")
+    words = ("import", home, "--format", "folder", "--map", "round=session", "--out", tmp_path / "out")
     assert call("realtouch", *words, "-w", 1) == 0
     assert re.search("made 1 round in .*, left out 1 touch; the data set", capsys.readouterr().out)
 

@@ -229,7 +229,7 @@ def test_finished_shards_of_an_unfinished_set_are_checked(
 ) -> None:
     splits = [{**line(f"pictures/{number}.jpg"), "split": f"s{number % 2}"} for number in range(4)]
     write_table(home, splits)
-    words = ("import", home, "--format", "folder", "--split-column", "split", "--out", tmp_path / "out")
+    words = ("import", home, "--format", "folder", "--map", "split=split", "--out", tmp_path / "out")
     assert call("realtouch", *words, "--part", "1/2", "-w", 1) == 0
     assert call("realtouch", "verify", tmp_path / "out") == 1
     assert "is not finished: 1 of 2 shards; the same command continues" in capsys.readouterr().err

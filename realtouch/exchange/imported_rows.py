@@ -1,0 +1,139 @@
+"""Rows of an import: touches of whole rounds as columns of Arrow, in the published schema."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import PurePath
+from typing import NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.exchange.extra_columns import EXTRA, extra_arrays, extra_types
+from realtouch.exchange.found_touches import FoundTouch
+from realtouch.exchange.imported_clips import ImportedClip
+from realtouch.schema import POSE_COLUMN
+from realtouch.touch_options import ImportColumns
+from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
+
+_TIME = pa.duration("us")
+_WIDTHS = {"position": 3, "quaternion": 4}
+
+
+class StoredTouch(NamedTuple):
+    """A touch as it is stored; what no column states is empty.
+
+    ``pose`` has the shape (1, 7), or of a clip (frames, 7); ``position`` has (2,). ``media`` is the image or
+    the clip.
+    """
+
+    round: str
+    item: FoundTouch
+    label: int
+    object_id: int
+    position: AnyArray
+    pose: AnyArray
+    media: bytes
+    clip: ImportedClip | None
+
+
+def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[FoundTouch]) -> pa.Schema:
+    """Return the schema of imported rounds with the known columns: of clips, or of single images."""
+    kind: Kind = "seq" if items and items[0].frames else "single"
+    known: dict[str, pa.DataType] = {}
+    if columns.position:
+        known["pos_in_cell"] = pa.list_(pa.float64(), 2)
+    if columns.pose:
+        for part, width in _WIDTHS.items():
+            pose = pa.list_(pa.float64(), width)
+            known[f"{POSE_COLUMN[kind]}.{part}"] = pa.list_(pose) if kind == "seq" else pose
+    if kind == "seq":
+        known |= {
+            "video_length_frames": pa.int64(),
+            "time_stamp_rel_seq": pa.list_(_TIME),
+            "touch_start_time_rel": _TIME,
+            "touch_end_time_rel": _TIME,
+        }
+    known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
+    known |= {f"{EXTRA}{name}": data_type for name, data_type in extra_types(items, columns).items()}
+    of_round = [("id", pa.string()), ("label", pa.int64())]
+    if columns.object_id:
+        of_round.append(("object_id", pa.int64()))
+    of_touches = [(name, pa.list_(data_type)) for name, data_type in known.items()]
+    return with_features(pa.schema([*of_round, *of_touches]), names)
+
+
+def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
+    """Return the type of the value of a touch in each extra column of a schema, by its name."""
+    fields = (each for each in schema if each.name.startswith(EXTRA))
+    return {each.name.removeprefix(EXTRA): each.type.value_type for each in fields}
+
+
+def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.Schema) -> pa.Table:
+    """Return touches of whole rounds, one round after the other, as rows."""
+    rounds = [touch.round for touch in touches]
+    starts = [place for place, name in enumerate(rounds) if not place or name != rounds[place - 1]]
+    first = [touches[start] for start in starts]
+    made: dict[str, pa.Array] = {
+        "id": pa.array([touch.round for touch in first], pa.string()),
+        "label": pa.array([touch.label for touch in first], pa.int64()),
+        "object_id": pa.array([touch.object_id for touch in first], pa.int64()),
+    }
+    items = [touch.item for touch in touches]
+    of_touches = _media_and_poses(touches, schema)
+    extras = extras_in(schema)
+    arrays = extra_arrays(items, columns, extras)
+    of_touches |= {f"{EXTRA}{name}": array for name, array in zip(extras, arrays, strict=True)}
+    offsets = pa.array([*starts, len(touches)], pa.int32())
+    for name, values in of_touches.items():
+        if name in schema.names:
+            made[name] = pa.ListArray.from_arrays(offsets, values, type=schema.field(name).type)
+    return pa.table([made[name] for name in schema.names], schema=schema)
+
+
+def _media_and_poses(touches: Sequence[StoredTouch], schema: pa.Schema) -> dict[str, pa.Array]:
+    """Return the columns that hold an entry for each touch, without the extra ones."""
+    kind: Kind = "seq" if MEDIA_COLUMN["seq"] in schema.names else "single"
+    paths = [PurePath(touch.item.name).name for touch in touches]
+    made: dict[str, pa.Array] = {}
+    if kind == "seq":
+        paths = [f"{path}.avi" for path in paths]
+        made |= _clip_times([touch.clip for touch in touches if touch.clip is not None])
+    media = [pa.array([touch.media for touch in touches], pa.binary()), pa.array(paths, pa.string())]
+    made[MEDIA_COLUMN[kind]] = pa.StructArray.from_arrays(media, fields=list(MEDIA_TYPE))
+    made["pos_in_cell"] = _vectors([touch.position for touch in touches], 2)
+    poses = np.concatenate([np.empty((0, 7)), *(touch.pose for touch in touches)])
+    for part, width in _WIDTHS.items():
+        name = f"{POSE_COLUMN[kind]}.{part}"
+        values = _vectors(poses[:, 3:] if part == "quaternion" else poses[:, :3], width)
+        made[name] = values
+        if kind == "seq":
+            made[name] = _lists(values, (len(touch.pose) for touch in touches))
+    return made
+
+
+def _clip_times(clips: Sequence[ImportedClip]) -> Mapping[str, pa.Array]:
+    """Return the columns of times of clips, an entry a clip."""
+    time_us = np.concatenate([np.empty(0, np.int64), *(clip.time_us for clip in clips)])
+    lengths = [len(clip.time_us) for clip in clips]
+    moments = np.array([clip.time_us[list(clip.contact)] for clip in clips], np.int64).reshape(-1, 2)
+    return {
+        "video_length_frames": pa.array(lengths, pa.int64()),
+        "time_stamp_rel_seq": _lists(_times(time_us), lengths),
+        "touch_start_time_rel": _times(moments[:, 0]),
+        "touch_end_time_rel": _times(moments[:, 1]),
+    }
+
+
+def _times(time_us: AnyArray) -> pa.Array:
+    return pa.array(np.ascontiguousarray(time_us).astype("timedelta64[us]"), _TIME)
+
+
+def _vectors(rows: Sequence[AnyArray] | AnyArray, width: int) -> pa.Array:
+    values = np.asarray(rows, np.float64).reshape(-1)
+    return pa.FixedSizeListArray.from_arrays(pa.array(values, pa.float64()), width)
+
+
+def _lists(values: pa.Array, lengths: Iterable[int]) -> pa.Array:
+    return pa.ListArray.from_arrays(pa.array(np.cumsum([0, *lengths]), pa.int32()), values)
