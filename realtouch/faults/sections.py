@@ -1,0 +1,277 @@
+"""Sections of a session: one round, or several short ones in a row, looked at once.
+
+Everything that several sections are compared by is kept: a digest and a colour pattern of each touch, and the
+bare gel. Pictures are not.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+import xxhash
+
+from realtouch.contact import ContactHeight, contact_heights_m
+from realtouch.contact_picture import median_in_memory
+from realtouch.faults import motion, seen
+from realtouch.faults.rules import (
+    MIN_BRIGHTEST,
+    MIN_CHANGE,
+    MIN_RANGE,
+    WHOLE_ROUND,
+    Fault,
+    Spot,
+)
+from realtouch.picture_views import evenly_spaced
+from realtouch.poses import Poses
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound
+from realtouch.touch_clips import TouchClip
+from realtouch.touch_options import CheckLimits
+from tactile_toolkit.array_types import Float32
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
+
+GEL_PICTURES = 32
+"""Pictures of a section whose median is its bare gel; a contact is seen in less than half of them at a place."""
+
+_RENDERED_M = 1e-4  # a rendered touch that sinks in by less shows the bare gel, the same in all pictures
+
+
+class PlacedRow(NamedTuple):
+    """A stored round, its split and its number in it."""
+
+    split: str
+    number: int
+    stored: StoredRound
+
+
+@dataclass(frozen=True, eq=False)
+class RoundSeen:
+    """What is known of a round: its place, name, object and gel, and the number of its touches."""
+
+    split: str
+    number: int
+    name: str
+    touches: int
+    object_id: int | None
+    gel: object
+
+
+@dataclass(eq=False)
+class Section:
+    """What was seen of some rounds.
+
+    ``spots``, ``digests`` and ``patterns`` have an entry for each touch that could be read; the digest is
+    empty where equal pictures are no fault. ``gel``, shape (12, 16, 3), are the averages of the bare gel.
+    """
+
+    rounds: list[RoundSeen] = field(default_factory=list)
+    faults: list[Fault] = field(default_factory=list)
+    spots: list[Spot] = field(default_factory=list)
+    digests: list[bytes] = field(default_factory=list)
+    patterns: list[Float32] = field(default_factory=list)
+    gel: Float32 | None = None
+    markers: int | None = None
+    decoded: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class _Seen:
+    """The pictures of a touch that were looked at: their cells, and the encoded one of the bare gel."""
+
+    spots: list[Spot]
+    cells: list[Float32]
+    digest: bytes
+    bare: memoryview
+
+
+def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
+    """Look at rounds of which at most ``frames`` pictures of each clip are decoded, evenly spaced."""
+    section = Section()
+    pictures: list[_Seen] = []
+    for row in rows:
+        spot = Spot(row.split, row.number, WHOLE_ROUND)
+        try:
+            section.rounds.append(_describe(row))
+            touches = row.stored.touch_total()
+        except IntegrityError:
+            section.faults.append(Fault("unreadable-touches", spot, 0.0))
+            continue
+        if not touches:
+            section.faults.append(Fault("empty-pictures", spot, 0.0))
+        bare = _without_contact(row.stored, touches) if is_rendered else frozenset()
+        found = [
+            _look_at_touch(section, row, touch, limits, frames, touch in bare) for touch in range(touches)
+        ]
+        _check_poses(section, row, [each for each in found if each is not None], limits)
+        pictures += [each for each in found if each is not None]
+    _check_sequence(section, pictures, limits)
+    _look_at_gel(section, pictures)
+    return section
+
+
+def _describe(row: PlacedRow) -> RoundSeen:
+    stored = row.stored
+    gel = stored.stored_value("info.gel_id") if "info.gel_id" in stored.group.names else None
+    object_id = stored.integer("object_id") if stored.has("object_id") else None
+    name = stored.name() if stored.has("id") else str(row.number)
+    return RoundSeen(row.split, row.number, name, stored.touch_total(), object_id, gel)
+
+
+def _without_contact(stored: StoredRound, touches: int) -> frozenset[int]:
+    """Return the rendered touches that show the bare gel, or nearly so."""
+    plate = ContactHeight.of(stored.group.names)
+    z_m = stored.readable(partial(stored.contact_z_m, stored.kind))
+    heights_m = contact_heights_m(z_m, True, stored.plate_z_m())
+    least_m = max(plate.min_height_m, _RENDERED_M)
+    return frozenset(np.flatnonzero(~(heights_m[:touches] >= least_m)).tolist())
+
+
+def _look_at_touch(
+    section: Section, row: PlacedRow, touch: int, limits: CheckLimits, frames: int, is_bare: bool
+) -> _Seen | None:
+    """Look at the pictures of one touch; None if none can be read."""
+    spot = Spot(row.split, row.number, touch)
+    stored = row.stored
+    if not _has_bytes(stored, touch):
+        section.faults.append(Fault("empty-pictures", spot, 0.0))
+        return None
+    look: Callable[..., _Seen] = _look_at_image
+    if stored.kind == "seq":
+        look = partial(_look_at_clip, section, limits=limits, frames=frames)
+    try:
+        found = look(stored, spot)
+    except (IntegrityError, ValueError):
+        section.faults.append(Fault("unreadable-touches", spot, 0.0))
+        return None
+    section.decoded += len(found.cells)
+    ranges = [seen.content_range(each) for each in found.cells]
+    dark = [float(each.max()) < MIN_BRIGHTEST for each in found.cells]
+    empty = [index for index, value in enumerate(ranges) if value < MIN_RANGE or dark[index]]
+    if empty and not is_bare:
+        section.faults.append(Fault("empty-pictures", found.spots[empty[0]], max(ranges[i] for i in empty)))
+    else:
+        section.spots.append(spot)
+        section.digests.append(b"" if is_bare else found.digest)
+        section.patterns.append(seen.colour_pattern(np.median(found.cells, axis=0)))
+    return found
+
+
+def _has_bytes(stored: StoredRound, touch: int) -> bool:
+    column = stored.group.nested(MEDIA_COLUMN[stored.kind])
+    start, stop = column.inside(0, stored.index, stored.index + 1)
+    return touch < stop - start and bool(len(column.values[start + touch] or b""))
+
+
+def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
+    encoded = SensorImages(stored).encoded(spot.touch)
+    return _Seen([spot], [seen.cells_of(encoded)], xxhash.xxh3_128_digest(encoded), encoded)
+
+
+def _look_at_clip(
+    section: Section, stored: StoredRound, spot: Spot, limits: CheckLimits, frames: int
+) -> _Seen:
+    """Look at a clip: the bytes of all of its frames, and some decoded."""
+    clip = TouchClip(stored, spot.touch)
+    encoded = [clip.encoded(frame) for frame in range(len(clip))]
+    digests = list(map(xxhash.xxh3_128_digest, encoded))
+    chosen = evenly_spaced(len(clip), frames)
+    cells = [seen.cells_of(encoded[frame]) for frame in chosen]
+    spots = [spot._replace(frame=frame) for frame in chosen]
+    time_s = motion.clip_times_s(stored, spot.touch)
+    section.faults += motion.time_faults(spot, time_s, limits)
+    poses = None
+    if stored.has_poses:
+        poses = stored.pose_sequences(spot.touch)[0]
+        section.faults += motion.clip_jumps(spot, poses, limits)
+        section.faults += _still_poses(spots, chosen, cells, poses)
+    same = [one == other for one, other in zip(digests, digests[1:], strict=False)]
+    all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
+    section.faults += _frozen(all_spots, same, poses, limits)
+    return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[0])
+
+
+def _frozen(
+    spots: Sequence[Spot], same: Sequence[bool], poses: Poses | None, limits: CheckLimits
+) -> Iterator[Fault]:
+    """Yield runs of equal pictures, and how far the gel moves meanwhile."""
+    for start, length in seen.runs_of(same, limits.frozen):
+        last, first = spots[start + length - 1], spots[start]
+        yield Fault("frozen-frames", last, length, first)
+        moved = motion.moved_mm(poses, start, length) if poses is not None else 0.0
+        if moved >= limits.motion_mm:
+            yield Fault("moving-poses", last, moved, first)
+
+
+def _still_poses(
+    spots: Sequence[Spot], numbers: Sequence[int], cells: Sequence[Float32], poses: Poses
+) -> Iterator[Fault]:
+    """Yield the runs of equal poses over which pictures change; ``numbers`` are those of the pictures' poses."""
+    for start, length in motion.still_runs(poses):
+        inside = [index for index, number in enumerate(numbers) if start <= number < start + length]
+        if len(inside) < 2:
+            continue
+        parts = np.stack([cells[index] for index in inside])
+        # An even step of brightness is not a contact.
+        parts = parts - np.median(parts, axis=(1, 2), keepdims=True)
+        if np.ptp(parts, axis=0).max() >= MIN_CHANGE:
+            change = np.abs(parts - parts[0]).max(axis=(1, 2, 3))
+            yield Fault("still-poses", spots[inside[int(np.argmax(change))]], length, spots[inside[0]])
+
+
+def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
+    """Compare the poses of the touches of a round, and those of images with the images."""
+    stored = row.stored
+    if not stored.has_poses or not found:
+        return
+    spots = [each.spots[0]._replace(frame=0) for each in found]
+    try:
+        if stored.kind == "seq":
+            poses = [stored.pose_sequences(spot.touch)[0].position_m for spot in spots]
+            position_m = np.array([np.median(each, axis=0) for each in poses], np.float64)
+            section.faults += motion.far_touches(spots, position_m, limits)
+            return
+        chosen = stored.poses()[[spot.touch for spot in spots]]
+    except IntegrityError:
+        whole = Spot(row.split, row.number, WHOLE_ROUND)
+        section.faults.append(Fault("unreadable-touches", whole, 0.0))
+        return
+    section.faults += motion.far_touches(spots, np.asarray(chosen.position_m, np.float64), limits)
+    cells = [each.cells[0] for each in found]
+    section.faults += _still_poses(spots, range(len(spots)), cells, chosen)
+    digest_of = dict(zip(section.spots, section.digests, strict=True))
+    digests = [digest_of.get(spot, b"") for spot in spots]
+    same = [one == other != b"" for one, other in zip(digests, digests[1:], strict=False)]
+    section.faults += _frozen(spots, same, chosen, limits)
+
+
+def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLimits) -> None:
+    """Find steps of the brightness from picture to picture of a section."""
+    cells: list[Float32] = []
+    spots: list[Spot] = []
+    for each in pictures:
+        # What is black or without content is reported already.
+        full = [index for index, value in enumerate(each.cells) if seen.content_range(value) >= MIN_RANGE]
+        cells += [each.cells[index] for index in full]
+        spots += [each.spots[index] for index in full]
+    if cells:
+        for index, step in seen.outlying_steps(np.stack(cells), limits.exposure):
+            section.faults.append(Fault("exposure-jumps", spots[index], step, spots[index - 1]))
+
+
+def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
+    """Add the bare gel: the median of the images, or of the first frames of the clips."""
+    if not pictures:
+        return
+    section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)
+    decoded: list[Any] = []
+    for index in evenly_spaced(len(pictures), GEL_PICTURES):
+        pixels = decode_image(pictures[index].bare)
+        if not decoded or pixels.shape == decoded[0].shape:
+            decoded.append(pixels)
+    section.decoded += len(decoded)
+    section.markers = seen.count_markers(median_in_memory(np.stack(decoded)))
