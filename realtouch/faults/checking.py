@@ -192,17 +192,16 @@ def _finding(
 ) -> Finding:
     """Return what a rule found, over all splits."""
     names: dict[str, int] = {}
-    for spot in sorted({fault.at[:3] for fault in faults}):
-        split, number, touch = spot
-        known = rounds.get((split, number))
-        name = known.name if known is not None else f"row {number}"
-        count = 1
+    several = len({fault.at.split for fault in faults}) > 1
+    for split, number, touch in sorted({fault.at[:3] for fault in faults}):
+        known = rounds.get((split, number), RoundSeen(split, number, f"row {number}", 1, None, None))
+        named, count = f"{known.name}:{touch}", 1
         if touch == WHOLE_ROUND:
-            count = max(known.touches, 1) if known is not None else 1
-            named = f"{name}:0-{count - 1}"
-        else:
-            named = f"{name}:{touch}"
-        names[f"{split}/{named}" if len({each.at.split for each in faults}) > 1 else named] = count
+            count = max(known.touches, 1)
+            named = f"{known.name}:0-{count - 1}"
+        if several:
+            named = f"{split}/{named}"
+        names[named] = count
     said = RULES[rule]
     return Finding(
         rule,

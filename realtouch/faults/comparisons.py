@@ -50,11 +50,10 @@ def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterato
 def _equal_pictures(sections: Sequence[Section]) -> Iterator[Fault]:
     """Yield touches with the same stored pictures, in a split and over splits; frozen ones count once."""
     frozen = {
-        Spot(fault.at.split, fault.at.row, touch)
+        fault.at
         for section in sections
         for fault in section.faults
-        if fault.rule == "frozen-frames" and fault.beside is not None
-        for touch in range(fault.beside.touch + 1, fault.at.touch + 1)
+        if fault.rule == "frozen-frames" and fault.beside is not None and fault.beside.touch != fault.at.touch
     }
     owners: dict[bytes, list[Spot]] = defaultdict(list)
     for section in sections:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,14 +18,7 @@ import xxhash
 from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.contact_picture import median_in_memory
 from realtouch.faults import motion, seen
-from realtouch.faults.rules import (
-    MIN_BRIGHTEST,
-    MIN_CHANGE,
-    MIN_RANGE,
-    WHOLE_ROUND,
-    Fault,
-    Spot,
-)
+from realtouch.faults.rules import MIN_CHANGE, WHOLE_ROUND, Fault, Spot
 from realtouch.picture_views import evenly_spaced
 from realtouch.poses import Poses
 from realtouch.sensor_images import SensorImages
@@ -149,11 +143,10 @@ def _look_at_touch(
         section.faults.append(Fault("unreadable-touches", spot, 0.0))
         return None
     section.decoded += len(found.cells)
-    ranges = [seen.content_range(each) for each in found.cells]
-    dark = [float(each.max()) < MIN_BRIGHTEST for each in found.cells]
-    empty = [index for index, value in enumerate(ranges) if value < MIN_RANGE or dark[index]]
+    empty = [index for index, cells in enumerate(found.cells) if seen.is_empty(cells)]
     if empty and not is_bare:
-        section.faults.append(Fault("empty-pictures", found.spots[empty[0]], max(ranges[i] for i in empty)))
+        value = max(seen.content_range(found.cells[index]) for index in empty)
+        section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
         section.digests.append(b"" if is_bare else found.digest)
@@ -189,9 +182,10 @@ def _look_at_clip(
         poses = stored.pose_sequences(spot.touch)[0]
         section.faults += motion.clip_jumps(spot, poses, limits)
         section.faults += _still_poses(spots, chosen, cells, poses)
-    same = [one == other for one, other in zip(digests, digests[1:], strict=False)]
-    all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
-    section.faults += _frozen(all_spots, same, poses, limits)
+    if not any(map(seen.is_empty, cells)):  # equal because they are empty
+        same = [one == other for one, other in pairwise(digests)]
+        all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
+        section.faults += _frozen(all_spots, same, poses, limits)
     return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[0])
 
 
@@ -200,11 +194,13 @@ def _frozen(
 ) -> Iterator[Fault]:
     """Yield runs of equal pictures, and how far the gel moves meanwhile."""
     for start, length in seen.runs_of(same, limits.frozen):
-        last, first = spots[start + length - 1], spots[start]
-        yield Fault("frozen-frames", last, length, first)
+        first = spots[start]
+        # A clip is named once, by the last of its frozen frames.
+        repeats = list({spot.touch: spot for spot in spots[start + 1 : start + length]}.values())
+        yield from (Fault("frozen-frames", spot, length, first) for spot in repeats)
         moved = motion.moved_mm(poses, start, length) if poses is not None else 0.0
         if moved >= limits.motion_mm:
-            yield Fault("moving-poses", last, moved, first)
+            yield from (Fault("moving-poses", spot, moved, first) for spot in repeats)
 
 
 def _still_poses(
@@ -219,8 +215,9 @@ def _still_poses(
         # An even step of brightness is not a contact.
         parts = parts - np.median(parts, axis=(1, 2), keepdims=True)
         if np.ptp(parts, axis=0).max() >= MIN_CHANGE:
-            change = np.abs(parts - parts[0]).max(axis=(1, 2, 3))
-            yield Fault("still-poses", spots[inside[int(np.argmax(change))]], length, spots[inside[0]])
+            shown = inside[int(np.argmax(np.abs(parts - parts[0]).max(axis=(1, 2, 3))))]
+            concerned = {spots[index].touch: spots[index] for index in (*inside, shown)}
+            yield from (Fault("still-poses", spot, length, spots[inside[0]]) for spot in concerned.values())
 
 
 def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
@@ -245,7 +242,7 @@ def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limit
     section.faults += _still_poses(spots, range(len(spots)), cells, chosen)
     digest_of = dict(zip(section.spots, section.digests, strict=True))
     digests = [digest_of.get(spot, b"") for spot in spots]
-    same = [one == other != b"" for one, other in zip(digests, digests[1:], strict=False)]
+    same = [one == other != b"" for one, other in pairwise(digests)]
     section.faults += _frozen(spots, same, chosen, limits)
 
 
@@ -254,8 +251,8 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
     cells: list[Float32] = []
     spots: list[Spot] = []
     for each in pictures:
-        # What is black or without content is reported already.
-        full = [index for index, value in enumerate(each.cells) if seen.content_range(value) >= MIN_RANGE]
+        # Those without content are reported already.
+        full = [index for index, value in enumerate(each.cells) if not seen.is_empty(value)]
         cells += [each.cells[index] for index in full]
         spots += [each.spots[index] for index in full]
     if cells:
@@ -265,6 +262,7 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
 
 def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
+    pictures = [each for each in pictures if not seen.is_empty(each.cells[0])]
     if not pictures:
         return
     section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from realtouch.faults.rules import MAX_UNEVENNESS, MIN_DOTS, MOST_SPECKS, NOISE_FACTOR
+from realtouch.faults.rules import MAX_UNEVENNESS, MIN_BRIGHTEST, MIN_DOTS, MIN_RANGE, MOST_SPECKS, NOISE_FACTOR
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.touch import decode_small
 
@@ -39,14 +39,18 @@ def content_range(cells: Float32) -> float:
     return float(np.ptp(cells, axis=(0, 1)).max())
 
 
-def brightness_steps(cells: Float32, back: int = 1) -> Float64:
-    """Return by how much at least nine tenths of each picture changed the same way, shape (n - back,), levels.
+def is_empty(cells: Float32) -> bool:
+    """Return whether a picture has no content, or is black."""
+    return content_range(cells) < MIN_RANGE or float(cells.max()) < MIN_BRIGHTEST
 
-    ``cells``, shape (n, 12, 16, 3), are compared with those ``back`` before them. A contact changes a part of
-    the picture, or one side to brighter and the other to darker; then the step is 0.
+
+def brightness_steps(cells: Float32) -> Float64:
+    """Return by how much nine tenths of each picture, or more, changed the same way, shape (n - 1,), levels.
+
+    ``cells`` have the shape (n, 12, 16, 3). A contact changes a part of the picture, or makes one side
+    brighter and the other darker; then the step is 0.
     """
-    grey = cells.mean(axis=3).reshape(len(cells), -1)
-    change = grey[back:] - grey[:-back]
+    change = np.diff(cells.mean(axis=3).reshape(len(cells), -1), axis=0)
     if not len(change):
         return np.zeros(0)
     low, high = np.percentile(change, (_SAME_WAY, 100 - _SAME_WAY), axis=1)
@@ -59,12 +63,16 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     if not len(steps):
         return []
     limit = max(least, NOISE_FACTOR * float(np.median(steps)))
-    over_two = np.append(np.inf, brightness_steps(cells, 2))
     found: list[tuple[int, float]] = []
+    usual = 0  # the last picture before the first step
     for step in np.flatnonzero(steps > limit).tolist():
-        is_back = over_two[step] <= limit and bool(found) and found[-1][0] == step
-        if not is_back:
-            found.append((step + 1, float(steps[step])))
+        is_back = bool(found) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
+        if is_back:
+            usual = step + 1
+            continue
+        if not found:
+            usual = step
+        found.append((step + 1, float(steps[step])))
     return found
 
 
