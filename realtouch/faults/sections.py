@@ -15,12 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import xxhash
 
-from realtouch.contact import ContactHeight, contact_heights_m
 from realtouch.contact_picture import median_in_memory
 from realtouch.faults import motion, seen
 from realtouch.faults.rules import MIN_CHANGE, WHOLE_ROUND, Fault, Spot
 from realtouch.picture_views import evenly_spaced
 from realtouch.poses import Poses
+from realtouch.schema import POSE_COLUMN
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import TouchClip
@@ -31,8 +31,6 @@ from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
 GEL_PICTURES = 32
 """Pictures of a section whose median is its bare gel; a contact is seen in less than half of them at a place."""
-
-_RENDERED_M = 1e-4  # a rendered touch that sinks in by less shows the bare gel, the same in all pictures
 
 
 class PlacedRow(NamedTuple):
@@ -59,8 +57,7 @@ class RoundSeen:
 class Section:
     """What was seen of some rounds.
 
-    ``spots``, ``digests`` and ``patterns`` have an entry for each touch that could be read; the digest is
-    empty where equal pictures are no fault. ``gel``, shape (12, 16, 3), are the averages of the bare gel.
+    ``spots``, ``digests`` and ``patterns`` have an entry for each touch with a picture. ``gel``, shape (12, 16, 3), are the averages of the bare gel.
     """
 
     rounds: list[RoundSeen] = field(default_factory=list)
@@ -84,7 +81,11 @@ class _Seen:
 
 
 def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
-    """Look at rounds of which at most ``frames`` pictures of each clip are decoded, evenly spaced."""
+    """Look at rounds of which at most ``frames`` pictures of each clip are decoded, evenly spaced.
+
+    Pictures that are rendered may be equal or without content, as those of the bare plate: they are
+    duplicates only if the gel is at the same place, too.
+    """
     section = Section()
     pictures: list[_Seen] = []
     for row in rows:
@@ -97,14 +98,13 @@ def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_r
             continue
         if not touches:
             section.faults.append(Fault("empty-pictures", spot, 0.0))
-        bare = _without_contact(row.stored, touches) if is_rendered else frozenset()
-        found = [
-            _look_at_touch(section, row, touch, limits, frames, touch in bare) for touch in range(touches)
-        ]
+        look = partial(_look_at_touch, section, row, limits=limits, frames=frames, is_rendered=is_rendered)
+        found = list(map(look, range(touches)))
         _check_poses(section, row, [each for each in found if each is not None], limits)
         pictures += [each for each in found if each is not None]
-    _check_sequence(section, pictures, limits)
-    _look_at_gel(section, pictures)
+    if not is_rendered:  # nothing lights them
+        _check_sequence(section, pictures, limits)
+        _look_at_gel(section, pictures)
     return section
 
 
@@ -116,17 +116,8 @@ def _describe(row: PlacedRow) -> RoundSeen:
     return RoundSeen(row.split, row.number, name, stored.touch_total(), object_id, gel)
 
 
-def _without_contact(stored: StoredRound, touches: int) -> frozenset[int]:
-    """Return the rendered touches that show the bare gel, or nearly so."""
-    plate = ContactHeight.of(stored.group.names)
-    z_m = stored.readable(partial(stored.contact_z_m, stored.kind))
-    heights_m = contact_heights_m(z_m, True, stored.plate_z_m())
-    least_m = max(plate.min_height_m, _RENDERED_M)
-    return frozenset(np.flatnonzero(~(heights_m[:touches] >= least_m)).tolist())
-
-
 def _look_at_touch(
-    section: Section, row: PlacedRow, touch: int, limits: CheckLimits, frames: int, is_bare: bool
+    section: Section, row: PlacedRow, touch: int, *, limits: CheckLimits, frames: int, is_rendered: bool
 ) -> _Seen | None:
     """Look at the pictures of one touch; None if none can be read."""
     spot = Spot(row.split, row.number, touch)
@@ -144,12 +135,12 @@ def _look_at_touch(
         return None
     section.decoded += len(found.cells)
     empty = [index for index, cells in enumerate(found.cells) if seen.is_empty(cells)]
-    if empty and not is_bare:
+    if empty and not is_rendered:
         value = max(seen.content_range(found.cells[index]) for index in empty)
         section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
-        section.digests.append(b"" if is_bare else found.digest)
+        section.digests.append(found.digest + _rendered_at(row.stored, touch) * is_rendered)
         section.patterns.append(seen.colour_pattern(np.median(found.cells, axis=0)))
     return found
 
@@ -158,6 +149,13 @@ def _has_bytes(stored: StoredRound, touch: int) -> bool:
     column = stored.group.nested(MEDIA_COLUMN[stored.kind])
     start, stop = column.inside(0, stored.index, stored.index + 1)
     return touch < stop - start and bool(len(column.values[start + touch] or b""))
+
+
+def _rendered_at(stored: StoredRound, touch: int) -> bytes:
+    """Return the position of a rendered touch: the bare plate looks the same everywhere."""
+    if not stored.has_poses:
+        return b""
+    return stored.vectors(f"{POSE_COLUMN[stored.kind]}.position", 3, touch).tobytes()
 
 
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:

@@ -7,7 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 from scipy import ndimage
 
-from realtouch.faults.rules import MAX_UNEVENNESS, MIN_BRIGHTEST, MIN_DOTS, MIN_RANGE, MOST_SPECKS, NOISE_FACTOR
+from realtouch.faults.rules import (
+    MAX_UNEVENNESS,
+    MIN_BRIGHTEST,
+    MIN_DOTS,
+    MIN_RANGE,
+    MOST_SPECKS,
+    NOISE_FACTOR,
+)
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.touch import decode_small
 

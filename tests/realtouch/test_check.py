@@ -44,7 +44,10 @@ def written(
 ) -> Path:
     """Write all rounds but the last as train, that one as test."""
     if kind == "single":
-        rows = {"train": factories.single_rows(truth[:-1], encode), "test": factories.single_rows(truth[-1:], encode)}
+        rows = {
+            "train": factories.single_rows(truth[:-1], encode),
+            "test": factories.single_rows(truth[-1:], encode),
+        }
     else:
         rows = {"train": factories.seq_rows(truth[:-1]), "test": factories.seq_rows(truth[-1:])}
     edit(rows)
@@ -184,7 +187,9 @@ def media(row: dict[str, Any]) -> list[dict[str, Any]]:
 
 
 def copy_touch(source: dict[str, Any], touch: int, target: dict[str, Any], to: int) -> None:
-    for name in (*filter(lambda name: name.startswith(("gel_", "sensor", "video", "time", "touch")), source),):
+    for name in (
+        *filter(lambda name: name.startswith(("gel_", "sensor", "video", "time", "touch")), source),
+    ):
         target[name] = list(target[name])
         target[name][to] = source[name][touch]
 
@@ -327,9 +332,10 @@ def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(tmp
             touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., order]
         found = found_in(written(tmp_path / name, "single", truth))
         assert list(found) == ["swapped-channels"] * (name == "swapped")
-        assert realtouch.check(tmp_path / name).findings[:1] == () or realtouch.check(
-            tmp_path / name
-        ).findings[0].count == len(truth) * TOUCHES
+        assert (
+            realtouch.check(tmp_path / name).findings[:1] == ()
+            or realtouch.check(tmp_path / name).findings[0].count == len(truth) * TOUCHES
+        )
 
 
 @needs_shared
@@ -347,7 +353,10 @@ def test_sample_images_of_the_published_sets(tmp_path: Path) -> None:
                 object.__setattr__(touch, "peak", 0)
         for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
             folder = written(
-                tmp_path / size / name, "single", truth, encode=lambda each: factories.encode_jpeg(each[..., order])
+                tmp_path / size / name,
+                "single",
+                truth,
+                encode=lambda each: factories.encode_jpeg(each[..., order]),
             )
             assert list(found_in(folder)) == ["swapped-channels"] * (name == "swapped")
 
