@@ -17,6 +17,7 @@ from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import print_set
 from cli.shared import add_shared
+from cli.touch_checks import check
 from cli.touch_conversions import (
     ClipsToImages,
     Export,
@@ -213,6 +214,7 @@ _convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
 _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")
 command(app, "import")(import_touches)
+command(app)(check)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
 add_shared(app, KIND, {**_own, "info": None, "verify": None, "validate": None, "export": None})
 

@@ -20,6 +20,8 @@ from .convert.media_conversions import (
 )
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
+from .faults.checking import CheckResult as CheckResult, check as check
+from .finding import Finding as Finding
 from .exchange.exporting import export as export
 from .exchange.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .exchange.import_shards import NOT_IMPORTED as NOT_IMPORTED
@@ -45,7 +47,7 @@ from .touch_dataset import (
     TouchStream as TouchStream,
     dataset_of as dataset_of,
 )
-from .touch_options import ImportColumns as ImportColumns
+from .touch_options import CheckLimits as CheckLimits, ImportColumns as ImportColumns
 from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 

@@ -112,10 +112,10 @@ def checked_rows(
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
-    return run.in_threads(checked, _readable_rows(groups), workers)
+    return run.in_threads(checked, readable_rows(groups), workers)
 
 
-def _readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[StoredRound | Damage]:
+def readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[StoredRound | Damage]:
     """Yield all rows, and for unreadable ones their damage."""
     for shard, index in groups:
         try:

@@ -53,7 +53,7 @@ class StoredRound(StoredColumns):
         """
         if not self.has("time_stamp_rel_seq"):
             return None
-        found = [_as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
+        found = [as_seconds(times) for times in self.cut("time_stamp_rel_seq", 0, touch)]
         if touch is None:
             # In one go; touch by touch only to find which one is wrong.
             joined = np.concatenate([np.zeros(0), *found])
@@ -77,7 +77,7 @@ class StoredRound(StoredColumns):
 
         Raises IntegrityError when a time is missing, or the end lies before the start.
         """
-        start_s, end_s = (_as_seconds(self.per_touch(name, touch)) for name in (_CONTACT_START, _CONTACT_END))
+        start_s, end_s = (as_seconds(self.per_touch(name, touch)) for name in (_CONTACT_START, _CONTACT_END))
 
         problem = "contact from {} s to {} s; expected an end not before the start"
         self.require_each(_CONTACT_START, ~np.isnan(start_s), touch, problem, start_s, end_s)
@@ -198,7 +198,7 @@ def _as_timedelta(values: AnyArray) -> NDArray[np.timedelta64]:
     return times
 
 
-def _as_seconds(values: AnyArray) -> Float64:
+def as_seconds(values: AnyArray) -> Float64:
     """Return times (an array, or one of its values) in seconds, float64; unknown ones are NaN."""
     if values.dtype.kind == "m":
         seconds: Float64 = values / _SECOND

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 
 from tactile_toolkit import catalog
 from tactile_toolkit.builtin_values import to_builtin
-from tactile_toolkit.checked_fields import check_fields, choice, integer, switch, text
+from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.units import ANGLE, LENGTH, PER_METRE, PER_RADIAN, PER_SECOND, stated_unit
@@ -438,3 +438,38 @@ class TouchPreviewSpec:
     split: str | None = catalog.ONE_SPLIT
     round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
     touches: int = integer(32, 1, help="Number of touches in a grid.")
+
+
+@dataclass(frozen=True, slots=True)
+class CheckLimits:
+    """Thresholds of :func:`realtouch.check`.
+
+    Attributes
+    ----------
+    frozen : int
+        So many equal pictures in a row are frozen. A camera that is asked a little too often repeats a
+        picture once; three are a stall.
+    gap : float
+        A time step of so many times the median step of its clip is a gap. A lost frame makes it 2; less
+        than 1.75 is jitter.
+    exposure : float
+        Step of the brightness of nine tenths of a picture, grey levels of 255. A wide contact brightens a
+        GelSight Mini by up to 11.
+    drift : float
+        Change of the bare gel over the session, grey levels of 255, in any channel.
+    motion_mm : float
+        The gel moves by this while its picture is frozen, millimetres.
+    jump_mm : float
+        Step of the position between frames, millimetres; a robot at 0.25 m/s moves 10 mm in a frame. Positions
+        of touches that are ten times as far from the others jump, too.
+    """
+
+    frozen: int = integer(3, 2, help="So many equal pictures in a row are frozen.")
+    gap: float = real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
+    exposure: float = real(12.0, 1, 255, help="Step of the brightness of a picture, grey levels.")
+    drift: float = real(10.0, 1, 255, help="Change of the bare gel over the session, grey levels.")
+    motion_mm: float = real(0.5, above=0, help="Motion of the gel while its picture is frozen.")
+    jump_mm: float = real(10.0, above=0, help="Step of the position from frame to frame.")
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the limits")

@@ -15,6 +15,7 @@ from .jpeg import (
     MAX_IMAGE_BYTES as MAX_IMAGE_BYTES,
     MAX_IMAGE_PIXELS as MAX_IMAGE_PIXELS,
     decode_image as decode_image,
+    decode_small as decode_small,
     encode_image as encode_image,
     image_size as image_size,
     is_jpeg as is_jpeg,

@@ -119,6 +119,22 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
     return out
 
 
+def decode_small(data: memoryview | bytes, least_px: int) -> UInt8:
+    """Decode a JPEG at 1/2, 1/4 or 1/8 of its size, as far as both sides keep ``least_px`` pixels.
+
+    Shape (h, w, 3), uint8: each pixel is the mean of those it stands for. Takes half the time of
+    :func:`decode_image`, which decodes PNG and WebP here, at their size. Raises ValueError as that does.
+    """
+    if not is_jpeg(data):
+        return decode_image(data)
+    image_size(data)
+    try:
+        pixels: UInt8 = simplejpeg.decode_jpeg(data, "RGB", min_height=least_px, min_width=least_px)
+    except Exception as error:
+        raise _undecodable(data) from error
+    return pixels
+
+
 def _open_image(data: memoryview | bytes) -> Image.Image:
     # Without a list of formats, Pillow would try all its 43 decoders.
     return Image.open(io.BytesIO(data), formats=["PNG", "WEBP"])

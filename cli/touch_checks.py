@@ -1,0 +1,103 @@
+"""The command ``realtouch check``: what is wrong with recordings whose files are intact."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict
+from pathlib import Path
+
+import typer
+
+import realtouch
+from cli.application import EXIT_FAILED
+from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
+from cli.output import Sink
+from realtouch.touch_options import CheckLimits
+from tactile_toolkit import catalog, pictures, store
+from tactile_toolkit.checked_fields import choice, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.wording import with_count
+
+_OXT_FINDINGS: Callable[[store.DataFolder, str], list[realtouch.Finding]] = lazy(
+    "realtouch.exchange.oxt_check:oxt_findings"
+)
+
+
+def check(
+    *,
+    name: str = TOUCH_SET,
+    split: str | None = catalog.SPLIT,
+    opening: Opening,
+    limits: CheckLimits,
+    drawn: Path | None = text(
+        name="--pictures", metavar="DIR", read=local_place, help="Write a picture of each finding there."
+    ),
+    layout: str | None = choice(
+        None,
+        ("oxt",),
+        name="--format",
+        optional=True,
+        shown="a set of touches",
+        help="Check a folder or zip of another format against its contract.",
+    ),
+    workers: int = WORKERS,
+    sink: Sink,
+) -> None:
+    """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
+
+    The files of a data set are compared by `verify`; import recordings first, with `import`. Exit code 1 if
+    something is found.
+
+    Examples: realtouch check touches --pictures found;  realtouch check --format oxt task.zarr.zip
+    """
+    if layout is not None:
+        if split is not None or drawn is not None:
+            raise InputError("--split and --pictures are for sets of touches, not for --format oxt")
+        path = local_place(name)
+        home, file = path, ""
+        if path.is_file():
+            home, file = path.parent, path.name
+        _report(sink, name, _OXT_FINDINGS(store.open_folder(str(home)), file), {})
+        return
+    place = opening.open(sink, name)
+    with sink.progress("checking", "rounds") as update:
+        result = realtouch.check(
+            place, split, limits=limits, workers=process_count(workers), on_progress=update
+        )
+    made: list[str] = []
+    if drawn is not None and result.findings:
+        folder = store.open_folder(str(drawn.absolute()))
+        written = pictures.write_pictures(folder, result.pictures().pictures)
+        made = [str(drawn / each.file) for each in written]
+    counts = {"rounds": result.rounds, "touches": result.touches, "decoded": result.decoded}
+    sink.line(
+        f"{name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "
+        f"all stored pictures were compared, {result.decoded:,} decoded"
+    )
+    _report(sink, name, result.findings, {**counts, "pictures": made})
+
+
+def _report(
+    sink: Sink,
+    name: str,
+    findings: tuple[realtouch.Finding, ...] | list[realtouch.Finding],
+    more: dict[str, object],
+) -> None:
+    """Print findings; exit code 1 if there are any."""
+    sink.document({"name": name, "ok": not findings, **more, "findings": list(map(asdict, findings))})
+    for each in findings:
+        shown = ", ".join(each.touches)
+        if each.count > len(each.touches):
+            shown = f"{shown}, ..."
+        if each.count:
+            shown = f" ({with_count(each.count, 'touches')}: {shown})"
+        sink.warn(
+            f"{each.rule}: {each.where}: {each.found}; expected {each.expected}{shown}; next: {each.next}"
+        )
+    for path in more.get("pictures", ()):  # type: ignore[attr-defined]
+        sink.line(f"drawn: {path}")
+    if findings:
+        sink.line(f"{with_count(len(findings), 'findings')} in {name}")
+        raise typer.Exit(EXIT_FAILED)
+    sink.line(f"{name}: nothing was found")

@@ -1,0 +1,247 @@
+"""Checking the recordings of a data set: :func:`check`, and pictures of what it finds."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from realtouch.convert.conversion import parts_of
+from realtouch.faults.comparisons import all_comparisons
+from realtouch.faults.rules import RULES, WHOLE_ROUND, Fault, Spot
+from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
+from realtouch.finding import Finding
+from realtouch.integrity import agreeing_files, readable_rows
+from realtouch.kind import KIND
+from realtouch.picture_views import fitted
+from realtouch.rounds import TouchSingleRound
+from realtouch.schema import origin_of
+from realtouch.stored_columns import Damage
+from realtouch.stored_round import StoredRound, stored_touch_counts
+from realtouch.touch_dataset import AnyDataset, dataset_of
+from realtouch.touch_options import CheckLimits
+from tactile_toolkit import catalog, pictures, places, read, run
+from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.errors import IntegrityError
+
+MOST_NAMED = 20
+"""Touches that a finding names; it counts the others."""
+
+MOST_PICTURES = 1_000_000
+"""About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
+are; the frames of each clip are then chosen evenly, eight at least."""
+
+_FEWEST_FRAMES = 8
+_FEWEST_TOUCHES = 4  # shorter rounds are looked at together with those after them
+_MOST_DRAWN = 8
+_TILE_PX = 240
+
+
+@dataclass(frozen=True, eq=False)
+class CheckResult:
+    """Result of :func:`check`.
+
+    Attributes
+    ----------
+    rounds, touches : int
+        How many were checked.
+    decoded : int
+        How many pictures were decoded; the stored bytes of all were compared.
+    findings : tuple of Finding
+        What is wrong, in the order of the rules.
+    """
+
+    rounds: int
+    touches: int
+    decoded: int
+    findings: tuple[Finding, ...]
+    _faults: Mapping[str, Sequence[Fault]] = field(repr=False)
+    _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
+
+    @property
+    def ok(self) -> bool:
+        """Whether nothing was found."""
+        return not self.findings
+
+    def pictures(self) -> pictures.PicturePlan:
+        """Plan a picture of each finding: the touches concerned, next to those that they are compared with."""
+        datasets = {split: dataset_of(files) for split, files in self._files.items()}
+        planned = [
+            pictures.PlannedPicture(
+                f"{finding.rule}.png",
+                f"{finding.rule}: {finding.found}",
+                partial(_draw, finding, self._faults[finding.rule], datasets),
+            )
+            for finding in self.findings
+        ]
+        return pictures.PicturePlan(tuple(planned))
+
+
+def check(
+    name: places.Name | places.Place | Sequence[places.Name],
+    split: str | None = None,
+    *,
+    limits: CheckLimits | None = None,
+    workers: int = 1,
+    on_progress: Callable[[int, int], None] = lambda _done, _total: None,
+) -> CheckResult:
+    """Find what is wrong with the recordings of a data set whose files are intact.
+
+    Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift of the bare gel, gels with
+    and without markers, empty pictures, duplicates, objects and pictures in two splits, poses that do not
+    move with the pictures or jump, and times that run back.
+
+    Parameters
+    ----------
+    name : str, path, or sequence of them
+        What :func:`realtouch.load` opens.
+    split : str, optional
+        Only this split; all by default.
+    limits : CheckLimits, optional
+        Thresholds.
+    workers : int
+        Number of threads; what is found does not depend on it.
+    on_progress : callable
+        Called with the number of rounds checked so far and the number in all.
+
+    Returns
+    -------
+    CheckResult
+        Rounds are read one by one; of each touch, a digest and a pattern of 48 numbers stay in memory.
+
+    Raises
+    ------
+    InputError
+        Nothing of that name, or no data set of touches.
+    IntegrityError
+        A file is damaged; :func:`realtouch.verify` lists what else is.
+    """
+    chosen = limits or CheckLimits()
+    place = places.open_place(name).require(KIND, "check").require_complete(split)
+    files = {
+        each: agreeing_files(place.shards(each, kind=KIND), place.name) for each in parts_of(place, split)
+    }
+    shards = [shard for each in files.values() for shard in each]
+    total = sum(map(len, shards))
+    touches = sum(int(stored_touch_counts(shard).sum()) for shard in shards)
+    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
+    is_rendered = origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
+    look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
+    sections: list[Section] = []
+    done = 0
+    damaged: list[Fault] = []
+    for section in run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers):
+        sections.append(section)
+        done += len(section.rounds)
+        on_progress(done, total)
+    faults = [*damaged, *(fault for section in sections for fault in section.faults)]
+    faults += all_comparisons(sections, chosen)
+    by_rule: dict[str, list[Fault]] = defaultdict(list)
+    for fault in faults:
+        by_rule[fault.rule].append(fault)
+    rounds = {(each.split, each.number): each for section in sections for each in section.rounds}
+    findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in RULES if rule in by_rule)
+    decoded = sum(section.decoded for section in sections)
+    return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+
+
+def _placed_rows(files: Mapping[str, Sequence[read.Shard]], damaged: list[Fault]) -> Iterator[PlacedRow]:
+    """Yield all rows with their numbers in their splits; rows that cannot be read are faults."""
+    for split, shards in files.items():
+        starts = dict(
+            zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
+        )
+        for found in readable_rows(read.row_groups(shards)):
+            if isinstance(found, Damage):
+                number = starts[found.file] + (found.row or 0)
+                damaged.append(Fault("unreadable-touches", Spot(split, number, WHOLE_ROUND), 0.0))
+            else:
+                yield PlacedRow(split, starts[found.path] + found.number, found)
+
+
+def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
+    """Gather short rounds, such as those of single images, until they have a few touches."""
+    gathered: list[PlacedRow] = []
+    touches = 0
+    for row in rows:
+        if gathered and (gathered[0].split != row.split or touches >= _FEWEST_TOUCHES):
+            yield gathered
+            gathered, touches = [], 0
+        gathered.append(row)
+        touches += _frames_of(row.stored)
+    if gathered:
+        yield gathered
+
+
+def _frames_of(stored: StoredRound) -> int:
+    """Return the number of touches of a round; a clip alone has frames enough."""
+    if stored.kind == "seq":
+        return _FEWEST_TOUCHES
+    try:
+        return stored.touch_total()
+    except IntegrityError:
+        return 0
+
+
+def _finding(
+    rule: str, faults: Sequence[Fault], rounds: Mapping[tuple[str, int], RoundSeen], limits: CheckLimits
+) -> Finding:
+    """Return what a rule found, over all splits."""
+    names: dict[str, int] = {}
+    several = len({fault.at.split for fault in faults}) > 1
+    for split, number, touch in sorted({fault.at[:3] for fault in faults}):
+        known = rounds.get((split, number), RoundSeen(split, number, f"row {number}", 1, None, None))
+        named, count = f"{known.name}:{touch}", 1
+        if touch == WHOLE_ROUND:
+            count = max(known.touches, 1)
+            named = f"{known.name}:0-{count - 1}"
+        if several:
+            named = f"{split}/{named}"
+        names[named] = count
+    said = RULES[rule]
+    return Finding(
+        rule,
+        said.found_text(max(fault.value for fault in faults)),
+        said.expected_text(limits),
+        " and ".join(dict.fromkeys(fault.at.split for fault in faults)),
+        tuple(names)[:MOST_NAMED],
+        sum(names.values()),
+        said.next,
+    )
+
+
+def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyDataset]) -> UInt8:
+    """Draw the first touches of a finding, each next to what it is compared with."""
+    tiles: list[pictures.Tile | None] = []
+    for fault in faults[:_MOST_DRAWN]:
+        tiles.append(_tile(fault.beside, datasets, None))
+        tiles.append(_tile(fault.at, datasets, pictures.ACCENTS[0]))
+    title = f"{RULES[finding.rule].title}: {finding.found}"
+    lines = (
+        f"expected: {finding.expected}",
+        f"{finding.count:,} touches; framed: concerned, left: compared with",
+    )
+    return pictures.sheet(tiles, 4, title, lines)
+
+
+def _tile(
+    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: pictures.Colour | None
+) -> pictures.Tile | None:
+    """Return a picture with its name; an empty cell if it cannot be read."""
+    if spot is None:
+        return None
+    with suppress(IntegrityError, ValueError, IndexError):
+        record = datasets[spot.split][spot.row]
+        touch = max(spot.touch, 0)
+        caption = f"{spot.split} {record.id}:{touch}"
+        if isinstance(record, TouchSingleRound):
+            pixels = record.sensor_image[touch]
+        else:
+            pixels = record.sensor_video[touch][spot.frame]
+            caption = f"{caption}, frame {spot.frame}"
+        return pictures.Tile(fitted(pixels, _TILE_PX), caption, frame)
+    return None

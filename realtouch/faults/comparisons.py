@@ -1,0 +1,180 @@
+"""What is found by comparing sections and splits with one another."""
+
+from __future__ import annotations
+
+import re
+from collections import defaultdict
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy import stats
+
+from realtouch.faults import seen
+from realtouch.faults.rules import (
+    MIN_GAIN,
+    MIN_RESEMBLANCE,
+    MIN_ROUNDS,
+    TREND,
+    WHOLE_ROUND,
+    Fault,
+    Spot,
+)
+from realtouch.faults.sections import Section
+from realtouch.touch_options import CheckLimits
+from tactile_toolkit.array_types import Float32, Float64, Int64
+
+# Names of rounds that begin with their time sort by it, as those of the published sets.
+_DATED = re.compile(r"\d{4}-\d\d-\d\d[_T ]\d\d[-:]\d\d[-:]\d\d")
+
+GELSIGHT_MINI = (
+    (37, 95, 101), (57, 106, 123), (60, 106, 124), (40, 89, 103),
+    (72, 101, 117), (112, 111, 144), (115, 111, 144), (78, 94, 118),
+    (81, 99, 111), (131, 108, 133), (133, 108, 131), (85, 92, 108),
+    (65, 89, 81), (98, 98, 96), (99, 98, 96), (67, 83, 80),
+)  # fmt: skip
+"""Red, green and blue of a bare GelSight Mini in 4 x 4 parts of its picture, row by row, levels: averages of the
+background of its calibration in the package taxim 1.4.1. The sample images of the published sets, with contact,
+correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
+
+
+def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
+    """Yield what is wrong between sections and splits."""
+    yield from _equal_pictures(sections)
+    yield from _shared_objects(sections)
+    yield from _swapped_channels(sections)
+    yield from _mixed_markers(sections)
+    for gel in _sessions(sections):
+        yield from _changes_of_gel(gel, limits)
+
+
+def _equal_pictures(sections: Sequence[Section]) -> Iterator[Fault]:
+    """Yield touches with the same stored pictures, in a split and over splits; frozen ones count once."""
+    frozen = {
+        fault.at
+        for section in sections
+        for fault in section.faults
+        if fault.rule == "frozen-frames" and fault.beside is not None and fault.beside.touch != fault.at.touch
+    }
+    owners: dict[bytes, list[Spot]] = defaultdict(list)
+    for section in sections:
+        for spot, digest in zip(section.spots, section.digests, strict=True):
+            if digest and spot not in frozen:
+                owners[digest].append(spot)
+    for spots in owners.values():
+        rule = "duplicate-pictures"
+        if len({spot.split for spot in spots}) > 1:
+            rule = "shared-pictures"
+        if len(spots) > 1:
+            yield from (Fault(rule, spot, len(spots), spots[spot == spots[0]]) for spot in spots)
+
+
+def _shared_objects(sections: Sequence[Section]) -> Iterator[Fault]:
+    owners: dict[int, list[Spot]] = defaultdict(list)
+    for each in (found for section in sections for found in section.rounds):
+        if each.object_id is not None:
+            owners[each.object_id].append(Spot(each.split, each.number, WHOLE_ROUND))
+    for spots in owners.values():
+        splits = len({spot.split for spot in spots})
+        if splits > 1:
+            others = {spot.split: spot for spot in spots}
+            for spot in spots:
+                beside = next(other for split, other in others.items() if split != spot.split)
+                yield Fault("shared-objects", spot, splits, beside)
+
+
+def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
+    """Yield the touches whose red and blue are exchanged.
+
+    The colours of a GelSight Mini are known; those of another sensor are compared with most of the set.
+    """
+    spots = [spot for section in sections for spot in section.spots]
+    patterns = np.array([pattern for section in sections for pattern in section.patterns], np.float32)
+    if not len(patterns):
+        return
+    known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
+    reference = _most_common(patterns)
+    gain, order = _gain(reference[None], known)
+    if order[0]:
+        reference = known
+    gain, order = _gain(patterns, reference)
+    by_round: dict[tuple[str, int], list[int]] = defaultdict(list)
+    for index, spot in enumerate(spots):
+        by_round[spot.split, spot.row].append(index)
+    usual = next((spots[index] for index in np.flatnonzero(order == 1).tolist()), None)
+    for touches in by_round.values():
+        # Contact hides the colours of a few touches, whose round decides.
+        is_swapped = order[touches] == -1
+        if 2 * is_swapped.sum() > len(touches):
+            is_swapped[:] = True
+        for index in np.array(touches)[is_swapped].tolist():
+            yield Fault("swapped-channels", spots[index], float(gain[index]), usual)
+
+
+def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
+    """Return how much better patterns fit with red and blue exchanged, and 1, -1 or 0: as is, exchanged, neither."""
+    as_is = (patterns @ reference / len(reference)).astype(np.float64)
+    swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
+    gain = swapped - as_is
+    is_swapped = (swapped >= MIN_RESEMBLANCE) & (gain >= MIN_GAIN)
+    is_usual = (as_is >= MIN_RESEMBLANCE) & (-gain >= MIN_GAIN)
+    return gain, is_usual.astype(np.int64) - is_swapped
+
+
+def _most_common(patterns: Float32) -> Float32:
+    """Return the pattern of most touches, where some have red and blue exchanged; of equally many, the first."""
+    _, order = _gain(patterns, patterns[np.argmax(patterns.any(axis=1))])
+    most = 1
+    if np.count_nonzero(order == -1) > np.count_nonzero(order == 1):
+        most = -1
+    chosen = patterns[order == most]
+    if not len(chosen):
+        chosen = patterns
+    middle = np.median(chosen, axis=0)
+    deviation = float(middle.std())
+    return ((middle - middle.mean()) / (deviation or 1.0)).astype(np.float32)
+
+
+def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
+    """Yield the rounds with markers if others have none, or those without if they are fewer."""
+    marked = [section for section in sections if section.markers]
+    plain = [section for section in sections if section.markers == 0]
+    if not marked or not plain:
+        return
+    dots = float(np.median([section.markers for section in marked if section.markers]))
+    few, many = sorted((plain, marked), key=len)
+    beside = Spot(many[0].rounds[0].split, many[0].rounds[0].number, 0)
+    for each in (found for section in few for found in section.rounds):
+        yield Fault("mixed-markers", Spot(each.split, each.number, WHOLE_ROUND), dots, beside)
+
+
+def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
+    """Return the sections with each gel, in order of time: by their names, or as they are stored."""
+    ordered = [section for section in sections if section.gel is not None]
+    if all(_DATED.match(section.rounds[0].name) for section in ordered):
+        ordered.sort(key=lambda section: section.rounds[0].name)
+    by_gel: dict[object, list[Section]] = defaultdict(list)
+    for section in ordered:
+        by_gel[str(section.rounds[0].gel), bool(section.markers)].append(section)
+    return list(by_gel.values())
+
+
+def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
+    """Yield the steps of the bare gel from round to round, and its drift."""
+    gels = np.stack([section.gel for section in session if section.gel is not None])
+    rounds = [Spot(each.rounds[0].split, each.rounds[0].number, WHOLE_ROUND) for each in session]
+    for index, step in seen.outlying_steps(gels, limits.exposure):
+        yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
+    if len(gels) < MIN_ROUNDS:
+        return
+    levels = gels.mean(axis=(1, 2)).astype(np.float64)  # (n, 3)
+    third = len(levels) // 3 or 1
+    change = np.median(levels[-third:], axis=0) - np.median(levels[:third], axis=0)
+    channel = int(np.argmax(np.abs(change)))
+    size = float(abs(change[channel]))
+    if size < limits.drift:
+        return
+    trend = abs(float(stats.spearmanr(np.arange(len(levels)), levels[:, channel]).statistic))
+    # What changes at once is a step, not drift.
+    largest = float(np.abs(np.diff(levels[:, channel])).max())
+    if trend >= TREND and largest < size / 2:
+        yield from (Fault("gel-drift", spot, size, rounds[0]) for spot in rounds[-third:])

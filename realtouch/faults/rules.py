@@ -1,0 +1,172 @@
+"""The rules of a check: their thresholds, with reasons, and what they say; arrays are looked at elsewhere."""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from typing import NamedTuple
+
+from realtouch.touch_options import CheckLimits
+
+WHOLE_ROUND = -1
+"""In place of the number of a touch: all touches of a round."""
+
+MIN_RANGE = 1.0
+"""A picture whose averages over 12 x 16 cells differ by less has no content, levels of 255. A gel is lit from
+its sides, so that of a GelSight Mini differs by 100."""
+
+MIN_BRIGHTEST = 8.0
+"""A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
+
+NOISE_FACTOR = 6.0
+"""A step counts if it is so many times the median step: a normal distribution exceeds 6 deviations once in
+500 million."""
+
+MIN_RESEMBLANCE, MIN_GAIN = 0.75, 0.4
+"""Colours resemble the reference with red and blue exchanged by this correlation, and this much better than as
+they are. The sample images of the published sets have 0.82 to 0.96 in order, and 0.02 to 0.20 exchanged."""
+
+MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
+"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63) whose distances to their neighbours
+deviate by at most this share of their mean; with at most so many dots it has none."""
+
+TREND, MIN_ROUNDS = 0.7, 5
+"""Drift is a rank correlation of brightness and order of at least this, over at least so many rounds."""
+
+MIN_STILL, MIN_CHANGE = 5, 20.0
+"""A pose stands still over so many touches or frames, while a part of the picture changes by so many levels:
+pictures of a gel without contact change by 1 to 3."""
+
+JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
+"""A pose jumps if the step is beyond the option and so many times the 90th percentile of the steps; a turn if it
+is beyond this angle and the same multiple."""
+
+
+class Spot(NamedTuple):
+    """A picture of a data set: split, number of the row in it, touch and frame."""
+
+    split: str
+    row: int
+    touch: int
+    frame: int = 0
+
+
+class Fault(NamedTuple):
+    """A rule that is broken at a picture, the value found, and a picture to compare with."""
+
+    rule: str
+    at: Spot
+    value: float
+    beside: Spot | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """What a finding says; ``{value}`` is the greatest found, the other names are options and constants."""
+
+    title: str
+    found: str
+    expected: str
+    next: str
+
+    def found_text(self, value: float) -> str:
+        """Say what was found."""
+        return self.found.format(value=value)
+
+    def expected_text(self, limits: CheckLimits) -> str:
+        """Say what was expected."""
+        return self.expected.format(**asdict(limits))
+
+
+RULES: dict[str, Rule] = {
+    "unreadable-touches": Rule(
+        "Touches that cannot be read",
+        "damaged values or pictures",
+        "touches that can be read",
+        "run `realtouch verify`, which says what is wrong with each of them",
+    ),
+    "empty-pictures": Rule(
+        "Empty arrays, and pictures without content",
+        "pictures whose parts differ by at most {value:.2g} levels, or no pictures",
+        f"differences of at least {MIN_RANGE:g} level, and a part of at least {MIN_BRIGHTEST:g} levels",
+        "look at the camera and its cable, and leave these touches out",
+    ),
+    "frozen-frames": Rule(
+        "Frozen frames",
+        "{value:.0f} equal pictures in a row",
+        "fewer than {frozen} equal pictures in a row",
+        "read each frame of the camera once, and record these touches again or leave them out",
+    ),
+    "dropped-frames": Rule(
+        "Dropped frames",
+        "a time step of {value:.3g} times the median step of its clip",
+        "steps of less than {gap:g} times the median step",
+        "compare by time rather than by number of frame, or record with less load",
+    ),
+    "exposure-jumps": Rule(
+        "Exposure jumps",
+        "nine tenths of the picture change by {value:.3g} levels or more, the same way",
+        f"less than {{exposure:g}} levels, or than {NOISE_FACTOR:g} times the median step",
+        "fix exposure and white balance of the camera; subtract the background of each part on its own",
+    ),
+    "swapped-channels": Rule(
+        "Channels in another order",
+        "colours fit with red and blue exchanged, by a correlation greater by {value:.2f}",
+        f"colours in one order; a correlation greater by less than {MIN_GAIN:g}",
+        "OpenCV gives blue, green, red: exchange the channels of these touches and make the set again",
+    ),
+    "gel-drift": Rule(
+        "Drift of the bare gel",
+        "the bare gel changes by {value:.3g} levels over the session",
+        "a change of less than {drift:g} levels",
+        "subtract the background of each round, `realtouch.background(round)`, before you compare rounds",
+    ),
+    "mixed-markers": Rule(
+        "Gels with and without markers",
+        "{value:.0f} dots on the gel, and none in other rounds",
+        "markers in all rounds or in none",
+        "keep gels with and without markers in sets of their own",
+    ),
+    "duplicate-pictures": Rule(
+        "Duplicates",
+        "{value:.0f} touches with the same stored pictures",
+        "each picture once in a split",
+        "leave all but one of them out, and compare the poses of those that you keep",
+    ),
+    "shared-pictures": Rule(
+        "The same picture in two splits",
+        "{value:.0f} touches of several splits with the same stored pictures",
+        "no picture in two splits",
+        "leave them out of all splits but one: results on the others would be too good",
+    ),
+    "shared-objects": Rule(
+        "The same object in two splits",
+        "an object in {value:.0f} splits",
+        "each object in one split",
+        "keep all rounds of an object in one split: results on the others would be too good",
+    ),
+    "still-poses": Rule(
+        "Poses that do not move with the pictures",
+        "{value:.0f} poses in a row are the same while the pictures change",
+        f"fewer than {MIN_STILL} equal poses while a part of the picture changes by {MIN_CHANGE:g} levels",
+        "read the pose at the time of each picture, or leave the poses out",
+    ),
+    "moving-poses": Rule(
+        "Poses that move while pictures are frozen",
+        "the gel moves by {value:.3g} mm while the picture is the same",
+        "less than {motion_mm:g} mm while pictures are the same",
+        "read each frame of the camera once, and record these touches again or leave them out",
+    ),
+    "pose-jumps": Rule(
+        "Poses that jump",
+        "a step of {value:.3g} times the limit",
+        f"at most {{jump_mm:g}} mm and {MIN_TURN_DEG:g} degrees, or {JUMP_FACTOR:g} times most other steps",
+        "look at units, at the order of the quaternion and at lost packets of the robot",
+    ),
+    "times-run-back": Rule(
+        "Times that are missing or run back",
+        "times run back by {value:.3g} s, or are missing",
+        "times that rise",
+        "sort frames by time, or write times of one clock that is never set",
+    ),
+}
+"""What is checked, in the order of the report."""

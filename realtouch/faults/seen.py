@@ -1,0 +1,130 @@
+"""What pictures show at a glance: averages over cells, steps of brightness, markers, equal pictures."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy import ndimage
+
+from realtouch.faults.rules import (
+    MAX_UNEVENNESS,
+    MIN_BRIGHTEST,
+    MIN_DOTS,
+    MIN_RANGE,
+    MOST_SPECKS,
+    NOISE_FACTOR,
+)
+from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
+from tactile_toolkit.touch import decode_small
+
+ROWS, COLUMNS = 12, 16
+"""Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
+
+_PATCHES = 4  # a side of the coarse pattern that colours are recognised by
+_SAME_WAY = 10  # percent of the cells that may change the other way
+_DOT_CONTRAST, _DOT_SHARE = 6.0, 0.06
+# Dots of GelSight, DIGIT and their likes lie 1/14 to 1/8 of the width of the picture apart.
+_AROUND, _APART = 1 / 8, 1 / 24
+
+
+def cells_of(encoded: bytes | memoryview) -> Float32:
+    """Decode a picture to the averages of its cells, shape (12, 16, 3); ValueError if it is damaged."""
+    pixels = decode_small(encoded, COLUMNS)
+    height, width = pixels.shape[:2]
+    tops, lefts = np.arange(ROWS) * height // ROWS, np.arange(COLUMNS) * width // COLUMNS
+    sums = np.add.reduceat(pixels, tops, axis=0, dtype=np.uint32)
+    sums = np.add.reduceat(sums, lefts, axis=1)
+    # A picture of fewer pixels than cells has cells that share a pixel.
+    heights = np.diff(tops, append=height).clip(1)
+    widths = np.diff(lefts, append=width).clip(1)
+    return (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
+
+
+def content_range(cells: Float32) -> float:
+    """Return by how many levels the cells of a picture differ, in the channel with most; 0 if all is black."""
+    return float(np.ptp(cells, axis=(0, 1)).max())
+
+
+def is_empty(cells: Float32) -> bool:
+    """Return whether a picture has no content, or is black."""
+    return content_range(cells) < MIN_RANGE or float(cells.max()) < MIN_BRIGHTEST
+
+
+def brightness_steps(cells: Float32) -> Float64:
+    """Return by how much nine tenths of each picture, or more, changed the same way, shape (n - 1,), levels.
+
+    ``cells`` have the shape (n, 12, 16, 3). A contact changes a part of the picture, or makes one side
+    brighter and the other darker; then the step is 0.
+    """
+    change = np.diff(cells.mean(axis=3).reshape(len(cells), -1), axis=0)
+    if not len(change):
+        return np.zeros(0)
+    low, high = np.percentile(change, (_SAME_WAY, 100 - _SAME_WAY), axis=1)
+    return np.maximum(np.maximum(low, -high), 0.0)
+
+
+def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
+    """Return the pictures that differ from the one before, and the step; the way back is not listed."""
+    steps = brightness_steps(cells)
+    if not len(steps):
+        return []
+    limit = max(least, NOISE_FACTOR * float(np.median(steps)))
+    found: list[tuple[int, float]] = []
+    usual = 0  # the last picture before the first step
+    for step in np.flatnonzero(steps > limit).tolist():
+        is_back = bool(found) and brightness_steps(cells[[usual, step + 1]])[0] <= limit
+        if is_back:
+            usual = step + 1
+            continue
+        if not found:
+            usual = step
+        found.append((step + 1, float(steps[step])))
+    return found
+
+
+def colour_pattern(cells: Float32) -> Float32:
+    """Return where which colour falls in, shape (48,), of mean 0 and deviation 1; zeros without any pattern."""
+    shape = (_PATCHES, ROWS // _PATCHES, _PATCHES, COLUMNS // _PATCHES, 3)
+    pattern = cells.reshape(shape).mean(axis=(1, 3)).ravel()
+    deviation = float(pattern.std())
+    if deviation == 0:
+        return np.zeros_like(pattern)
+    return (pattern - pattern.mean()) / np.float32(deviation)
+
+
+def with_red_as_blue(patterns: Float32) -> Float32:
+    """Return colour patterns, shape (..., 48), with red and blue exchanged."""
+    return patterns.reshape(*patterns.shape[:-1], -1, 3)[..., ::-1].reshape(patterns.shape)
+
+
+def count_markers(background: UInt8) -> int | None:
+    """Return the number of dots of a marker gel, 0 if it has none, None if that is uncertain.
+
+    Dots are local minima of brightness, clearly darker than what is around them, at even distances.
+    """
+    grey = background.mean(axis=2, dtype=np.float64)
+    around = ndimage.uniform_filter(grey, max(3, round(grey.shape[1] * _AROUND)))
+    # The centre of a dot of several equal pixels is one pixel after a little blur.
+    darkness = ndimage.gaussian_filter(around - grey, grey.shape[1] / 320)
+    peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(grey.shape[1] * _APART)))
+    dots = np.argwhere(peaks & (darkness > np.maximum(_DOT_CONTRAST, _DOT_SHARE * around)))
+    if len(dots) <= MOST_SPECKS:
+        return 0
+    squared = ((dots[:, None] - dots[None]) ** 2).sum(axis=2).astype(np.float64)
+    np.fill_diagonal(squared, np.inf)
+    nearest = np.sqrt(squared.min(axis=1))
+    if len(dots) < MIN_DOTS or nearest.std() > MAX_UNEVENNESS * nearest.mean():
+        return None
+    return len(dots)
+
+
+def runs_of(same: Sequence[bool] | Bool, least: int) -> list[tuple[int, int]]:
+    """Return start and length of each run of at least ``least`` entries that equal their predecessor.
+
+    ``same``, shape (n - 1,), states whether entry i + 1 equals entry i.
+    """
+    marks = np.concatenate([[False], np.asarray(same, bool), [False]])
+    edges = np.flatnonzero(marks[1:] != marks[:-1])
+    pairs = zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True)
+    return [(start, stop - start + 1) for start, stop in pairs if stop - start + 1 >= least]

@@ -1,0 +1,393 @@
+"""Faults planted one by one are found, with their touches; clean recordings are not complained of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import realtouch
+from realtouch.faults.comparisons import GELSIGHT_MINI
+from realtouch.faults.rules import RULES
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError
+from tests.command_line import call
+from tests.real_input import SHARED, needs_shared
+from tests.realtouch import factories
+from tests.realtouch.factories import RoundTruth
+
+SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
+Rows = dict[str, list[dict[str, Any]]]
+Truth = list[RoundTruth]
+
+
+def recorded(
+    seed: int = 0, rounds: int = 6, size: tuple[int, int] = SIZE, touches: int = TOUCHES
+) -> list[RoundTruth]:
+    """Make rounds as a camera sees them: with noise, so that no two pictures are equal."""
+    numbers = range(20 * seed, 20 * seed + rounds)
+    return [factories.make_round(number, touches, size, FRAMES, noise=1.0) for number in numbers]
+
+
+def written(
+    folder: Path,
+    kind: str,
+    truth: Truth,
+    edit: Callable[[Rows], object] = lambda _rows: None,
+    *,
+    encode: Callable[[np.ndarray], bytes] = factories.encode_jpeg,
+) -> Path:
+    """Write all rounds but the last as train, that one as test."""
+    if kind == "single":
+        rows = {
+            "train": factories.single_rows(truth[:-1], encode),
+            "test": factories.single_rows(truth[-1:], encode),
+        }
+    else:
+        rows = {"train": factories.seq_rows(truth[:-1]), "test": factories.seq_rows(truth[-1:])}
+    edit(rows)
+    return factories.write_set(folder, rows, kind)
+
+
+def found_in(folder: Path, **options: Any) -> dict[str, list[str]]:
+    """Return the touches of each rule that is broken, by the number of the round and the touch."""
+    result = realtouch.check(folder, **options)
+    names = {record.id: number for split in ("train", "test") for number, record in _rounds(folder, split)}
+    found: dict[str, list[str]] = {}
+    for each in result.findings:
+        assert len(each.touches) <= 20
+        assert each.count >= len(each.touches) > 0
+        assert each.found
+        assert each.expected
+        assert each.next
+        touches = [name.rpartition("/")[2].rpartition(":") for name in each.touches]
+        found[each.rule] = [f"{names[name]}:{touch}" for name, _, touch in touches]
+    return found
+
+
+def _rounds(folder: Path, split: str) -> list[tuple[int, Any]]:
+    return list(enumerate(realtouch.load(folder, split)))
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+@pytest.mark.parametrize(("seed", "size"), [(0, (64, 64)), (1, (64, 64)), (2, (64, 64)), (3, (320, 240))])
+def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path: Path) -> None:
+    rounds = 6 - 3 * (size[0] > 64)
+    result = realtouch.check(written(tmp_path, kind, recorded(seed, rounds, size)))
+    assert result.findings == ()
+    assert (result.rounds, result.touches) == (rounds, rounds * TOUCHES)
+    assert result.decoded >= result.touches
+
+
+def brighter(truth: Truth) -> None:
+    for touch in truth[1].touches[3:]:
+        touch.pixels[:] = np.clip(touch.pixels * 1.3, 0, 255)
+
+
+def flash(truth: Truth) -> None:
+    pixels = truth[1].touches[2].pixels
+    pixels[:] = np.clip(pixels * 1.3, 0, 255)
+
+
+def swapped_round(truth: Truth) -> None:
+    for touch in truth[1].touches:
+        touch.pixels[:] = touch.pixels[..., ::-1].copy()
+
+
+def swapped_touches(truth: Truth) -> None:
+    for touch in truth[2].touches[:2]:
+        touch.pixels[:] = touch.pixels[..., ::-1].copy()
+
+
+def drifting(truth: Truth) -> None:
+    for number, each in enumerate(truth):
+        object.__setattr__(each, "gel_id", 1)
+        for touch in each.touches:
+            touch.pixels[:] = np.clip(touch.pixels + 5.0 * number, 0, 255)
+
+
+def with_markers(truth: Truth) -> None:
+    for touch in truth[3].touches:
+        for y in range(4, SIZE[1], 8):
+            for x in range(4, SIZE[0], 8):
+                touch.pixels[:, y - 1 : y + 1, x - 1 : x + 1] //= 3
+
+
+def constant(truth: Truth) -> None:
+    truth[0].touches[2].pixels[:] = 90
+    truth[0].touches[4].pixels[:] = np.random.default_rng(0).integers(0, 4, truth[0].touches[4].pixels.shape)
+
+
+PICTURES: dict[str, tuple[Callable[[Truth], None], str, list[str]]] = {
+    "exposure": (brighter, "exposure-jumps", ["1:3"]),
+    "flash": (flash, "exposure-jumps", ["1:2"]),
+    "swapped round": (swapped_round, "swapped-channels", [f"1:{touch}" for touch in range(TOUCHES)]),
+    "swapped touches": (swapped_touches, "swapped-channels", ["2:0", "2:1"]),
+    "drift": (drifting, "gel-drift", ["0:0-5", "4:0-5"]),
+    "markers": (with_markers, "mixed-markers", ["3:0-5"]),
+    "empty": (constant, "empty-pictures", ["0:2", "0:4"]),
+}
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+@pytest.mark.parametrize("plant", PICTURES)
+def test_faults_of_pictures(plant: str, kind: str, tmp_path: Path) -> None:
+    change, rule, touches = PICTURES[plant]
+    truth = recorded()
+    change(truth)
+    assert sorted(found_in(written(tmp_path, kind, truth)).items()) == [(rule, touches)]
+
+
+def frozen(truth: Truth) -> None:
+    pixels = truth[1].touches[3].pixels
+    pixels[5:9] = pixels[5]
+
+
+def poses_at_rest(truth: Truth) -> None:
+    touch = truth[2].touches[1]
+    touch.position_m[:], touch.quaternion[:] = touch.position_m[0], touch.quaternion[0]
+
+
+def far_frame(truth: Truth) -> None:
+    truth[1].touches[2].position_m[7] += 0.05
+
+
+def turned_frame(truth: Truth) -> None:
+    truth[1].touches[2].quaternion[7] = [0.0, 1.0, 0.0, 0.0]
+
+
+def same_turns(truth: Truth) -> None:
+    truth[1].touches[2].quaternion[::2] *= -1  # the same rotations
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (frozen, {"frozen-frames": ["1:3"], "moving-poses": ["1:3"]}),
+        (poses_at_rest, {"still-poses": ["2:1"]}),
+        (far_frame, {"pose-jumps": ["1:2"]}),
+        (turned_frame, {"pose-jumps": ["1:2"]}),
+        (same_turns, {}),
+    ],
+)
+def test_faults_of_clips(change: Callable[[Truth], None], found: object, tmp_path: Path) -> None:
+    truth = recorded()
+    change(truth)
+    assert found_in(written(tmp_path, "seq", truth)) == found
+
+
+def media(row: dict[str, Any]) -> list[dict[str, Any]]:
+    name = next(name for name in ("sensor_image", "sensor_video") if name in row)
+    return row[name]
+
+
+def copy_touch(source: dict[str, Any], touch: int, target: dict[str, Any], to: int) -> None:
+    for name in (
+        *filter(lambda name: name.startswith(("gel_", "sensor", "video", "time", "touch")), source),
+    ):
+        target[name] = list(target[name])
+        target[name][to] = source[name][touch]
+
+
+def repeated(rows: Rows) -> None:
+    copy_touch(rows["train"][0], 1, rows["train"][2], 4)
+
+
+def shared_picture(rows: Rows) -> None:
+    copy_touch(rows["train"][1], 3, rows["test"][0], 2)
+
+
+def shared_object(rows: Rows) -> None:
+    rows["test"][0]["object_id"] = rows["train"][3]["object_id"]
+
+
+def no_bytes(rows: Rows) -> None:
+    media(rows["train"][1])[3] = {"bytes": b"", "path": "none"}
+    media(rows["train"][2])[0] = {"bytes": None, "path": None}
+
+
+def cut_short(rows: Rows) -> None:
+    entry = media(rows["train"][1])[3]
+    entry["bytes"] = entry["bytes"][:40]
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+@pytest.mark.parametrize(
+    ("edit", "found"),
+    [
+        (repeated, {"duplicate-pictures": ["0:1", "2:4"]}),
+        (shared_picture, {"shared-pictures": ["0:2", "1:3"]}),
+        (shared_object, {"shared-objects": ["0:0-5", "3:0-5"]}),
+        (no_bytes, {"empty-pictures": ["1:3", "2:0"]}),
+        (cut_short, {"unreadable-touches": ["1:3"]}),
+    ],
+)
+def test_faults_of_stored_bytes(
+    edit: Callable[[Rows], None], found: object, kind: str, tmp_path: Path
+) -> None:
+    assert found_in(written(tmp_path, kind, recorded(), edit)) == found
+
+
+def one_frozen(rows: Rows) -> None:
+    for touch in (2, 3, 4):
+        media(rows["train"][1])[touch] = media(rows["train"][1])[1]
+
+
+def frozen_at_rest(rows: Rows) -> None:
+    one_frozen(rows)
+    position = rows["train"][1]["gel_pose_cell_frame.position"]
+    position[2:5] = [position[1]] * 3
+
+
+def same_pose(rows: Rows) -> None:
+    for name in ("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion"):
+        rows["train"][1][name] = [rows["train"][1][name][0]] * TOUCHES
+
+
+def far_touch(rows: Rows) -> None:
+    position = rows["train"][1]["gel_pose_cell_frame.position"]
+    position[2] = position[2] * 1000.0  # in millimetres
+
+
+def without_poses(rows: Rows) -> None:
+    for row in (*rows["train"], *rows["test"]):
+        row["gel_pose_cell_frame.position"] = [[0.0, 0.0, float(touch)] for touch in range(TOUCHES)]
+
+
+@pytest.mark.parametrize(
+    ("edit", "found"),
+    [
+        (one_frozen, {"frozen-frames": ["1:2", "1:3", "1:4"], "moving-poses": ["1:2", "1:3", "1:4"]}),
+        (frozen_at_rest, {"frozen-frames": ["1:2", "1:3", "1:4"]}),
+        (same_pose, {"still-poses": [f"1:{touch}" for touch in range(TOUCHES)]}),
+        (far_touch, {"pose-jumps": ["1:2"]}),
+    ],
+)
+def test_faults_of_images(edit: Callable[[Rows], None], found: object, tmp_path: Path) -> None:
+    assert found_in(written(tmp_path, "single", recorded(), edit)) == found
+
+
+def gap(rows: Rows) -> None:
+    times = rows["train"][2]["time_stamp_rel_seq"][1]
+    times[9:] = [time + np.timedelta64(40, "ms") for time in times[9:]]
+
+
+def jitter(rows: Rows) -> None:
+    times = rows["train"][2]["time_stamp_rel_seq"][1]
+    times[9] += np.timedelta64(20, "ms")
+
+
+def backwards(rows: Rows) -> None:
+    times = rows["train"][2]["time_stamp_rel_seq"][1]
+    times[8], times[9] = times[9], times[8]
+
+
+def no_time(rows: Rows) -> None:
+    rows["train"][2]["time_stamp_rel_seq"][1][4] = None
+
+
+@pytest.mark.parametrize(
+    ("edit", "found"),
+    [
+        (gap, {"dropped-frames": ["2:1"]}),
+        (jitter, {}),
+        (backwards, {"times-run-back": ["2:1"]}),
+        (no_time, {"times-run-back": ["2:1"]}),
+    ],
+)
+def test_faults_of_times(edit: Callable[[Rows], None], found: object, tmp_path: Path) -> None:
+    assert found_in(written(tmp_path, "seq", recorded(), edit)) == found
+
+
+def test_thresholds_are_options(tmp_path: Path) -> None:
+    folder = written(tmp_path, "seq", recorded(), gap)
+    assert found_in(folder, limits=realtouch.CheckLimits(gap=2.5)) == {}
+    assert found_in(folder, split="test") == {}
+    with pytest.raises(InputError, match="frozen"):
+        realtouch.CheckLimits(frozen=1)
+
+
+def test_what_is_found_does_not_depend_on_workers(tmp_path: Path) -> None:
+    truth = recorded()
+    frozen(truth)
+    folder = written(tmp_path, "seq", truth, repeated)
+    results = [realtouch.check(folder, workers=workers) for workers in (1, 3)]
+    assert results[0].findings == results[1].findings
+    assert results[0].decoded == results[1].decoded
+
+
+def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(tmp_path: Path) -> None:
+    gel = np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3)
+    smooth = np.asarray(Image.fromarray(gel).resize(SIZE, Image.Resampling.BICUBIC)).astype(np.int16)
+    for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
+        truth = recorded()
+        for touch in (touch for each in truth for touch in each.touches):
+            # What the factory adds to its own gel is kept.
+            relief = touch.pixels.astype(np.int16) - factories._gel(SIZE).astype(np.int16)
+            touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., order]
+        found = found_in(written(tmp_path / name, "single", truth))
+        assert list(found) == ["swapped-channels"] * (name == "swapped")
+        assert (
+            realtouch.check(tmp_path / name).findings[:1] == ()
+            or realtouch.check(tmp_path / name).findings[0].count == len(truth) * TOUCHES
+        )
+
+
+@needs_shared
+def test_sample_images_of_the_published_sets(tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    for size in ("320x240", "64x64"):
+        files = sorted((SHARED / "touches").glob(f"*real*{size}.jpeg"))
+        assert files
+        pixels = np.asarray(Image.open(files[0]).convert("RGB")).astype(np.int16)
+        truth = recorded()
+        for each in truth:
+            for touch in each.touches:
+                noise = random.normal(0, 1.5, pixels.shape)
+                object.__setattr__(touch, "pixels", np.clip(pixels + noise, 0, 255).astype(np.uint8)[None])
+                object.__setattr__(touch, "peak", 0)
+        for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
+            folder = written(
+                tmp_path / size / name,
+                "single",
+                truth,
+                encode=lambda each: factories.encode_jpeg(each[..., order]),
+            )
+            assert list(found_in(folder)) == ["swapped-channels"] * (name == "swapped")
+
+
+def test_rendered_touches(tmp_path: Path) -> None:
+    """Touches of the bare plate are equal, and black in pictures of depth; neither is a fault."""
+
+
+def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    truth = recorded()
+    swapped_round(truth)
+    folder = written(tmp_path / "set", "single", truth, one_frozen)
+    assert call("realtouch", "check", folder, "--pictures", tmp_path / "drawn", "--json") == 1
+    document = json.loads(capsys.readouterr().out)
+    assert [each["rule"] for each in document["findings"]] == [
+        "frozen-frames",
+        "swapped-channels",
+        "moving-poses",
+    ]
+    assert not document["ok"]
+    assert len(document["pictures"]) == 3
+    for path in document["pictures"]:
+        with Image.open(path) as image:
+            assert image.width > 300
+    assert call("realtouch", "check", folder, "--split", "test") == 0
+    assert "nothing was found" in capsys.readouterr().out
+    assert call("realtouch", "check", tmp_path / "drawn") == 2
+    assert "realtouch import" in capsys.readouterr().err
+
+
+def test_each_rule_is_documented() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "check.md").read_text()
+    for name in RULES:
+        assert f"`{name}`" in page
