@@ -21,7 +21,7 @@ _PICTURE_STEP = (
     "make digits of pictures with `mnist3d generate --source folder --images FOLDER`, or import touches with "
     "`realtouch import FOLDER --format folder`"
 )
-_SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch one with `tactile-sim render FILE`"
+_SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch them with `tactile-sim generate FILE`"
 _TAR_STEP = "import touches with `realtouch import FOLDER --format webdataset`"
 _ZARR_STEP = "import touches with `realtouch import FOLDER --format replay`"
 _PARQUET_STEP = "write the rows as Parquet files, or give the folder of a data set"
