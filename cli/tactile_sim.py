@@ -21,6 +21,7 @@ from cli.runs import generate_set, print_set
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
+from tactile_sim.sensor_models import GELSIGHT_MINI
 from tactile_toolkit import mesh, run, store, touch
 from tactile_toolkit.catalog import RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
@@ -37,18 +38,23 @@ _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".
 @command(app)
 def generate(
     *,
-    objects: str = argument("DIR|NAME", "Digits, scenes or other meshes: folder, file or Hub id."),
+    objects: str = argument("FILE|DIR|NAME", "Mesh file, folder of mesh files, or data set of meshes."),
     opening: Opening,
     chosen: RowFilter,
+    unit: str | None = mesh.UNIT,
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: Annotated[dict[str, Any], OptionsOf(GenerateSpec)],
     making: Making,
     sink: Sink,
 ) -> None:
-    """Press the gel onto the objects of a data set, and write a data set of touches.
+    """Press the gel onto the objects of a data set, or onto your own, and write a data set of touches.
 
     Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
+
+    Example: tactile-sim generate part.stl --positions object --sensor digit --optics depth --out touches
+
+    In a folder of mesh files, each sub-folder is a class, or each file; train and test are splits.
 
     After an interruption, the same command continues; finished shards are kept.
     """
@@ -61,15 +67,18 @@ def generate(
     spec = _spec_of(sink, picture, plan=TouchPlan(**plan), **given)
     if not making.dry_run:
         run.prepare_batch_process()
-    touches = tactile_sim.TouchGenerator.of(opening.open(sink, objects), spec)
+    touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
     require = partial(touches.refuse_sources, objects, out)
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
 
 def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec:
     """Return the specification of the options that were given."""
-    spec = GenerateSpec(**{"optics": tactile_sim.default_optics(), **picture, **others})
-    if "optics" not in picture and spec.optics == "depth":
+    known, optics = "optics" in picture, tactile_sim.default_optics()
+    if picture.get("sensor", GELSIGHT_MINI) != GELSIGHT_MINI:
+        known, optics = True, "depth"
+    spec = GenerateSpec(**{"optics": optics, **picture, **others})
+    if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
     return spec
 

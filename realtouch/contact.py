@@ -31,7 +31,8 @@ MIN_CONTACT_HEIGHT_M = 0.006
 """Height of the gel above the plate from which a touch is a contact, metres: the publisher's threshold."""
 
 PLATE_COLUMN = "plate_z_m"
-"""Height of the plate in a round from which `select` took touches, metres, cell frame."""
+"""Height of the gel on the bare plate, metres, cell frame, of a round from which `select` took touches, and
+of rendered ones whose gel is not that of a GelSight Mini."""
 
 # Only touches of `tactile-sim generate` have this column; their plate is at z = 0.
 _MADE_BY_US = "info.touched_object_pose.position"

@@ -144,10 +144,17 @@ class StoredRound(StoredColumns):
             return math.nan
         return float(self.value(PLATE_COLUMN))
 
+    def rendered_plate_z_m(self) -> float:
+        """Return the height of the plate in a rendered round; sets of a GelSight Mini need not store it."""
+        stored_m = self.stored_plate_z_m()
+        if math.isnan(stored_m):
+            return PRESS_DEPTH_M
+        return stored_m
+
     def plate_z_m(self) -> float:
         """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
         if ContactHeight.of(self.group.names).plate == "known":
-            return PRESS_DEPTH_M
+            return self.rendered_plate_z_m()
         return self.stored_plate_z_m()
 
     def name(self) -> str:

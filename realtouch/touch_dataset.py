@@ -18,7 +18,7 @@ from realtouch.touches import AnyTouches, R, Touches
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
 
 class RowsWithoutMedia(read.Rows):
@@ -99,7 +99,7 @@ class TouchDataset(read.RecordDataset[R]):
         def heights_m(row: StoredRound, rule: ContactHeight) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
             if rule.plate == "known":
-                return contact_heights_m(z_m, True, PRESS_DEPTH_M)
+                return contact_heights_m(z_m, True, row.rendered_plate_z_m())
             return contact_heights_m(z_m, recalibrate_z, row.stored_plate_z_m())
 
         columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import Any
 
@@ -10,12 +11,17 @@ import numpy as np
 
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
-from tactile_sim.touch_rows import SyntheticRound
+from tactile_sim.sensor import sensor_of_model
+from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.touch_rows import OtherGelRound
+from tactile_sim.touch_spec import WINDOWS
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.touch import decode_image, height_text, missed_text
+from tactile_toolkit.shown_text import markdown_text
+from tactile_toolkit.touch import PRESS_DEPTH_M, decode_image, height_text, missed_text
+from tactile_toolkit.wording import with_count
 
 # Width of images in sheets, about.
 _TILE_PX = 96
@@ -28,6 +34,7 @@ _OPTICS = {
     "cyclegan": "a generator that was trained on real touches, from the depth image",
 }
 _LIKE = {"published": "published data sets", "environment": "published environments at this size"}
+_NOISE = ("of a real sensor, added to the finished image", "as stated below, added to the finished image")
 _DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": decode_image}
 
 
@@ -43,16 +50,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     width, height = spec["size_px"]
     plan = spec["plan"]
     layer_m = spec.get("layer_m", 0.0)
-    # A network shows the window of the size that it was trained in, whatever the images are scaled to.
-    across, down = spec.get("weights_size_px", (width, height))
-    window = "18.88 x 14.16" if spec["like"] == "published" else f"{14.16 * across / down:.4g} x 14.16"
+    sensor = _sensor_of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
     touches, on_object = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
-        columns=meanings(SyntheticRound),
+        columns=meanings(OtherGelRound),
         picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
         licence="mit",
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
@@ -68,10 +73,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             ],
         },
         made=[
+            *_objects_in_words(manifest.spec["source"]),
             ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
-            ("window", f"{window} mm of gel, as in the {_LIKE[spec['like']]}"),
+            *sensor.lines,
             ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),
-            ("noise", "of a real sensor, added to the finished image" if spec.get("noise") else "none"),
+            ("noise", _NOISE[spec["optics"] == "depth"] if spec.get("noise") else "none"),
             (
                 "rounds of an object, touches of a round",
                 f"{plan['rounds']}, {'at most ' if plan.get('given') else ''}{plan['touches']}",
@@ -80,12 +86,64 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         limits=_limits(spec, touches, on_object),
         values={
             "size_text": f"{width} x {height} pixels",
-            "window_mm": window,
+            "sensor": sensor.name,
+            "gel_mm": f"{sensor.model.gel_mm:g}",
+            "press_mm": f"{1e3 * sensor.model.press_m:g}",
+            "window_mm": sensor.window_mm,
+            "more": sensor.more,
             "touches": f"{touches:,}",
             "follows": "the seed, the split, the object and the number of the round"
             + (", and the given touches," if plan.get("given") else ""),
         },
     ).write(folder, manifest, KIND)
+
+
+@dataclass(frozen=True)
+class _CardSensor:
+    """What a card says of the sensor; ``lines`` are those of the table of how the set was made."""
+
+    model: SensorModel
+    name: str
+    window_mm: str
+    lines: list[tuple[str, str]]
+
+    @property
+    def more(self) -> str:
+        """The columns that the published schema does not have."""
+        more = "one more column: the pose of the object during the touch"
+        if self.model.press_m == PRESS_DEPTH_M:
+            return more
+        return f"{more}; and `plate_z_m`, the height of the sensor on the bare plate"
+
+
+def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
+    size_px, like = spec["size_px"], spec["like"]
+    if "sensor" in spec:
+        model = SensorModel(**spec["sensor"])
+        (window,) = (name for name, stored in WINDOWS.items() if stored == like)
+        sides_mm = [1e3 * side_m for side_m in sensor_of_model(model, window, tuple(size_px)).window_m]
+        shown = " x ".join(f"{side_mm:.4g}" for side_mm in sides_mm)
+        name, source = map(markdown_text, (model.name, model.source or "no source is stated"))
+        area = f"{shown} mm of the {model.width_mm:g} x {model.height_mm:g} mm of the gel"
+        lines = [("sensor", f"{name}, by its geometry; {source}"), ("window", area)]
+        return _CardSensor(model, f"sensor ({name})", shown, lines)
+    # A network shows the window of the size that it was trained in, whatever the images are scaled to.
+    across, down = spec.get("weights_size_px", size_px)
+    shown = "18.88 x 14.16" if like == "published" else f"{14.16 * across / down:.4g} x 14.16"
+    lines = [("window", f"{shown} mm of gel, as in the {_LIKE[like]}")]
+    return _CardSensor(GELSIGHT_MINI, "GelSight Mini", shown, lines)
+
+
+def _objects_in_words(source: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[tuple[str, str]]:
+    """Return a line about the mesh files or meshes that were touched; none for those of a data set."""
+    files = [each for listed in source.values() for each in listed if not each["file"].endswith(".parquet")]
+    if not files:
+        return []
+    units = sorted({each["unit"] for each in files if "unit" in each})
+    words = f"{with_count(len(files), 'meshes')}, numbered as `manifest.json` lists them"
+    if units:
+        words += f"; STL, PLY and OBJ are in {units[0]}"
+    return [("objects", words)]
 
 
 def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:

@@ -3,28 +3,30 @@
 from __future__ import annotations
 
 import hashlib
+import logging
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache, partial
-from typing import Any, Unpack
+from typing import Any, TypeAlias, Unpack
 
 import numpy as np
 import pyarrow as pa
 
+from tactile_sim.given_solids import GivenSolid, GivenSolids, Meshes, given_solids
 from tactile_sim.kind import KIND
 from tactile_sim.optics import Optics, make_optics
 from tactile_sim.pressable import Pressable
 from tactile_sim.pressing import render_touch
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import plan_round
-from tactile_sim.sensor import Sensor, sensor_of_window
+from tactile_sim.sensor import Sensor, sensor_of_model, sensor_of_window
 from tactile_sim.sensor_noise import add_noise
-from tactile_sim.touch_rows import DRAWN, SyntheticRound, synthetic_schema
+from tactile_sim.touch_rows import DRAWN, OtherGelRound, SyntheticRound, synthetic_schema
 from tactile_sim.touch_spec import GenerateSpec
 from tactile_toolkit import catalog, generation, mesh, read, store
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.touch import (
     CLASS_NAMES,
@@ -34,8 +36,6 @@ from tactile_toolkit.touch import (
     encode_image,
 )
 
-# The published 64 x 64 sets are these, scaled down: the whole sensor, squashed.
-_PUBLISHED_PX = (320, 240)
 # Encoded images in memory, which is all that a worker holds of a shard.
 _SHARD_BYTES = 64 << 20
 _SMALLEST_SHARD_BYTES = 2 << 20
@@ -48,6 +48,11 @@ _PAGE_BYTES = 1 << 20
 _IMAGE_BYTES = "sensor_image.list.element.bytes"
 # The published 64 x 64 touches take 0.21 (110,578,548 bytes for 128,000 images).
 _JPEG_BYTES_PER_PX = 0.25
+
+
+Solids: TypeAlias = "mesh.SolidDataset[Any] | GivenSolids"
+
+_LOG = logging.getLogger(__name__)
 
 
 def open_split(place: Place, split: str) -> mesh.SolidDataset[Any]:
@@ -72,31 +77,40 @@ class TouchGenerator(generation.RowGenerator):
     """
 
     spec: GenerateSpec
-    source: Mapping[str, mesh.SolidDataset[Any]] = field(repr=False)
+    source: Mapping[str, Solids] = field(repr=False)
     rows: Mapping[str, Any] = field(repr=False)
     kind = KIND
 
     @classmethod
-    def of(cls, source: Name | Place, spec: GenerateSpec) -> TouchGenerator:
-        """Open the source; InputError if it holds no solids, or not the objects of a given plan."""
+    def of(
+        cls,
+        source: Name | Place | Meshes,
+        spec: GenerateSpec,
+        unit: str | None = None,
+        opened: Callable[[Any], Place] = open_place,
+    ) -> TouchGenerator:
+        """Open the source; InputError if it holds no solids, or not the objects of a given plan.
+
+        ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
+        """
         make_optics(spec.optics, spec.weights)  # missing packages are reported before anything is written
-        place = open_place(source).require_complete()
-        splits = {split: open_split(place, split) for split in place.splits}
-        _require_known_objects(place.name, splits, spec)
+        name, splits = _open_source(source, unit, opened)
+        _require_known_objects(name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
         if spec.chosen:
-            chosen = catalog.choose_rows(list(splits.items()), **spec.chosen, limit=spec.limit)
+            chosen = catalog.choose_rows(splits.items(), **spec.chosen, limit=spec.limit)
             rows = {split: places for split, _, places in chosen}
         return cls(spec, splits, rows)
 
-    def refuse_sources(self, source: str | os.PathLike[str], out: str | os.PathLike[str]) -> None:
+    def refuse_sources(self, source: Name | Meshes, out: Name) -> None:
         """Refuse to write into the source, which messages call ``source`` (InputError)."""
-        shards = (shard for each in self.source.values() for shard in each.files)
-        catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), shards)
+        files = [file for each in self.source.values() for file in each.files]
+        if not isinstance(source, Mapping):
+            catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), files)
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and the source of each split, so that a folder can be filled split by split."""
-        source = {split: list(map(content_fingerprint, each.files)) for split, each in self.source.items()}
+        source = {split: _fingerprints(each) for split, each in self.source.items()}
         return {"operation": "generate", "options": self.spec.to_dict(), "source": source}
 
     def items(self) -> Mapping[str, range]:
@@ -136,30 +150,38 @@ class TouchGenerator(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return synthetic_schema(self.source[split].label_names)
+        return synthetic_schema(self.source[split].label_names, _row_type(self.spec))
 
     def make(self, split: str, items: Any) -> Iterator[SyntheticRound | store.Skipped]:
         """Render the rounds; for an object that bounds no solid yield the reason, once."""
         solids, plan = self.source[split], self.spec.plan
         for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
-            record, start = solids[int(self.rows[split][place])], place * plan.rounds
+            record: Any = solids[int(self.rows[split][place])]
+            start = place * plan.rounds
             numbers = range(max(items.start - start, 0), min(items.stop - start, plan.rounds))
             touched = [number for number in numbers if plan.touches_of(record.id, number)]
             if not touched:
                 continue
+            # What is said of an object is said once, in the shard of its first round.
+            is_first = not any(plan.touches_of(record.id, number) for number in range(touched[0]))
+            name, held = f"object {record.id}", record
             try:
-                solid = Pressable.of(record, layer_m=self.spec.layer_m)
+                if isinstance(record, GivenSolid):
+                    name = f"{name} ({record.name})"
+                    held = record.mesh()
+                    _warn_of(name, held.notes if is_first else ())
+                solid = Pressable.of(held, layer_m=self.spec.layer_m)
             except InputError as error:
-                # Once, in the shard of its first round.
-                if not any(plan.touches_of(record.id, number) for number in range(touched[0])):
-                    yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
+                if is_first:
+                    reason = error.reason if isinstance(error, ItemError) else "no-solid"
+                    yield store.Skipped(record.id, reason, f"{name}: {error}")
                 continue
             for number in touched:
                 yield _make_row(self.spec, solid, split, record.id, record.label, number)
 
     def statistics(self, rows: Sequence[SyntheticRound]) -> Mapping[str, int]:
         """Count touches, and those on the object."""
-        contact_height_m = PRESS_DEPTH_M + RENDERED_CONTACT_M
+        contact_height_m = self.spec.sensor.press_m + RENDERED_CONTACT_M
         on_object = sum(int((row.gel_position_m[:, 2] >= contact_height_m).sum()) for row in rows)
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
@@ -184,9 +206,11 @@ def _optics(name: str, weights: str | None, _stamp: tuple[int, ...]) -> Optics:
 
 def depth_sensor(spec: GenerateSpec, optics: Optics) -> Sensor:
     """Return the sensor whose depth maps the optics render."""
-    size_px = spec.size_px
+    size_px, model = spec.size_px, spec.sensor
     if spec.window == "full":
-        size_px = _PUBLISHED_PX
+        size_px = (model.width_px, model.height_px)
+    if spec.has_other_sensor:
+        return sensor_of_model(model, spec.window, optics.depth_size(*size_px))
     # Environments show the window of the pixels that they render, whatever these are scaled to.
     return sensor_of_window(spec.window, optics.depth_size(*size_px))
 
@@ -207,7 +231,10 @@ def _make_row(
     pictures = noisy(spec, pictures, split, object_id, number)
     images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
     suffix = IMAGE_SUFFIX[spec.image_format]
-    return SyntheticRound(
+    row_type, stored = _row_type(spec), dict[str, Any]()
+    if row_type is OtherGelRound:
+        stored["plate_z_m"] = sensor.press_m
+    return row_type(
         id=f"{object_id}-{number}",
         label=label,
         object_id=object_id,
@@ -220,7 +247,15 @@ def _make_row(
         images=[(each, f"{touch:03d}.{suffix}") for touch, each in enumerate(images)],
         object_position_m=plan.object_position_m[:-1],
         object_quaternion=plan.object_quaternion[:-1],
+        **stored,
     )
+
+
+def _row_type(spec: GenerateSpec) -> type[SyntheticRound]:
+    """Return the class of the rows: those of a GelSight Mini are as published."""
+    if spec.sensor.press_m == PRESS_DEPTH_M:
+        return SyntheticRound
+    return OtherGelRound
 
 
 def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, number: int) -> UInt8:
@@ -228,12 +263,39 @@ def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, numbe
     if spec.noise is None:
         return pictures
     draw = partial(keyed_rng, spec.plan.seed, split, object_id, number, "noise")
+    if spec.optics == "depth":  # grey
+        return np.repeat(add_noise(pictures[..., :1], spec.noise, draw(), draw), 3, axis=-1)
     return add_noise(pictures, spec.noise, draw(), draw)
 
 
-def _require_known_objects(
-    name: str, splits: Mapping[str, mesh.SolidDataset[Any]], spec: GenerateSpec
-) -> None:
+def _open_source(
+    source: Name | Place | Meshes, unit: str | None, opened: Callable[[Any], Place]
+) -> tuple[str, Mapping[str, Solids]]:
+    """Return the name and the splits of a data set, of mesh files, or of meshes in memory."""
+    given = None
+    if not isinstance(source, Place):
+        given = given_solids(source, unit)
+    if given is not None:
+        return "the source", given
+    assert not isinstance(source, Mapping), "meshes in memory are given solids"
+    place = opened(source)
+    mesh.refuse_unit(unit, place.name)
+    place.require_complete()
+    return place.name, {split: open_split(place, split) for split in place.splits}
+
+
+def _fingerprints(solids: Solids) -> list[dict[str, Any]]:
+    if isinstance(solids, GivenSolids):
+        return solids.fingerprints()
+    return list(map(content_fingerprint, solids.files))
+
+
+def _warn_of(name: str, notes: Sequence[str]) -> None:
+    for note in notes:
+        _LOG.warning("%s: %s", name, note)
+
+
+def _require_known_objects(name: str, splits: Mapping[str, Solids], spec: GenerateSpec) -> None:
     """Refuse given touches of objects that no split holds (InputError)."""
     given = spec.plan.given
     if given is None or given.object_id is None:
@@ -248,10 +310,12 @@ def _require_known_objects(
 
 
 def generate(
-    source: str | os.PathLike[str],
+    source: Name | Meshes,
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,
+    *,
+    unit: str | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of touches of solids, in the published schema; ``realtouch.load`` opens it.
@@ -262,8 +326,10 @@ def generate(
 
     Parameters
     ----------
-    source : str or path-like
-        Data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
+    source : str, path-like or mapping
+        A mesh file, a folder of mesh files (a class for each sub-folder, or each file; sub-folders ``train``
+        and ``test`` are splits), or meshes by the name of their class, one each or a list, in metres. Or a
+        data set of digits, scenes or other meshes: a folder, a Parquet file, a repository of the Hub or a
         short name, as ``mnist3d.load`` takes it.
     spec : GenerateSpec
         What to make of it.
@@ -271,13 +337,16 @@ def generate(
         Folder to write.
     splits : sequence of str, optional
         Splits of the source; all by default.
+    unit : "mm", "cm", "m" or "in", optional
+        Unit of STL, PLY and OBJ files, which state none; millimetres by default.
     **run
         Fields of :class:`~tactile_toolkit.store.RunOptions`, such as ``workers`` and ``overwrite``.
 
     Returns
     -------
     Manifest
-        What the folder holds now; objects that bound no solid are left out and listed in it.
+        What the folder holds now. Objects that bound no solid are left out and listed in it, and so are mesh
+        files that cannot be read, and meshes larger than the cell.
 
     Raises
     ------
@@ -290,6 +359,6 @@ def generate(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written. What was finished stays.
     """
-    touches = TouchGenerator.of(source, spec)
+    touches = TouchGenerator.of(source, spec, unit)
     require = partial(touches.refuse_sources, source, out)
     return generation.generate(touches, out, splits, require=require, **run)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from tactile_sim.sensor_models import SensorModel
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
@@ -105,6 +106,19 @@ def center_view(width_px: int = 64, height_px: int = 64) -> Sensor:
     """
     width, height = checked_size_px((width_px, height_px))
     return Sensor((width, height), (_SURFACE_M[1] * width / height, _SURFACE_M[1]), sample_px=MESA_SAMPLE_PX)
+
+
+def sensor_of_model(model: SensorModel, window: str, size_px: tuple[int, int]) -> Sensor:
+    """Return a sensor of another model that shows a window in an image of this size, pixels.
+
+    ``"full"`` is the sensing area, whatever the aspect of the image; ``"center"`` the largest part of it with
+    square pixels. Pixels are sampled at their centres.
+    """
+    sides_mm = (model.width_mm, model.height_mm)
+    if window == "center":
+        pitch_mm = min(side_mm / side_px for side_mm, side_px in zip(sides_mm, size_px, strict=True))
+        sides_mm = (pitch_mm * size_px[0], pitch_mm * size_px[1])
+    return Sensor(size_px, (sides_mm[0] / 1e3, sides_mm[1] / 1e3), model.gel_mm / 1e3, model.press_m)
 
 
 def sensor_of_window(window: str, size_px: tuple[int, int]) -> Sensor:

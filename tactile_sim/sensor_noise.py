@@ -14,10 +14,10 @@ from dataclasses import asdict, dataclass, fields
 from functools import cache
 from pathlib import Path
 
-import msgspec
 import numpy as np
 from numpy.typing import DTypeLike
 
+from tactile_sim.value_files import read_values
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
@@ -69,25 +69,27 @@ class SensorNoise:
         )
 
     @classmethod
+    def white(cls, deviation: float) -> SensorNoise:
+        """Return Gaussian noise of each pixel and colour alone, by its standard deviation."""
+        return cls(deviation, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    @classmethod
     def read(cls, path: str | Path) -> SensorNoise:
         """Read a JSON file with a value for each attribute; InputError for any other file."""
-        try:
-            found = msgspec.json.decode(Path(path).read_bytes(), type=dict[str, float])
-            return cls(**found)
-        except (OSError, msgspec.DecodeError, TypeError) as error:
-            names = ", ".join(each.name for each in fields(cls))
-            raise InputError(
-                f"the noise cannot be read from {str(path)!r} ({error}); expected a JSON object with {names}"
-            ) from error
+        return read_values(path, cls, "the noise")
 
     @classmethod
     def named(cls, text: str) -> SensorNoise | None:
-        """Return the noise that an option names: ``none``, ``calibrated``, or a JSON file."""
+        """Return the noise that an option names: ``none``, ``calibrated``, a deviation, or a JSON file."""
         if text == "none":
             return None
         if text == "calibrated":
             return cls.calibrated()
-        return cls.read(text)
+        try:
+            deviation = float(text)
+        except ValueError:
+            return cls.read(text)
+        return cls.white(deviation)
 
     def to_dict(self) -> dict[str, float]:
         """Return JSON values."""

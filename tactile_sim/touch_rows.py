@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cache
 
 import pyarrow as pa
 
@@ -61,6 +60,15 @@ class SyntheticRound:
     )
 
 
+@row
+class OtherGelRound(SyntheticRound):
+    """One round of a sensor whose press depth is not that of the GelSight Mini, which readers take."""
+
+    plate_z_m: float = column(
+        pa.float64(), "m, cell frame", "height of the sensor where it stops on the bare plate"
+    )
+
+
 DRAWN = (
     "info.object_pose.position",
     "info.object_pose.quaternion",
@@ -72,7 +80,8 @@ DRAWN = (
 """Columns of random numbers: a dictionary would repeat all of them."""
 
 
-@cache
-def synthetic_schema(class_names: tuple[str, ...]) -> pa.Schema:
+def synthetic_schema(
+    class_names: tuple[str, ...], row_type: type[SyntheticRound] = SyntheticRound
+) -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return with_features(plain_schema(SyntheticRound), class_names)
+    return with_features(plain_schema(row_type), class_names)

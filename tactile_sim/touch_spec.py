@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Literal
 
+from tactile_sim.sensor_models import GELSIGHT_MINI, SENSORS, SensorModel, checked_sensor
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
@@ -33,11 +34,12 @@ POSITIONS = ("cell", "grid", "object", "given")
 TURNS = {"digits": math.pi / 8, "any": math.pi, "none": 0.0}
 """Greatest rotation of an object, radians: of the environments that classify, of all others, and none."""
 
-SENSOR_NOISE = "none|calibrated|FILE"
+SENSOR_NOISE = "none|calibrated|STD|FILE"
 """Values of the options for the noise of a sensor."""
 
 # A round is held in memory: at 320 x 240 pixels these are 0.9 GB of images and 2.5 GB of depth.
 _MOST_TOUCHES = 4096
+_MOST_PIXELS = _MOST_TOUCHES * 320 * 240
 _MOST_ROUNDS = 1_000_000
 
 _STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "shift"}  # in manifests
@@ -45,6 +47,7 @@ _STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "sh
 _checked_size_px = lazy("tactile_sim.sensor:checked_size_px")
 _checked_layer_m = lazy("tactile_sim.pressable:checked_layer_m")
 _checked_noise = lazy("tactile_sim.sensor_noise:checked_noise")
+_calibrated_noise = lazy("tactile_sim.sensor_noise:SensorNoise.calibrated")
 _named_noise = lazy("tactile_sim.sensor_noise:SensorNoise.named")
 _weights_facts = lazy("tactile_sim.learned.weights:weights_facts")
 
@@ -181,7 +184,13 @@ class GenerateSpec:
         Height of the layers in which the solids are printed, metres; 0 for solids as they are modelled.
     noise : SensorNoise or None
         Noise of a real sensor, drawn for each set, object, round and touch, and added last, to the image in
-        its final size. Not for ``"depth"``, which is not the image of a camera.
+        its final size. In depth images it is a fraction of their range, half of the gel; the calibrated one,
+        which is that of a camera, is not for them.
+    sensor : SensorModel
+        Geometry of the sensor, or the name of one of :data:`tactile_sim.SENSORS`; a GelSight Mini by default.
+        Others have depth images: Taxim and the generators are calibrated for the Mini. ``"center"`` is then
+        the largest part of their sensing area with square pixels, and ``"full"`` all of it, rendered in their
+        own pixels and scaled.
     ids, labels, per_class : optional
         Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
         of these the first ``per_class`` of each class of a split; then ``limit``.
@@ -219,8 +228,16 @@ class GenerateSpec:
         metavar=SENSOR_NOISE,
         shown="none",
         read=_named_noise,
-        help="Noise of a real sensor on the images: none, as calibrated in tactile-mnist, or as in a JSON "
-        "file.",
+        help="Noise on the images: none, as calibrated in tactile-mnist, Gaussian of this standard deviation "
+        "(fraction of the range of an image), or as in a JSON file.",
+    )
+    sensor: SensorModel = text(
+        GELSIGHT_MINI,
+        metavar=f"{'|'.join(SENSORS)}|FILE",
+        shown=GELSIGHT_MINI.name,
+        read=SensorModel.named,
+        help="Geometry of the sensor: a known one, or as in a JSON file. Others than the Mini need --optics "
+        "depth.",
     )
     ids: IdChoice | None = None
     labels: Sequence[str] | None = None
@@ -231,10 +248,32 @@ class GenerateSpec:
         object.__setattr__(self, "layer_m", _checked_layer_m(self.layer_m))
         check_fields(self, "the touches")
         object.__setattr__(self, "noise", _checked_noise(self.noise, "noise"))
-        if self.noise is not None and self.optics == "depth":
+        if self.noise is not None and self.optics == "depth" and self.noise == _calibrated_noise():
             raise InputError(
-                "the optics 'depth' have no noise: it is that of a camera's images", next="add --optics taxim"
+                "the optics 'depth' do not have the calibrated noise: it is that of a camera's images",
+                next="add --optics taxim, or give the standard deviation of another noise, such as 0.005",
             )
+        object.__setattr__(self, "sensor", checked_sensor(self.sensor))
+        if not self.has_other_sensor:
+            return
+        if self.optics != "depth":
+            raise InputError(
+                f"the optics {self.optics!r} are calibrated for the GelSight Mini; expected 'depth' for the "
+                f"sensor {self.sensor.name!r}",
+                next="add --optics depth",
+            )
+        most = _MOST_PIXELS // (self.sensor.width_px * self.sensor.height_px)
+        if self.plan.touches > most:
+            raise InputError(
+                f"the plan has {self.plan.touches:,} touches in a round; expected at most {most:,} in the "
+                f"pixels of the sensor {self.sensor.name!r}",
+                next="divide them into several rounds",
+            )
+
+    @property
+    def has_other_sensor(self) -> bool:
+        """Whether the sensor is another one than the GelSight Mini."""
+        return self.sensor != GELSIGHT_MINI
 
     @property
     def chosen(self) -> dict[str, Any]:
@@ -248,6 +287,9 @@ class GenerateSpec:
         network: dict[str, Any] = {"weights_sha256": None}
         if self.optics == "cyclegan":
             network = _weights_facts(self.weights)
+        sensor: dict[str, Any] = {}
+        if self.has_other_sensor:
+            sensor = {"sensor": self.sensor.to_dict()}
         return {
             "size_px": list(self.size_px),
             "optics": self.optics,
@@ -259,5 +301,6 @@ class GenerateSpec:
             "limit": self.limit,
             "layer_m": self.layer_m,
             "noise": self.noise and self.noise.to_dict(),
+            **sensor,
             **self.chosen,
         }

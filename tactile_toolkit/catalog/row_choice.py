@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeVar
+from typing import Any, Protocol, TypeVar
 
 import numpy as np
 
@@ -13,6 +13,26 @@ from tactile_toolkit.catalog.ids import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 
 D = TypeVar("D", bound=read.RecordDataset[Any])
+C = TypeVar("C", bound="Classified")
+
+
+class Classified(Protocol):
+    """Rows with ids and classes."""
+
+    @property
+    def ids(self) -> AnyArray:
+        """Id of each row."""
+
+    @property
+    def labels(self) -> Int64:
+        """Class of each row."""
+
+    @property
+    def label_names(self) -> tuple[str, ...]:
+        """Name of each class."""
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
 
 
 def open_splits(
@@ -36,13 +56,13 @@ def open_splits(
 
 
 def choose_rows(
-    datasets: Iterable[tuple[str, D]],
+    datasets: Iterable[tuple[str, C]],
     *,
     ids: IdChoice | None = None,
     labels: Sequence[str] | None = None,
     per_class: int | None = None,
     limit: int | None = None,
-) -> list[tuple[str, D, Int64]]:
+) -> list[tuple[str, C, Int64]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
     Rows must have one of these ``ids`` (a pair means all numbers from its first to its last, or the text

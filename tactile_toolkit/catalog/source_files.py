@@ -5,9 +5,18 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Protocol
 
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError
+
+
+class Located(Protocol):
+    """A file of a source."""
+
+    @property
+    def path(self) -> str:
+        """Its path or address."""
 
 
 @contextmanager
@@ -29,12 +38,12 @@ def manifest_beside(shard: read.Shard) -> store.Manifest | None:
     return None
 
 
-def refuse_source(folder: store.DataFolder, name: str, shards: Iterable[read.Shard]) -> None:
+def refuse_source(folder: store.DataFolder, name: str, source_files: Iterable[Located]) -> None:
     """Raise InputError if the folder to write holds or lies in the source, also through links.
 
     ``name`` is the data set as the user gave it.
     """
-    out, files = folder.address(), [shard.path for shard in shards]
+    out, files = folder.address(), [each.path for each in source_files]
     if not folder.is_local:
         inside = f"{out}/"
         holds = any(file.startswith(inside) for file in files)

@@ -2,12 +2,19 @@
 
 from .files import (
     FORMATS as FORMATS,
+    file_content as file_content,
     file_ending as file_ending,
     merge_equal_vertices as merge_equal_vertices,
     pack_mesh as pack_mesh,
+    parse_mesh as parse_mesh,
     read_mesh as read_mesh,
     unpack_mesh as unpack_mesh,
+    unit_of_file as unit_of_file,
     write_mesh as write_mesh,
+)
+from .mesh_folders import (
+    MeshFiles as MeshFiles,
+    find_mesh_files as find_mesh_files,
 )
 from .mesh import (
     MM_PER_M as MM_PER_M,

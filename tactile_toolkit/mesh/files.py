@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import json
+import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
 from xml.parsers import expat
 
 import numpy as np
@@ -22,6 +23,7 @@ from tactile_toolkit.mesh.ply import read_ply
 from tactile_toolkit.mesh.stl import read_stl
 from tactile_toolkit.mesh.threemf import read_build
 from tactile_toolkit.mesh.threemf_writing import BuildItem, write_build
+from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import with_count
 
@@ -30,6 +32,9 @@ FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 
 # Readers of formats that state no unit.
 _PLAIN: dict[str, Callable[[bytes], Surface]] = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj}
+
+_MOST_BYTES = 2 << 30  # an STL of 43 million triangles
+_USUAL_UNIT = "mm"  # slicers assume it, too
 
 # Corners closer than this fraction of the size of the object are welded where that closes the surface.
 _WELDED = 1e-5
@@ -70,29 +75,52 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
     """
     path = store.expanded(path)
     ending = file_ending(path)
-    require_unit(unit)
     try:
-        data = _content(path, below)
-        mesh, stated = _unpacked(data, ending, unit)
-        require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
+        return parse_mesh(file_content(path, below), ending, unit)
     except InputError as error:
         raise InputError(f"{path}: {error}") from error
+
+
+def parse_mesh(data: bytes, ending: str, unit: str | None) -> Mesh:
+    """Read a mesh from the content of a file; raises as :func:`read_mesh`, without the name of the file."""
+    require_unit(unit)
+    mesh, stated = _unpacked(data, ending, unit)
+    require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
     return mesh
 
 
-def _content(path: Path, below: Path | None) -> bytes:
+def unit_of_file(path: Path, unit: str | None) -> str | None:
+    """Return the unit by which a file is read; None for formats that state theirs."""
+    if file_ending(path) in _PLAIN:
+        return unit or _USUAL_UNIT
+    return None
+
+
+def file_content(path: Path, below: Path | None = None) -> bytes:
+    """Return the content of a mesh file; InputError, without its name, if it cannot be read."""
     try:
         if below is not None:
             with store.open_inside(
                 store.open_folder(str(below)), path.relative_to(below).as_posix()
             ) as stream:
-                return stream.read()
+                return _bounded(stream)
         with store.open_regular(path) as stream:
-            return stream.read()
+            return _bounded(stream)
     except OSError as error:
         raise InputError(f"cannot be read ({error.strerror}); expected a mesh file") from error
     except IntegrityError as error:
         raise InputError("not a regular file; nothing was read from it") from error
+
+
+def _bounded(stream: IO[bytes]) -> bytes:
+    size = stream.seek(0, os.SEEK_END)
+    if size > _MOST_BYTES:
+        raise InputError(
+            f"the file has {bytes_text(size)}; expected at most {bytes_text(_MOST_BYTES)}",
+            next="reduce the number of its triangles",
+        )
+    stream.seek(0)
+    return stream.read()
 
 
 def unpack_mesh(data: bytes, ending: str) -> Mesh:
@@ -119,7 +147,7 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
             stated, mesh = "m", _welded(*merge_equal_vertices(*read_glb(data)))
         else:
             vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
-            mesh = _welded(vertices / (MM_PER_M / MM_PER_UNIT[unit or "mm"]), faces)
+            mesh = _welded(vertices / (MM_PER_M / MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
     except (InputError, MemoryError):  # more than the limit
         raise
     except Exception as error:

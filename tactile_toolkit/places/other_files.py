@@ -22,7 +22,7 @@ _PICTURE_STEP = (
     "make digits of pictures with `mnist3d generate --source folder --images FOLDER`, or import touches with "
     "`realtouch import FOLDER`"
 )
-_SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch one with `tactile-sim render FILE`"
+_SOLID_STEP = "check meshes with `mnist3d validate FILE`, touch them with `tactile-sim generate FILE`"
 _IMPORT_STEP = "import touches with `realtouch import SOURCE --out FOLDER`"
 _PARQUET_STEP = "write the rows as Parquet files, or give the folder of a data set"
 

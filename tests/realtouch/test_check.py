@@ -14,7 +14,6 @@ from PIL import Image
 import realtouch
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
-from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared

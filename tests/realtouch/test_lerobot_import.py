@@ -17,9 +17,8 @@ import realtouch
 from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
 from realtouch.exchange.recordings import Recording, touches_of
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ItemError, ToolkitError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.touch import decode_image
-from tests.realtouch import lerobot_sets
 from tests.realtouch.factories import FPS
 from tests.realtouch.lerobot_sets import CAMERA, TASKS, Truth, write_json, write_lerobot
 
