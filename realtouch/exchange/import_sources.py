@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from itertools import chain
 
 from realtouch.alignment_options import Alignment
+from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.recognised import Recognised, recognised
@@ -59,13 +60,14 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if reading.layout is None:
         format_ = recognised(place)
     layout = format_.layout
-    every = _found(home, layout, columns, reading.table)
-    touches = chain.from_iterable(_touches(each, reading.cut, IMPORTS[layout].cut) for each in every)
-    items = [item.checked(number) for number, item in enumerate(touches)]
+    every, cuts = _found(home, layout, columns, reading.table), _Cuts(reading, layout)
+    items = [item.checked(number) for number, item in enumerate(cuts.touches(every))]
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
+    cuts.require_recordings(home)
     known = dict.fromkeys(chain.from_iterable(map(_known, items)))
-    return FoundSource(home, layout, format_.by, items, columns.found_in(known))
+    completed = columns.found_in(known)
+    return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures)
 
 
 def _found(
@@ -91,7 +93,38 @@ def _known(item: FoundTouch) -> Iterable[str]:
     ]
 
 
-def _touches(found: FoundTouch | Recording, cut: str | None, default: str) -> Iterable[FoundTouch]:
-    if isinstance(found, Recording):
-        return touches_of(found, cut or found.cut or default)
-    return [found]
+class _Cuts:
+    """Cuts recordings as the user says, or each as its source or format states.
+
+    ``done`` is how that was done; empty for a source without recordings. ``pictures`` show it: PNG by name.
+    """
+
+    def __init__(self, reading: Reading, layout: str) -> None:
+        self.done = ""
+        self.pictures: Mapping[str, bytes] = {}
+        self._wanted, self._format = reading.cut, IMPORTS[layout]
+        self._columns = reading.columns or ImportColumns()
+
+    def touches(self, found: Iterable[FoundTouch | Recording]) -> Iterator[FoundTouch]:
+        """Yield the touches of a source."""
+        if self._wanted is not None:
+            cutter = Cutter(self._wanted, self._format.contents, self._columns.time_unit)
+            self.pictures = cutter.pictures
+            yield from cutter.touches(map(self._noted, found))
+            return
+        for each in map(self._noted, found):
+            if isinstance(each, Recording):
+                yield from touches_of(each.checked(), each.cut or self._format.cut)
+            else:
+                yield each
+
+    def _noted(self, found: FoundTouch | Recording) -> FoundTouch | Recording:
+        if isinstance(found, Recording):
+            self.done = self._wanted or found.cut or self._format.cut
+        return found
+
+    def require_recordings(self, home: store.DataFolder) -> None:
+        """Refuse to cut a source of single pictures (InputError)."""
+        if self._wanted is not None and not self.done:
+            found = f"{home.address()!r} holds single pictures"
+            raise InputError(f"{found}; --cut applies to recordings", next="leave out --cut")
