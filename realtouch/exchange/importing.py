@@ -189,9 +189,9 @@ class _WritePictures:
 def _listing_digest(items: Sequence[FoundTouch]) -> str:
     """Return the checksum of what is said of all touches."""
     digest = hashlib.sha256()
-    listing = [(item.name, item.start, item.size, item.values) for item in items]
-    digest.update(json.dumps(listing, sort_keys=True, default=str).encode())
     for item in items:
+        of_touch = (item.name, item.start, item.size, item.values)
+        digest.update(json.dumps(of_touch, sort_keys=True, default=str).encode())
         for name, values in sorted(item.per_frame.items()):
             digest.update(f"{name} {values.dtype} {values.shape}".encode())
             digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
