@@ -32,7 +32,7 @@ _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
 _CLIP_SHARD_BYTES = 64 << 20  # clips, packed and unpacked, are in memory several times
-_ROUND_BYTES = 48 << 20
+_ROUND_BYTES = 32 << 20  # of a recording; a longer one becomes several rounds
 _GROUP_BYTES = 32 << 20
 _PAGE_BYTES = 256 << 10  # of the images of a round, which do not compress any better together
 _SPLIT = re.compile(r"\w+")
@@ -127,7 +127,10 @@ def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> A
     names = tuple(classes) or _class_names(items, columns.label)
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
-    rounds = _rounds(items, columns, split)
+    most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
+    rounds = {
+        each: _in_pieces(of_split, most_bytes) for each, of_split in _rounds(items, columns, split).items()
+    }
     size = common_size(items, read.contents, read.sizes_seen)
     held = Counter(item.file for item in items)
     versions = {file: version_of(file) for file, count in held.items() if count > 1 or items[0].frames}
@@ -275,17 +278,17 @@ def _rounds(
                 f"{part!r}; expected each round in one"
             )
         found.setdefault(part, {}).setdefault(name, []).append(item)
-    return {part: _in_pieces(of_part) for part, of_part in found.items()}
+    return found
 
 
-def _in_pieces(rounds: Mapping[str, list[FoundTouch]]) -> dict[str, list[FoundTouch]]:
-    """Divide the rounds of clips that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``."""
+def _in_pieces(rounds: Mapping[str, list[FoundTouch]], most_bytes: int) -> dict[str, list[FoundTouch]]:
+    """Divide rounds that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``."""
     found: dict[str, list[FoundTouch]] = {}
     for name, items in rounds.items():
         pieces: list[list[FoundTouch]] = [[]]
         size_bytes = 0
         for item in items:
-            if item.frames and pieces[-1] and size_bytes + item.size > _ROUND_BYTES:
+            if pieces[-1] and size_bytes + item.size > most_bytes:
                 pieces.append([])
                 size_bytes = 0
             pieces[-1].append(item)
