@@ -194,7 +194,7 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
     rows: list[tuple[str, Any]] = [
         ("rounds", f"{summary.rounds:,}"),
         ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
-        ("objects", f"{summary.objects:,}"),
+        ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
         ("picture", f"{width} x {height} pixels"),

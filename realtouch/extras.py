@@ -29,9 +29,9 @@ class UnknownExtraError(InputError, KeyError):
 class Extras(Mapping[str, Any]):
     """The further columns of a round or touch, by their own names; each is read when it is asked for.
 
-    Numbers are arrays of their stored type; with a missing value, integers are float64 as in pandas, and NaN
-    stands in its place. Texts, and booleans with a missing value, are arrays of objects with None in its
-    place. Arrays are read-only.
+    Numbers are arrays of their stored type. If a value of the round is missing, integers are float64 as in
+    pandas, and NaN stands in its place. Texts, and booleans of which one is missing, are arrays of objects
+    with None in its place. Arrays are read-only.
     """
 
     __slots__ = ("_names", "_read")

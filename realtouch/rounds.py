@@ -91,9 +91,10 @@ class TouchRound(Record):
         return type(self)(StoredRound(RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
-        """Return a field as text for people; None without such a column."""
+        """Return a field as text for people; None without such a column, or if the class is not known."""
         try:
-            return in_words(getattr(self, name))
+            value = getattr(self, name)
+            return None if name == "label" and value == -1 else in_words(value)
         except InputError:
             return None
         except (ToolkitError, ValueError, OSError):
@@ -121,7 +122,7 @@ class TouchRound(Record):
     def label_words(self) -> list[str]:
         """Return the label for people; nothing of a data set without labels."""
         label = self.describe_field("label", "label {}".format)
-        return [label] if label and label != "label -1" else []
+        return list(filter(None, [label]))
 
     def contact_image(self, touch: int) -> UInt8:
         """Return the picture of one contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""

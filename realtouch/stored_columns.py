@@ -17,7 +17,7 @@ import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.extras import UnknownExtraError, array_with_gaps
-from realtouch.schema import EXTRA_PREFIX, POSE_COLUMN, extra_columns, per_touch_columns
+from realtouch.schema import EXTRA_PREFIX, extra_columns, has_poses, per_touch_columns
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
@@ -123,7 +123,7 @@ class StoredColumns(Row):
     @property
     def has_poses(self) -> bool:
         """Whether it has poses of the gel."""
-        return self.has(f"{POSE_COLUMN[self.kind]}.position")
+        return has_poses(self.group.names)
 
     def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
         """Return the error for a field that cannot be used."""

@@ -209,7 +209,8 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
         shape = "T x N; cut to N_i" if stored.startswith(EXTRA_PREFIX["frame"]) else "T"
         found = ends.get(stored, [""])
         is_known = all(isinstance(each, (int, float)) for each in found)
-        between = f", {min(found):g} to {max(found):g}" if is_known else ""
+        # Parquet may state 0 as -0, so 0 is added.
+        between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
         words[stored] = (shape, f"{markdown_code(name)} of the source{between}")
     return words
 

@@ -254,12 +254,7 @@ def has_page_checksums(folder: store.DataFolder, path: str) -> bool:
 
     Raises IntegrityError when the file is damaged.
     """
-    footer = store.open_parquet(folder, path).metadata
-    columns = [
-        footer.row_group(group).column(index)
-        for group in range(footer.num_row_groups)
-        for index in range(footer.num_columns)
-    ]
+    columns = read.Shard(folder.address(path)).column_chunks()
     starts = [
         min(filter(None, (column.dictionary_page_offset, column.data_page_offset)))
         for column in columns

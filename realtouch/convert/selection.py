@@ -122,12 +122,12 @@ def _no_contact(source: Source, height_m: float) -> InputError:
 def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = dataset_of(source.shards[split]), options["limit"]
+    if (options["labels"] or "per_class" in options) and not dataset.label_names:
+        raise InputError(
+            f"the touches of {source.name!r} have no labels, by which some could be chosen",
+            next="choose by --ids, or import them again with --map label=COLUMN",
+        )
     if options["labels"]:
-        if not dataset.label_names or not dataset.has_column("label"):
-            raise InputError(
-                f"labels is {options['labels']}, but the touches of {source.name!r} have no labels",
-                next="choose by --ids, or import them again with --map label=COLUMN",
-            )
         unknown = set(options["labels"]).difference(dataset.label_names)
         numbers = {name: int(name) for name in unknown if name.isdecimal()}
         dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])

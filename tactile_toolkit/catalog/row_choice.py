@@ -84,7 +84,7 @@ def choose_rows(
             unknown = [label for label in labels if label not in classes]
             if unknown:
                 raise InputError(
-                    f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes)}"
+                    f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes) or 'none: it has no labels'}"
                 )
             wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
         chosen = np.flatnonzero(wanted)

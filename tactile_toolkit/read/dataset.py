@@ -512,6 +512,8 @@ class RecordDataset(Sequence[T], Generic[T]):
             return known.index(number)
         if is_integer(number) and 0 <= number < len(known):
             return int(number)
+        if not known:
+            raise InputError(f"no class {label!r}; the data set has no labels")
         listed = ", ".join(known)
         raise InputError(f"no class {label!r}; expected an integer below {len(known)} or one of {listed}")
 

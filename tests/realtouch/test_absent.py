@@ -99,8 +99,12 @@ def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
         with pytest.raises(InputError, match=f"no column 'gel_pose_cell_frame_seq.position', {others}"):
             ask()
     for label in LABELS:
-        with pytest.raises(InputError, match="have no labels; next: choose by --ids, or import"):
-            realtouch.select(sets("single", label), out, labels=["3"])
+        for choice in ({"labels": ["3"]}, {"per_class": 2}):
+            with pytest.raises(InputError, match=r"have no labels, .*; next: choose by --ids, or import"):
+                realtouch.select(sets("single", label), out, **choice)
+        with pytest.raises(InputError, match="no class 3; the data set has no labels"):
+            realtouch.load(sets("seq", label), "train").filter_labels(3)
+        assert call("realtouch", "gallery", sets("seq", label), "--labels", "3", "--out", out) == 2
     with pytest.raises(InputError, match="no column 'object_id'"):
         realtouch.select(clips, out, objects=[3])
     assert not (tmp_path / "out").exists()

@@ -315,9 +315,10 @@ def test_sparsh_writes_vectors_as_texts(images: Path, tmp_path: Path) -> None:
 
 
 def test_card_and_info_state_type_and_range(images: Path, clips: Path, tmp_path: Path, capsys: Any) -> None:
-    realtouch.select(images, tmp_path / "images", split="train")
+    realtouch.select(images, tmp_path / "images")
     card = (tmp_path / "images/README.md").read_text()
-    assert "| `extra.force_n` | list of float64 | T | `force_n` of the source, 1.5 to 5.5 |" in card
+    assert "| `extra.force_n` | list of float64 | T | `force_n` of the source, 1.5 to 7 |" in card
+    assert "| `extra.wrench` | list of float64[2] | T | `wrench` of the source, 0 to 5 |" in card
     assert "| `extra.operator.note` | list of string | T | `operator.note` of the source |" in card
     realtouch.select(clips, tmp_path / "clips", split="train")
     card = (tmp_path / "clips/README.md").read_text()
