@@ -9,10 +9,11 @@ from cli.options import ANY_SET, Opening, Work, argument, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange
-from tactile_toolkit.checked_fields import integer, text
+from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.parsed_text import comma_separated
+from tactile_toolkit.wording import with_count
 
 
 def _fractions(words: str) -> tuple[float, ...]:
@@ -32,17 +33,33 @@ def merge(
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
+    renumber: bool = switch(
+        False, help="Give rows whose id occurs before a new one; the first row with an id keeps it."
+    ),
+    source_column: str | None = text(
+        metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
+    ),
     out: str = out_folder("merged"),
     work: Work,
     sink: Sink,
 ) -> None:
-    """Merge data sets whose ids differ into one; shards are copied unchanged.
+    """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
 
-    Example: merge DIR OTHER --out both
+    Columns and classes must be the same. What rows say of other data sets, such as object_id, is not changed.
+
+    Examples: merge DIR OTHER --out both;  merge DIR OTHER --renumber --source-column source --out both
     """
     places = [opening.open(sink, name) for name in names]
-    make = partial(exchange.merge_sets, kind, places, out)
-    make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    make = partial(exchange.merge_sets, kind, places, out, renumbers=renumber, source_column=source_column)
+    manifest = make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    if manifest is None:
+        return
+    for entry in manifest.spec["options"].get("renumbered", ()):
+        (old, new), *_ = pairs = entry["ids"]
+        sink.line(
+            f"{entry['source']}: {with_count(len(pairs), 'ids')} changed, the first from {old} to {new} "
+            f"(manifest.json lists all)"
+        )
 
 
 def split(

@@ -221,7 +221,7 @@ class DatasetKind:
 
     def schema_of(self, manifest: Specified | None) -> Any:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
-        if self.schema is None or is_export(manifest):
+        if self.schema is None or is_copy(manifest):
             return None
         return self.schema()
 

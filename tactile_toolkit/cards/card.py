@@ -34,6 +34,7 @@ _TABLE_COLUMNS: dict[str, ColumnWords] = {
     f"{MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
 }
 _SHOWN = 10
+_MOST_ENTRIES = 100  # of a list of the specification
 _TILE_PX = 120
 
 # Templates have "FOLDER" there, because others cannot load a folder by name.
@@ -111,11 +112,11 @@ class Card:
             "picture": "There is nothing to draw.",
             "bibtex": bibtex("tactile_mnist"),
             "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
-            "field_table": field_table(facts, self.columns),
+            "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{printable_json(self.spec or manifest.spec)}\n```"
+            spec = f"```json\n{printable_json(_shortened(self.spec or manifest.spec))}\n```"
             reasons = manifest.skipped_reasons().items()
             listed = ", ".join(f"{count:,} {markdown_text(reason)}" for reason, count in reasons)
             skipped = f"{listed}; `manifest.json` names each" if listed else "none"
@@ -137,6 +138,25 @@ class Card:
         body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
         text = head_text(card_head(facts, **head)) + "\n" + body
         _write_changed(folder, CARD_FILE, text.encode())
+
+
+def _source_column(manifest: store.Manifest | None) -> dict[str, ColumnWords]:
+    """Return the meaning of the column that `merge --source-column` adds, by its name."""
+    options = {} if manifest is None else manifest.spec.get("options") or {}
+    if "source_column" not in options:
+        return {}
+    return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
+
+
+def _shortened(values: Any) -> Any:
+    """Return JSON values whose long lists end with the number of further entries."""
+    if isinstance(values, Mapping):
+        return {name: _shortened(each) for name, each in values.items()}
+    if not isinstance(values, list):
+        return values
+    shown = [_shortened(each) for each in values[:_MOST_ENTRIES]]
+    further = len(values) - len(shown)
+    return shown + [f"{further:,} more in manifest.json"] * bool(further)
 
 
 def write_table_card(

@@ -15,16 +15,22 @@ import pyarrow as pa
 from tactile_toolkit import catalog, read, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.exchange import merge_changes
+from tactile_toolkit.exchange.merge_changes import RowChanges
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
 
-def _copy_file(source: read.Shard, _shard: store.ShardName, _rows: range) -> store.ShardContent:
-    """Return a shard unchanged; IntegrityError if a page or the footer does not match its checksum."""
+def _copy_file(
+    source: read.Shard, changes: RowChanges | None, _shard: store.ShardName, _rows: range
+) -> store.ShardContent:
+    """Return a shard, unchanged without changes; IntegrityError if part of it does not match its checksum."""
     with source.stored() as stream:
         content = stream.read()
         table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
+    if changes is not None:
+        return store.ShardContent(changes.apply(table))
     return store.ShardContent(table, encoded=content)
 
 
@@ -77,27 +83,71 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 
 
 def merge_sets(
-    kind: DatasetKind, names: Sequence[Name | Place], out: str, **run: Unpack[store.RunKeywords]
+    kind: DatasetKind,
+    names: Sequence[Name | Place],
+    out: str,
+    *,
+    renumbers: bool = False,
+    source_column: str | None = None,
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
-    """Merge data sets; shards are copied byte for byte. ``run`` are fields of ``store.RunOptions``.
+    """Merge data sets; shards without changes are copied byte for byte.
+
+    With ``renumbers``, the first row with an id keeps it, and others get new ones, which the specification
+    lists. ``source_column`` is a new column with the name of the data set that each row is from. ``run`` are
+    fields of ``store.RunOptions``.
 
     Raises InputError for data sets of another kind, with other columns or classes, or with an id in common.
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
-    listed = ", ".join(source.name for source in sources)
-    schemas = [shards[0].schema for source in sources for shards in source.shards.values()]
-    if not all(schema.equals(schemas[0], check_metadata=True) for schema in schemas):
-        raise InputError(f"{listed} have different columns or classes; expected data sets made alike")
-    if "id" in schemas[0].names:
-        ids = np.concatenate([source.table.column("id") for source in sources])
-        values, counts = np.unique(ids, return_counts=True)
-        if (counts > 1).any():
-            raise InputError(
-                f"{listed} have {(counts > 1).sum():,} ids in common, the first is {values[counts > 1][0]}; "
-                "expected different ids",
-                next="`split` with --ids takes rows out of a data set",
-            )
-    return _build(kind, sources, None, MERGE, {}, out, run)
+    schema = _common_schema(sources)
+    options: dict[str, Any] = {}
+    renumbered = merge_changes.Renumbering({}, {})
+    if renumbers and "id" in schema.names:
+        renumbered = merge_changes.renumber([source.table.files for source in sources])
+        options["renumbered"] = [
+            {"source": catalog.short_name(sources[place].name), "ids": list(map(list, pairs))}
+            for place, pairs in renumbered.pairs.items()
+        ]
+    elif "id" in schema.names:
+        _refuse_common_ids(sources)
+    titles = [""] * len(sources)
+    if source_column is not None:
+        merge_changes.require_new_column(source_column, schema)
+        titles = merge_changes.source_names([source.name for source in sources])
+        options |= {"source_column": source_column, "sources": titles}
+    changes = {
+        shard.path: RowChanges(renumbered.ids.get(shard.path), source_column or "", title)
+        for title, source in zip(titles, sources, strict=True)
+        for shard in source.table.files
+        if source_column is not None or shard.path in renumbered.ids
+    }
+    return _build(kind, sources, None, MERGE, options, out, run, changes)
+
+
+def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
+    """Return the schema of all rows; InputError, which names the first difference, if there are several."""
+    (name, schema), *others = [
+        (f"{split} of {source.name!r}", shards[0].schema)
+        for source in sources
+        for split, shards in source.shards.items()
+    ]
+    for other, found in others:
+        differs = merge_changes.difference(schema, found, (name, other))
+        if differs:
+            raise InputError(f"{differs}; expected data sets made alike")
+    return schema
+
+
+def _refuse_common_ids(sources: Sequence[_Source]) -> None:
+    ids = np.concatenate([source.table.column("id") for source in sources])
+    values, counts = np.unique(ids, return_counts=True)
+    if (counts > 1).any():
+        raise InputError(
+            f"{', '.join(source.name for source in sources)} have {(counts > 1).sum():,} ids in common, the "
+            f"first is {values[counts > 1][0]}; expected different ids",
+            next="add --renumber, or take rows out of a data set with `split --ids`",
+        )
 
 
 def divide(
@@ -149,13 +199,17 @@ def _build(
     options: JsonObject,
     out: str,
     run: store.RunKeywords,
+    changes: Mapping[str, RowChanges] | None = None,
 ) -> store.Manifest:
     folder, tasks, found = store.open_folder(out), [], {}
     for source in sources:
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
-        parts: list[tuple[Any, Any]] = [(range(len(shard)), partial(_copy_file, shard)) for shard in shards]
+        parts: list[tuple[Any, Any]] = [
+            (range(len(shard)), partial(_copy_file, shard, (changes or {}).get(shard.path)))
+            for shard in shards
+        ]
         if rows is not None:
             held = _in_parts(rows[split], list(accumulate(map(len, shards), initial=0)))
             taken = zip(held, shards, strict=True)

@@ -253,9 +253,6 @@ def test_plans_that_cannot_be_are_refused(values):
 def test_sources_that_cannot_be_are_refused(scenes, touches, tmp_path):
     with pytest.raises(InputError, match="does not exist; expected a folder"):
         TouchGenerator.of(tmp_path / "nothing", SPEC)
-    (tmp_path / "part.stl").touch()
-    with pytest.raises(InputError, match=r"is a mesh; expected a data set, .*`tactile-sim render FILE`"):
-        TouchGenerator.of(tmp_path / "part.stl", SPEC)
     with pytest.raises(InputError, match="unknown split 'dev'"):
         plan_build(TouchGenerator.of(scenes, SPEC), ["dev"])
     shard = next(Path(scenes, "data").glob("train-*"))

@@ -178,8 +178,10 @@ def test_noise_that_cannot_be_is_refused(tmp_path):
     ):
         with pytest.raises(InputError, match=f"{name} of the noise is"):
             tactile_sim.SensorNoise(**{**VALUES, name: value})
-    with pytest.raises(InputError, match="'depth' have no noise"):
-        tactile_sim.GenerateSpec(optics="depth", noise=NOISE)
+    with pytest.raises(InputError, match="'depth' do not have the calibrated noise"):
+        tactile_sim.GenerateSpec(optics="depth", noise=tactile_sim.SensorNoise.calibrated())
+    with pytest.raises(InputError, match=r"frame_noise_std of the noise is -1.0"):
+        tactile_sim.SensorNoise.named("-1")
     with pytest.raises(InputError, match="expected a SensorNoise"):
         tactile_sim.GenerateSpec(noise=0.1)
     file = tmp_path / "noise.json"
