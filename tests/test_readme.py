@@ -19,6 +19,7 @@ from tests.realtouch.factories import make_round, single_rows, write_set
 PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 PAGES = (
     "docs/tour.md",
+    "docs/touches.md",
     "docs/concepts/folder.md",
     "docs/howto/print.md",
     "docs/howto/handwriting.md",

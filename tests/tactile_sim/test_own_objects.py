@@ -17,6 +17,7 @@ from tactile_sim.generation import TouchGenerator
 from tactile_sim.sensor import sensor_of_model
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh import as_mesh, pack_mesh
+from tactile_toolkit.store import Skipped
 from tactile_toolkit.touch import PRESS_DEPTH_M
 from tests.command_line import call
 from tests.tactile_sim.solids import ball, block
@@ -301,3 +302,32 @@ def test_depth_images_have_grey_noise_of_the_deviation_that_was_asked_for(
     assert abs(added.mean()) < 0.001
     one, other = (images[1] - images[0])[0, :2]
     assert (one != other).any()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("ending", [".stl", ".obj", ".ply", ".3mf", ".glb"])
+def test_damaged_files_are_left_out_with_a_sentence(ending: str, tmp_path: Path) -> None:
+    """400 mutations of each format: bytes flipped, cut, inserted or repeated."""
+    rng = np.random.default_rng(5)
+    whole = pack_mesh(as_mesh(block()), ending)
+    for number in range(400):
+        content = bytearray(whole)
+        for _ in range(rng.integers(1, 4)):
+            place, length = int(rng.integers(len(content))), int(rng.integers(1, 9))
+            change = rng.integers(4)
+            if change == 0:
+                content[place] ^= 1 << int(rng.integers(8))
+            elif change == 1:
+                del content[place : place + length]
+            elif change == 2:
+                content[place:place] = rng.bytes(length)
+            else:
+                content[place:place] = content[place : place + 50]
+        (tmp_path / f"{number}{ending}").write_bytes(bytes(content))
+    plan = tactile_sim.TouchPlan(1, 1, "object")
+    touches = TouchGenerator.of(tmp_path, tactile_sim.GenerateSpec((16, 12), "depth", plan=plan))
+    made = list(touches.make("train", range(400)))
+    assert len(made) == 400
+    skipped = [each for each in made if isinstance(each, Skipped)]
+    assert {each.reason for each in skipped} <= {"unreadable", "no-solid", "too-large"}
+    assert 0 < len(skipped) < 400
