@@ -68,6 +68,12 @@ def generate(
     if not making.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
+    if touches.has_own_objects and opening != Opening():
+        raise InputError(
+            f"--revision, --config-name and --allow-incomplete are for data sets, and {objects!r} is "
+            "of mesh files",
+            next="leave them out",
+        )
     require = partial(touches.refuse_sources, objects, out)
     generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 

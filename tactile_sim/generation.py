@@ -102,6 +102,11 @@ class TouchGenerator(generation.RowGenerator):
             rows = {split: places for split, _, places in chosen}
         return cls(spec, splits, rows)
 
+    @property
+    def has_own_objects(self) -> bool:
+        """Whether the objects are mesh files or meshes in memory, not a data set."""
+        return any(isinstance(each, GivenSolids) for each in self.source.values())
+
     def refuse_sources(self, source: Name | Meshes, out: Name) -> None:
         """Refuse to write into the source, which messages call ``source`` (InputError)."""
         files = [file for each in self.source.values() for file in each.files]

@@ -103,7 +103,7 @@ class GivenSolids:
 
     def fingerprints(self) -> list[dict[str, Any]]:
         """Return JSON values that identify the solids, in the order of their numbers."""
-        return [{"file": each.name, "rows": 1, **each.facts} for each in self.solids]
+        return [{"file": each.name, "rows": 1, "id": each.id, **each.facts} for each in self.solids]
 
 
 def given_solids(

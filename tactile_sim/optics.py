@@ -9,15 +9,13 @@ import numpy as np
 
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
+from tactile_sim.touch_spec import OPTICS
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import resized
 
 __all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
-
-OPTICS = ("depth", "taxim", "cyclegan")
-"""Names of the optics."""
 
 
 def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:

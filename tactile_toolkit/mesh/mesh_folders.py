@@ -57,16 +57,20 @@ def find_mesh_files(place: str | PathLike[str]) -> MeshFiles | None:
     are a class each, called by their names. InputError: files lie next to classes, or either next to splits.
     """
     root = store.expanded(fspath(place))
-    if not store.path_exists(root):
-        return None
-    if not root.is_dir():
-        if root.suffix.lower() not in FORMATS:
+    with store.readable(str(root)):
+        if not store.path_exists(root):
             return None
-        return MeshFiles({"": (root,)}, {root: root.stem}, (root.stem,))
-    if (root / store.MANIFEST_FILE).exists() or any(
-        next(root.glob(pattern), None) for pattern in ("*.parquet", "*/*.parquet")
-    ):
+        if root.is_dir():
+            return _in_folder(root)
+    if root.suffix.lower() not in FORMATS:
         return None
+    return MeshFiles({"": (root,)}, {root: root.stem}, (root.stem,))
+
+
+def _in_folder(root: Path) -> MeshFiles | None:
+    marks = (store.MANIFEST_FILE, "*.parquet", "*/*.parquet")
+    if any(next(root.glob(mark), None) for mark in marks):
+        return None  # a data set
     here = _classes_of(root, besides=_SPLITS)
     splits = {name: _classes_of(root / name) for name in _SPLITS if (root / name).is_dir()}
     splits = {name: found for name, found in splits.items() if found}

@@ -62,9 +62,9 @@ def test_a_file_is_a_class_and_the_same_set_by_name_and_in_memory(tmp_path: Path
         np.testing.assert_allclose(one.pos_in_cell, other.pos_in_cell, atol=1e-8)
         assert np.abs(one.sensor_image[:].astype(int) - other.sensor_image[:]).mean() < 0.5
     (fact,) = spec_of(tmp_path / "file")["source"]["train"]
-    assert (fact["file"], fact["rows"], fact["unit"], len(fact["sha256"])) == ("part.stl", 1, "mm", 64)
+    assert (fact["file"], fact["id"], fact["unit"], len(fact["sha256"])) == ("part.stl", 0, "mm", 64)
     (fact,) = same.spec["source"]["train"]
-    assert (fact["file"], sorted(fact)) == ("part/0", ["file", "rows", "sha256"])
+    assert (fact["file"], sorted(fact)) == ("part/0", ["file", "id", "rows", "sha256"])
 
 
 def test_folders_are_classes_and_splits_and_no_path_is_stored(tmp_path: Path) -> None:
@@ -79,7 +79,7 @@ def test_folders_are_classes_and_splits_and_no_path_is_stored(tmp_path: Path) ->
     assert [(row.object_id, row.label) for row in test[::2]] == [(3, 0)]
     listed = spec_of(tmp_path / "out")["source"]["train"]
     names = ["train/nut 2/c.ply", "train/nut 10/a.obj", "train/nut 10/b.stl"]
-    assert [each["file"] for each in listed] == names
+    assert [(each["id"], each["file"]) for each in listed] == list(enumerate(names))
     for file in (tmp_path / "out").glob("*.*"):
         assert str(tmp_path).encode() not in file.read_bytes()
     # The same bytes split by split, with two workers, and of chosen objects alone.
@@ -275,6 +275,8 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     assert spec_of(tmp_path / "out")["options"]["sensor"] == THIN.to_dict()
     assert call("tactile-sim", "verify", tmp_path / "out", "-q") == 0
     assert call("tactile-sim", "card", tmp_path / "out", "-q") == 0
+    assert call("tactile-sim", "generate", tmp_path / "part.stl", *words, "--revision", "main") == 2
+    assert "part.stl' is of mesh files; next: leave them out" in capsys.readouterr().err
     assert call("tactile-sim", "generate", tmp_path / "part.stl", *words, "--optics", "taxim") == 2
     assert "add --optics depth" in capsys.readouterr().err
 
