@@ -50,7 +50,7 @@ def merge(
     Examples: merge DIR OTHER --out both;  merge DIR OTHER --renumber --source-column source --out both
     """
     places = [opening.open(sink, name) for name in names]
-    make = partial(exchange.merge_sets, kind, places, out, renumbers=renumber, source_column=source_column)
+    make = partial(exchange.merge_sets, kind, places, out, renumber=renumber, source_column=source_column)
     manifest = make_with_progress(sink, "copying", kind, make, work, out, print_set)
     if manifest is None:
         return

@@ -87,13 +87,13 @@ def merge_sets(
     names: Sequence[Name | Place],
     out: str,
     *,
-    renumbers: bool = False,
+    renumber: bool = False,
     source_column: str | None = None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Merge data sets; shards without changes are copied byte for byte.
 
-    With ``renumbers``, the first row with an id keeps it, and others get new ones, which the specification
+    With ``renumber``, the first row with an id keeps it, and others get new ones, which the specification
     lists. ``source_column`` is a new column with the name of the data set that each row is from. ``run`` are
     fields of ``store.RunOptions``.
 
@@ -103,7 +103,7 @@ def merge_sets(
     schema = _common_schema(sources)
     options: dict[str, Any] = {}
     renumbered = merge_changes.Renumbering({}, {})
-    if renumbers and "id" in schema.names:
+    if renumber and "id" in schema.names:
         renumbered = merge_changes.renumber([source.table.files for source in sources])
         options["renumbered"] = [
             {"source": catalog.short_name(sources[place].name), "ids": list(map(list, pairs))}

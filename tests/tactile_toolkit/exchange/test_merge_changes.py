@@ -84,7 +84,7 @@ def test_rows_get_new_ids_and_a_source_and_are_else_unchanged(
     # The same bytes with two workers.
     kind = {"starstruck": SCENES, "realtouch": TOUCHES}[program]
     again = tmp_path / "again"
-    merge_sets(kind, [one, other], str(again), renumbers=True, source_column="origin", workers=2)
+    merge_sets(kind, [one, other], str(again), renumber=True, source_column="origin", workers=2)
     for file in (out / "data").iterdir():
         assert file.read_bytes() == (again / "data" / file.name).read_bytes()
 
@@ -95,7 +95,7 @@ def test_shards_without_changes_are_copied_byte_for_byte(tmp_path: Path) -> None
         write_part(SCENES, whole, rows, {"part": number}, str(tmp_path / f"part-{number}"))
     parts = [tmp_path / "part-0", tmp_path / "part-1"]
     plain = merge_sets(SCENES, parts, str(tmp_path / "plain"))
-    renumbered = merge_sets(SCENES, parts, str(tmp_path / "renumbered"), renumbers=True)
+    renumbered = merge_sets(SCENES, parts, str(tmp_path / "renumbered"), renumber=True)
     assert [shard.sha256 for shard in plain.shards] == [shard.sha256 for shard in renumbered.shards]
     assert renumbered.spec["options"]["renumbered"] == []
 
@@ -104,9 +104,9 @@ def test_a_merge_that_cannot_be_is_refused(tmp_path: Path) -> None:
     one, other = scenes(tmp_path / "one", 1), scenes(tmp_path / "other", 2)
     for name in ("id", "mesh", "a.b", "", " ", "a\nb"):
         with pytest.raises(InputError, match=r"--source-column is .*expected the name of a new column"):
-            merge_sets(SCENES, [one, other], str(tmp_path / "out"), renumbers=True, source_column=name)
+            merge_sets(SCENES, [one, other], str(tmp_path / "out"), renumber=True, source_column=name)
     with pytest.raises(InputError, match="a data set is given twice"):
-        merge_sets(SCENES, [one, one], str(tmp_path / "out"), renumbers=True, source_column="from")
+        merge_sets(SCENES, [one, one], str(tmp_path / "out"), renumber=True, source_column="from")
     assert not (tmp_path / "out").exists()
 
 
@@ -127,7 +127,7 @@ def test_new_ids_are_new_in_all_sources(tmp_path: Path) -> None:
             place / "train-00000-of-00001.parquet",
         )
         folders.append(place.parent)
-    merged = merge_sets(TOUCHES, folders, str(tmp_path / "out"), renumbers=True)
+    merged = merge_sets(TOUCHES, folders, str(tmp_path / "out"), renumber=True)
     found = [row["id"] for row in rows_of(tmp_path / "out")]
     assert found == ["a", "a_2", "b", "a_4", "a_5", "b_2", "a_6", "a_3"]
     pairs = {each["source"]: each["ids"] for each in merged.spec["options"]["renumbered"]}
