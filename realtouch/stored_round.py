@@ -21,6 +21,8 @@ from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
+# With an entry a touch; pictures are the last, as these fill the memory.
+_COUNTING = ("pos_in_cell", "video_length_frames", f"{POSE_COLUMN['single']}.position", *MEDIA_COLUMN.values())
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 
 
@@ -234,7 +236,7 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
     If the type of the column fixes the number, no row is read.
     """
     types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
-    name = next(name for name in ("pos_in_cell", *MEDIA_COLUMN.values()) if name in types)
+    name = next(name for name in _COUNTING if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
         return np.full(rows, types[name].list_size, np.int64)
