@@ -21,9 +21,9 @@ from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
-# With an entry a touch; pictures are the last, as these fill the memory.
-_COUNTING = ("pos_in_cell", "video_length_frames", f"{POSE_COLUMN['single']}.position", *MEDIA_COLUMN.values())
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+# With an entry a touch; pictures are the last, as these fill the memory.
+_COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *MEDIA_COLUMN.values())
 
 
 class StoredRound(StoredColumns):
