@@ -81,19 +81,13 @@ def extra_types(items: Sequence[FoundTouch], columns: ImportColumns) -> dict[str
     Values of all touches decide: bool, int64, float64 or string, or lists of these; text that is a number is
     one. Columns with objects, bytes or lists of several depths have no type, and are not kept.
     """
-    found: dict[str, list[object]] = {}
-    pictures: dict[str, list[AnyArray]] = {}
-    for item in items:
-        for name, value in item.values.items():
-            found.setdefault(name, []).append(value)
-        for name, values in item.per_frame.items():
-            pictures.setdefault(name, []).append(values)
     types: dict[str, pa.DataType] = {}
-    for name, source in extra_sources(dict.fromkeys((*found, *pictures)), columns).items():
-        if source in pictures:
-            data_type = _array_type(pictures[source])
+    for name, source in extra_sources(_names_in(items), columns).items():
+        pictures = [item.per_frame[source] for item in items if source in item.per_frame]
+        if pictures:
+            data_type = _array_type(pictures)
         else:
-            data_type = value_type(found[source])
+            data_type = value_type(item.values.get(source) for item in items)
         if data_type is not None:
             types[name] = data_type
     if columns.time and not items[0].frames:
@@ -120,15 +114,27 @@ def extra_arrays(
         yield pa.array(list(_converted(values, data_type)), data_type)
 
 
-def not_kept(items: Iterable[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> Iterator[str]:
-    """Yield the name of each field of each touch that is neither used nor kept, as it can be shown."""
+def _names_in(items: Iterable[FoundTouch]) -> dict[str, None]:
+    """Return the names of all fields, in order."""
+    names: dict[str, None] = {}
+    for item in items:
+        names.update(dict.fromkeys(item.values))
+        names.update(dict.fromkeys(item.per_frame))
+    return names
+
+
+def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> dict[str, int]:
+    """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
     sources = dict(columns.extra)
     kept = used_names(columns) | {sources.get(name, name) for name in types}
-    for item in items:
-        for name in (item.values.keys() | item.per_frame.keys()) - kept:
-            value = item.values.get(name, "")
-            if name in item.per_frame or (value is not None and value != ""):
-                yield printable(str(name))
+    counts: dict[str, int] = {}
+    for name in _names_in(items):
+        if name not in kept:
+            values = [item.per_frame.get(name, item.values.get(name)) for item in items]
+            count = sum(value is not None and not (isinstance(value, str) and not value) for value in values)
+            shown = printable(str(name))
+            counts[shown] = counts.get(shown, 0) + count
+    return {name: count for name, count in counts.items() if count}
 
 
 def _time_s(item: FoundTouch, columns: ImportColumns) -> float:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import groupby
 from operator import attrgetter
 from typing import IO, Any
@@ -88,17 +89,18 @@ class FoundTouch:
         JSON may hold one half of a surrogate pair without the other, which cannot be stored.
         """
         problem, values = self.problem, self.values
-        broken = (name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value))
-        for name in broken:
-            problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
-            values = {}
+        texts = {name: value for name, value in values.items() if isinstance(value, str)}
+        if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
+            for name in [name for name, value in texts.items() if not _is_unicode(value)]:
+                problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
+                values = {}
         if problem is None and not self.frames and self.size > MAX_IMAGE_BYTES:
             problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
         return replace(self, number=number, values=values, problem=problem)
 
 
 def _is_unicode(text: str) -> bool:
-    return text.isascii() or text.encode(errors="ignore").decode() == text
+    return text.encode(errors="ignore").decode() == text
 
 
 def found_file(
@@ -154,26 +156,28 @@ def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     A tar is opened once for all that follow each other in it.
     """
     groups = [tuple(group) for _, group in groupby(items, key=attrgetter("file"))]
+    read = partial(_contents, cache(store.open_folder))
     threads = 1
     if any(store.is_remote(group[0].home) for group in groups[:1]):
         threads = _FAR_READERS
-    for found in run.in_threads(_contents, groups, threads):
+    for found in run.in_threads(read, groups, threads):
         yield from found
 
 
-def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
+def _contents(
+    open_folder: Callable[[str], store.DataFolder], items: Sequence[FoundTouch]
+) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
-    unreadable = ItemError("image", "the file cannot be read")
     try:
-        with store.open_inside(store.open_folder(items[0].home), items[0].path) as stream:
+        with store.open_inside(open_folder(items[0].home), items[0].path) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
     except ItemError as error:
-        unreadable = error
+        found += [error] * (len(items) - len(found))
     except (OSError, InputError):  # what they say differs between systems
-        pass
-    return [*found, *[unreadable] * (len(items) - len(found))]
+        found += [ItemError("image", "the file cannot be read")] * (len(items) - len(found))
+    return found
 
 
 def path_of(text: str) -> str:

@@ -7,7 +7,9 @@ bytes would then be stored as a picture and published. Reading a pipe would wait
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -53,9 +55,11 @@ def size_inside(
     if words:
         raise ItemError("name", f"the name {words}; expected a path below the folder")
     _require_inside(folder, path)
+    size = None
     if folder.is_local:
-        place = Path(folder.address(path))
-        size = place.stat().st_size if place.is_file() else None
+        with suppress(OSError, ValueError):
+            found = os.stat(folder.address(path))  # noqa: PTH116
+            size = found.st_size if stat.S_ISREG(found.st_mode) else None
     else:
         parent, _, base = path.rpartition("/")
         size = (sizes or folder.sizes)(parent).get(base)
