@@ -109,11 +109,12 @@ def found_file(
     values: Mapping[str, object],
     sizes: Callable[[str], Mapping[str, int]],
     problem: ItemError | None = None,
+    known: set[str] | None = None,
 ) -> FoundTouch:
     """Return the touch whose image is a file; a missing file is its problem."""
     size = 0
     try:
-        size = store.size_inside(home, name, sizes)
+        size = store.size_inside(home, name, sizes, known)
     except ItemError as error:
         problem = error
     return FoundTouch(name, home.address(), name, 0, size, values, problem)
@@ -156,7 +157,7 @@ def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     A tar is opened once for all that follow each other in it.
     """
     groups = [tuple(group) for _, group in groupby(items, key=attrgetter("file"))]
-    read = partial(_contents, cache(store.open_folder))
+    read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
     threads = 1
     if any(store.is_remote(group[0].home) for group in groups[:1]):
         threads = _FAR_READERS
@@ -165,11 +166,12 @@ def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
 
 
 def _contents(
-    open_folder: Callable[[str], store.DataFolder], items: Sequence[FoundTouch]
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], items: Sequence[FoundTouch]
 ) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
     try:
-        with store.open_inside(open_folder(items[0].home), items[0].path) as stream:
+        folder, known = open_folder(items[0].home)
+        with store.open_inside(folder, items[0].path, known) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
@@ -182,7 +184,8 @@ def _contents(
 
 def path_of(text: str) -> str:
     """Return a path of a table or tar with slashes; programs on Windows write backslashes."""
-    return _HERE.sub("", text.strip().replace("\\", "/"))
+    path = text.strip().replace("\\", "/")
+    return _HERE.sub("", path) if path.startswith(".") else path
 
 
 def source_of(place: str) -> tuple[store.DataFolder, str]:
