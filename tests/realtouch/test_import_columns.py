@@ -265,14 +265,17 @@ def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
         ([np.float32(1), None], pa.float64()),
         ([[1, 2], [], None], pa.list_(pa.int64())),
         ([[1, 2.5], (3,)], pa.list_(pa.float64())),
-        ([np.eye(2), [[1, None]]], pa.list_(pa.list_(pa.float64()))),
+        ([np.eye(2), [[1, None]]], pa.list_(pa.float64())),
+        ([[[[1]]]], pa.list_(pa.int64())),
+        ([[[1, 2], [3]]], None),
+        ([[[1, 2], 3]], None),
         ([["a"], [None]], pa.list_(pa.string())),
         ([None, "", " "], None),
         ([{"a": 1}], None),
         ([b"a"], None),
         ([[1], 2], None),
         ([["\ud800"]], None),
-        ([[[[[[1]]]]]], None),
+        ([[[[[[[1]]]]]]], None),
     ],
 )
 def test_types_of_extra_columns(values: list[Any], data_type: pa.DataType | None) -> None:
@@ -362,7 +365,7 @@ def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> 
             per_frame={"arm_mm": np.hstack([places, quaternions]), "force": np.arange(9, dtype=np.float32),
                        "tool": np.arange(18).reshape(9, 2), "phase": np.array(["in"] * 9)},
         ),
-        recording("b", 5, values={"class": "cat", "session": "one", "note": "late"},
+        recording("b", 5, values={"class": "cat", "session": "one", "note": "late", "phase": "out"},
                   per_frame={"arm_mm": np.tile([1.0, 2, 3, 0, 0, 0, 1], (5, 1))}),
     ]  # fmt: skip
     columns = realtouch.ImportColumns().with_mapped(
@@ -384,9 +387,9 @@ def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> 
     assert (only.touch_start_time_rel / np.timedelta64(1, "us")).round()[0] == round(3.5e6 / 30)
     assert only.sensor_video[0].contact_window == slice(3, 6)
     rows = pq.read_table(tmp_path / "out" / "data").to_pylist()
-    assert rows[0]["extra.force_n"] == [list(map(float, range(9))), None]
-    assert rows[0]["extra.tool"] == [np.arange(18).reshape(9, 2).tolist(), None]
-    assert rows[0]["extra.phase"] == [["in"] * 9, None]
+    assert rows[0]["extra_seq.force_n"] == [list(map(float, range(9))), [None] * 5]
+    assert rows[0]["extra_seq.tool"] == [np.arange(18).reshape(9, 2).tolist(), [None] * 5]
+    assert rows[0]["extra_seq.phase"] == [["in"] * 9, ["out"] * 5]
     assert rows[0]["extra.note"] == [None, "late"]
     assert manifest.statistics()["train"]["clips"] == {
         "contact found by the pictures": 1,
@@ -409,7 +412,7 @@ def test_known_contact_and_times_of_a_column(recordings: Any) -> None:
 @pytest.mark.parametrize(
     ("change", "words"),
     [
-        ({"time_s": np.array([0, 1, 3, 2.0])}, "time runs back at picture 3"),
+        ({"time_s": np.array([0, 1, 3, 2.0])}, "picture 3"),
         ({"time_s": np.array([0, 1, 2, 3e9])}, "--time-unit states another unit"),
         ({"time_s": np.array([0, 1.0])}, "2 times of 4 pictures"),
         ({"pictures": [picture(1), picture(2)[:-30], picture(3), picture(4)]}, "picture 1: an image of"),
