@@ -1,7 +1,8 @@
 """How fast touches become the formats of others, and images of others touches; in processor time of one core.
 
-The plain way is measured in the same run: rows read with pyarrow, each image written as a file of its own as
-it is stored.
+The plain way is measured in the same run, in turn. Of an export: rows read with pyarrow, each image written
+as a file of its own as it is stored. Of an import: each image opened and verified with Pillow, with what a
+table or JSON says of it, and all written with pyarrow as one Parquet file.
 
     python benchmarks/exchange.py [--rounds 100]
 """
@@ -9,11 +10,15 @@ it is stored.
 from __future__ import annotations
 
 import argparse
+import csv
+import io
+import json
 import statistics
 import sys
+import tarfile
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
 from functools import partial
 from itertools import islice
 from pathlib import Path
@@ -24,20 +29,25 @@ from figures import tell
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 TOUCHES = 256
 BY_HAND_ROUNDS = 4
+TURNS = 3
+
+Work = tuple[Callable[[Path], Any], int]
+"""What is measured, and how many touches it takes."""
 
 
-def per_second(work: Callable[[Path], Any], touches: int, home: Path) -> float:
-    """Return touches per second of processor time, the median of three runs."""
-    rates = []
-    for _ in range(3):
-        with tempfile.TemporaryDirectory(dir=home) as folder:
-            start_s = time.process_time()
-            work(Path(folder))
-            rates.append(touches / (time.process_time() - start_s))
-    return statistics.median(rates)
+def per_second(works: Iterable[Work], home: Path) -> list[float]:
+    """Return touches per second of processor time, the median of three runs in turn."""
+    rates: list[list[float]] = [[] for _ in works]
+    for _ in range(TURNS):
+        for (work, touches), found in zip(works, rates, strict=True):
+            with tempfile.TemporaryDirectory(dir=home) as folder:
+                start_s = time.process_time()
+                work(Path(folder))
+                found.append(touches / (time.process_time() - start_s))
+    return list(map(statistics.median, rates))
 
 
-def by_hand(source: Path, out: Path) -> None:
+def export_by_hand(source: Path, out: Path) -> None:
     """Write each image of some rounds as a file, as a script would."""
     import pyarrow.parquet as pq
 
@@ -50,6 +60,53 @@ def by_hand(source: Path, out: Path) -> None:
         for record in batch.to_pylist():
             for touch, image in enumerate(record["sensor_image"]):
                 (out / f"{record['id']}_{touch}.jpg").write_bytes(image["bytes"])
+
+
+def in_table(source: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    """Yield the images of a folder, and what its table says of them."""
+    with (source / "index.csv").open(newline="") as stream:
+        for line in csv.DictReader(stream):
+            yield (source / line["file"]).read_bytes(), line
+
+
+def in_tars(source: Path) -> Iterator[tuple[bytes, dict[str, Any]]]:
+    """Yield the images of tars, each with its JSON."""
+    image = b""
+    for name in sorted(source.glob("*.tar")):
+        with tarfile.open(name) as tar:
+            for member in tar:
+                content = tar.extractfile(member).read()  # type: ignore[union-attr]
+                if not member.name.endswith(".json"):
+                    image = content
+                else:
+                    yield image, json.loads(content)
+
+
+def import_by_hand(samples: Callable[[], Iterator[tuple[bytes, dict[str, Any]]]], out: Path) -> None:
+    """Verify each image and write it with its label and pose, as a script would."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+    from PIL import Image
+
+    from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+
+    numbers = (*POSITION_COLUMNS, *POSE_COLUMNS)
+    rows: dict[str, list[Any]] = {
+        name: [] for name in ("round", "label", "object_id", "width", "height", "image", *numbers)
+    }
+    for content, said in samples():
+        with Image.open(io.BytesIO(content)) as image:
+            width, height = image.size
+            image.verify()
+        rows["round"].append(said["round_id"])
+        rows["label"].append(int(said["label"]))
+        rows["object_id"].append(int(said["object_id"]))
+        rows["width"].append(width)
+        rows["height"].append(height)
+        rows["image"].append(content)
+        for name in numbers:
+            rows[name].append(float(said[name]))
+    pq.write_table(pa.table(rows), out / "touches.parquet", compression="zstd")
 
 
 def make_set(folder: Path, size: tuple[int, int], rounds: int) -> Path:
@@ -67,37 +124,48 @@ COMMANDS = {
     "flat": "--format flat",
     "webdataset": "--format webdataset",
     "lerobot": "--format lerobot",
+    "import_folder": "realtouch import --format folder",
     "import": "realtouch import --format webdataset",
 }
 
 
-def jobs(source: Path, tars: Path) -> dict[str, Callable[[Path], Any]]:
+def jobs(source: Path, other: Path, touches: int) -> dict[str, tuple[Work, Work]]:
+    """Return each job, and the plain way."""
     import realtouch
 
-    realtouch.export(source, tars, "webdataset")
-    columns = realtouch.ImportColumns(round="round_id", object_id="object_id")
+    realtouch.export(source, other, "webdataset")
+    realtouch.frames(source, other / "images", "jpeg")
+    tars, images = other / "webdataset", other / "images"
+
+    def exporting(layout: Any) -> tuple[Work, Work]:
+        by_hand = partial(export_by_hand, source), BY_HAND_ROUNDS * TOUCHES
+        return (lambda out: realtouch.export(source, out / "set", layout), touches), by_hand
+
+    def importing(layout: Any, place: Path, samples: Any) -> tuple[Work, Work]:
+        by_hand = partial(import_by_hand, partial(samples, place)), touches
+        return (lambda out: realtouch.import_touches(place, out / "set", layout), touches), by_hand
+
     return {
-        "flat": lambda out: realtouch.export(source, out / "set", "flat"),
-        "webdataset": lambda out: realtouch.export(source, out / "set", "webdataset"),
-        "lerobot": lambda out: realtouch.export(source, out / "set", "lerobot"),
-        "import": lambda out: realtouch.import_touches(
-            tars / "webdataset", out / "set", "webdataset", columns
-        ),
+        **{layout: exporting(layout) for layout in ("flat", "webdataset", "lerobot")},
+        "import_folder": importing("folder", images, in_table),
+        "import": importing("webdataset", tars, in_tars),
     }
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--rounds", type=int, default=100)
+    parser.add_argument("--only", nargs="*", choices=COMMANDS, default=list(COMMANDS))
     options = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         for size in ((64, 64), (320, 240)):
             name = f"{size[0]}x{size[1]}"
             source, touches = make_set(home / name, size, options.rounds), options.rounds * TOUCHES
-            hand = per_second(partial(by_hand, source), BY_HAND_ROUNDS * TOUCHES, home)
-            for what, job in jobs(source, home / f"tars-{name}").items():
-                rate = per_second(job, touches, home)
+            for what, works in jobs(source, home / f"other-{name}", touches).items():
+                if what not in options.only:
+                    continue
+                rate, hand = per_second(works, home)
                 tell(
                     f"{what}_{size[0]}", f"a touch, `{COMMANDS[what]}`, {name}; by hand", 1 / rate, "s",
                     other=1 / hand,

@@ -2,9 +2,30 @@
 
 from __future__ import annotations
 
+import re
 import tarfile
 from collections.abc import Iterator
-from typing import IO
+from typing import IO, Self
+
+# Name, mode, owner, size, time, checksum and type; no link, the mark of the format, and no prefix of the name.
+_PLAIN_HEADER = re.compile(
+    rb"(?P<name>[^\0]{1,99})\0+(?<=^.{100}).{24}(?P<size>[0-7]{11})\0.{12}(?P<sum>[0-7]{6})\0 0\0{100}"
+    rb"ustar(?:\x0000|  \0).{80}\0{155}.{12}",
+    re.DOTALL,
+)
+
+
+class _Header(tarfile.TarInfo):
+    """A header, read in a tenth of the time if it is that of a plain file with a short name."""
+
+    @classmethod
+    def frombuf(cls, buf: bytes | bytearray, encoding: str, errors: str) -> Self:
+        found = _PLAIN_HEADER.fullmatch(buf)
+        if found is None or int(found["sum"], 8) != sum(buf[:148]) + sum(buf[156:]) + 8 * ord(" "):
+            return super().frombuf(buf, encoding, errors)
+        made = cls(found["name"].decode(encoding, errors))
+        made.size = int(found["size"], 8)
+        return made
 
 
 def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
@@ -15,7 +36,7 @@ def files_of_tar(stream: IO[bytes], size: int) -> Iterator[tarfile.TarInfo]:
     """
     name, end = "", 0
     try:
-        with tarfile.open(fileobj=stream, mode="r:") as tar:
+        with tarfile.open(fileobj=stream, mode="r:", tarinfo=_Header) as tar:
             for member in tar:
                 # `tarfile` reads 0 from an extended header that does not state a number.
                 stated = member.pax_headers.get("size", str(member.size))

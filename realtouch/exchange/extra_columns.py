@@ -15,13 +15,11 @@ import pyarrow as pa
 
 from realtouch.exchange.fields import NUMBERED, number_of, times_s
 from realtouch.exchange.found_touches import FoundTouch
+from realtouch.schema import EXTRA_PREFIX
 from realtouch.touch_options import ImportColumns, is_extra_name
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.shown_text import printable
-
-EXTRA = "extra."
-"""How the names of such columns begin in a data set."""
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
@@ -37,10 +35,11 @@ _BOOLEANS = {"true": True, "false": False}
 _INTEGER = re.compile(r"\s*[+-]?(?:0|[1-9][0-9]{0,18})\s*\Z")
 _FLOAT = re.compile(
     r"\s*[+-]?(?:[0-9]+(?:\.[0-9]*|,[0-9]+)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*\Z|\s*[+-]?(?:nan|inf)\s*\Z",
-    re.I,
+    re.IGNORECASE,
 )
 _LEADING_ZERO = re.compile(r"\s*[+-]?0[0-9]")
 _INT64 = np.iinfo(np.int64)
+_LISTS = (list, tuple, np.ndarray)
 
 
 def used_names(columns: ImportColumns) -> set[str | None]:
@@ -76,79 +75,119 @@ def extra_sources(names: Iterable[str | None], columns: ImportColumns) -> dict[s
 
 
 def extra_types(items: Sequence[FoundTouch], columns: ImportColumns) -> dict[str, pa.DataType]:
-    """Return the type of the value of a touch in each extra column, by its new name.
+    """Return the type of what a touch has in each extra column, by the name of the column in a data set.
 
-    Values of all touches decide: bool, int64, float64 or string, or lists of these; text that is a number is
-    one. Columns with objects, bytes or lists of several depths have no type, and are not kept.
+    Values of all touches decide: bool, int64, float64 or string, or a list of these; text that is a number is
+    one. A matrix is a list, row by row. Columns with objects, bytes or uneven lists have no type, and are not
+    kept.
     """
-    found: dict[str, list[object]] = {}
-    pictures: dict[str, list[AnyArray]] = {}
-    for item in items:
-        for name, value in item.values.items():
-            found.setdefault(name, []).append(value)
-        for name, values in item.per_frame.items():
-            pictures.setdefault(name, []).append(values)
     types: dict[str, pa.DataType] = {}
-    for name, source in extra_sources(dict.fromkeys((*found, *pictures)), columns).items():
-        if source in pictures:
-            data_type = _array_type(pictures[source])
+    for name, source in extra_sources(_names_in(items), columns).items():
+        pictures = [item.per_frame[source] for item in items if source in item.per_frame]
+        values = (item.values[source] for item in items if source in item.values)
+        entry = value_type(chain(values, _told_apart(pictures)))
+        if entry is None:
+            continue
+        if pictures:
+            types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
         else:
-            data_type = value_type(found[source])
-        if data_type is not None:
-            types[name] = data_type
+            types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
     if columns.time and not items[0].frames:
-        if TIME_S in types:
+        name = f"{EXTRA_PREFIX['touch']}{TIME_S}"
+        if name in types:
             raise InputError(
                 f"the source has a column {TIME_S!r} beside that of the time, {columns.time!r}",
                 next=f"map one of them to the time, or name the other one: --map NEW={TIME_S}",
             )
-        types[TIME_S] = pa.float64()
+        types[name] = pa.float64()
     return types
+
+
+def _told_apart(arrays: Iterable[AnyArray]) -> Iterator[object]:
+    """Yield entries of arrays that decide their type: one of numbers, whose type is that of all."""
+    for array in arrays:
+        if array.dtype.kind in "biuf" and len(array):
+            largest = array.max() if array.dtype.kind == "u" and array.size else array.dtype.type(0)
+            yield largest if array.ndim == 1 else [largest]
+        else:
+            yield from array
 
 
 def extra_arrays(
     items: Sequence[FoundTouch], columns: ImportColumns, types: Mapping[str, pa.DataType]
 ) -> Iterator[pa.Array]:
     """Yield the values of each extra column, an entry a touch."""
-    sources = {name: source for name, source in columns.extra if source}
-    for name, data_type in types.items():
-        source = sources.get(name, name)
-        if name == TIME_S and columns.time:
+    for column, data_type in types.items():
+        name, is_frame = _name_of(column)
+        source = dict(columns.extra).get(name, name)
+        if name == TIME_S and columns.time and not is_frame:
             yield pa.array([_time_s(item, columns) for item in items], data_type)
-            continue
-        values = [item.per_frame.get(source, item.values.get(source)) for item in items]
-        yield pa.array(list(_converted(values, data_type)), data_type)
+        elif not is_frame:
+            values = (item.values.get(source) for item in items)
+            yield pa.array(list(_converted(values, data_type)), data_type)
+        else:
+            entry = data_type.value_type
+            yield pa.array([list(_converted(_of_frames(item, source), entry)) for item in items], data_type)
 
 
-def not_kept(items: Iterable[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> Iterator[str]:
-    """Yield the name of each field of each touch that is neither used nor kept, as it can be shown."""
-    sources = dict(columns.extra)
-    kept = used_names(columns) | {sources.get(name, name) for name in types}
+def _of_frames(item: FoundTouch, source: str) -> Sequence[object]:
+    """Return the value of each picture of a clip; what is said of the clip holds for all of them."""
+    if source in item.per_frame:
+        values = item.per_frame[source]
+        return values.tolist() if values.ndim == 1 else list(values)
+    return [item.values.get(source)] * item.frames
+
+
+def _name_of(column: str) -> tuple[str, bool]:
+    """Return the name of an extra column of a data set, and whether it has an entry for each picture."""
+    prefix = EXTRA_PREFIX["frame"]
+    is_frame = column.startswith(prefix)
+    return column.removeprefix(prefix if is_frame else EXTRA_PREFIX["touch"]), is_frame
+
+
+def _names_in(items: Iterable[FoundTouch]) -> dict[str, None]:
+    """Return the names of all fields, in order."""
+    names: dict[str, None] = {}
     for item in items:
-        for name in (item.values.keys() | item.per_frame.keys()) - kept:
-            value = item.values.get(name, "")
-            if name in item.per_frame or (value is not None and value != ""):
-                yield printable(str(name))
+        names.update(dict.fromkeys(item.values))
+        names.update(dict.fromkeys(item.per_frame))
+    return names
+
+
+def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> dict[str, int]:
+    """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
+    sources = dict(columns.extra)
+    names = (_name_of(column)[0] for column in types)
+    kept = used_names(columns) | {sources.get(name, name) for name in names}
+    counts: dict[str, int] = {}
+    for name in _names_in(items):
+        if name not in kept:
+            values = [item.per_frame.get(name, item.values.get(name)) for item in items]
+            count = sum(value is not None and not (isinstance(value, str) and not value) for value in values)
+            shown = printable(str(name))
+            counts[shown] = counts.get(shown, 0) + count
+    return {name: count for name, count in counts.items() if count}
 
 
 def _time_s(item: FoundTouch, columns: ImportColumns) -> float:
     return float(times_s([item.values.get(columns.time or "")], columns)[0])
 
 
-def value_type(values: Iterable[object], depth: int = 0) -> pa.DataType | None:
+def value_type(values: Iterable[object]) -> pa.DataType | None:
     """Return the type of all values that are not missing; None without any, or if they have none."""
     given: list[Any] = [value for value in values if not _is_missing(value)]
     kinds = set(map(type, given))
     if any(issubclass(kind, np.generic) for kind in kinds):
         given = [value.item() if isinstance(value, np.generic) else value for value in given]
         kinds = set(map(type, given))
-    if not kinds or kinds & {dict, bytes} or depth > _MOST_LISTS:
+    if not kinds or kinds & {dict, bytes}:
         return None
-    if kinds <= {list, tuple, np.ndarray}:
-        inner = value_type(chain.from_iterable(map(_as_list, given)), depth + 1)
-        return None if inner is None else pa.list_(inner)
-    if kinds & {list, tuple, np.ndarray}:
-        return None
+    if kinds & {*_LISTS}:
+        try:
+            inner = value_type(chain.from_iterable(map(_leaves, given)))
+        except ValueError:
+            return None
+        return None if inner is None or pa.types.is_list(inner) else pa.list_(inner)
     if kinds == {bool}:
         return pa.bool_()
     if kinds == {int} and all(_INT64.min <= value <= _INT64.max for value in given):
@@ -156,6 +195,20 @@ def value_type(values: Iterable[object], depth: int = 0) -> pa.DataType | None:
     if float in kinds and kinds <= {int, float}:
         return pa.float64()
     return _text_type(given, kinds == {str})
+
+
+def _leaves(value: Any) -> list[Any]:
+    """Return the values of a list, or those of a matrix row by row; ValueError for rows that differ."""
+    if not isinstance(value, _LISTS):
+        raise ValueError(value)
+    leaves = list(value)
+    for _ in range(_MOST_LISTS):
+        if not any(isinstance(each, _LISTS) for each in leaves):
+            break
+        if len({len(each) if isinstance(each, _LISTS) else -1 for each in leaves}) > 1:
+            raise ValueError(value)
+        leaves = [each for row in leaves for each in row]
+    return leaves
 
 
 def _text_type(values: Sequence[Any], may_be_numbers: bool) -> pa.DataType | None:
@@ -175,41 +228,19 @@ def _text_type(values: Sequence[Any], may_be_numbers: bool) -> pa.DataType | Non
     return pa.string()
 
 
-def _array_type(arrays: Sequence[AnyArray]) -> pa.DataType | None:
-    """Return the type of the values of a clip, which has an entry for each picture."""
-    kinds, depths = {array.dtype.kind for array in arrays}, {array.ndim for array in arrays}
-    leaf = value_type(chain.from_iterable(array.ravel()[:1].tolist() for array in arrays))
-    if not kinds <= set("biuf"):
-        leaf = value_type(chain.from_iterable(array.ravel().tolist() for array in arrays))
-    elif len(kinds) > 1:
-        leaf = pa.float64() if kinds <= set("iuf") else pa.string()
-    elif kinds == {"u"} and max(int(array.max(initial=0)) for array in arrays) > _INT64.max:
-        leaf = pa.string()
-    if leaf is None or len(depths) > 1 or not 0 < max(depths) <= _MOST_LISTS:
-        return None
-    for _ in range(max(depths)):
-        leaf = pa.list_(leaf)
-    return leaf
-
-
-def _as_list(value: Any) -> Any:
-    return value.tolist() if isinstance(value, np.ndarray) else value
-
-
 def _is_missing(value: object) -> bool:
     return value is None or (isinstance(value, str) and not value.strip())
 
 
 def _converted(values: Iterable[Any], data_type: pa.DataType) -> Iterator[Any]:
-    """Yield values as those of a type; None for missing ones, and for those of another depth."""
+    """Yield values as those of a type; None for missing ones."""
     if pa.types.is_list(data_type):
+        entry = data_type.value_type
         for value in values:
-            if isinstance(value, np.ndarray) and value.ndim == 1 and value.dtype.kind in "biuf":
-                yield _numeric(value, data_type.value_type)
-            elif isinstance(value, (list, tuple, np.ndarray)):
-                yield list(_converted(value, data_type.value_type))
+            if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and not pa.types.is_string(entry):
+                yield value.ravel().astype(entry.to_pandas_dtype(), copy=False)
             else:
-                yield None
+                yield None if _is_missing(value) else list(_converted(_leaves(value), entry))
         return
     convert: Any = str
     if pa.types.is_boolean(data_type):
@@ -220,12 +251,6 @@ def _converted(values: Iterable[Any], data_type: pa.DataType) -> Iterator[Any]:
         convert = _float
     for value in values:
         yield None if _is_missing(value) else convert(value)
-
-
-def _numeric(values: AnyArray, leaf: pa.DataType) -> Any:
-    if pa.types.is_string(leaf):
-        return list(map(str, values.tolist()))
-    return values.astype(leaf.to_pandas_dtype(), copy=False)
 
 
 def _float(value: Any) -> float:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from contextlib import suppress
+from typing import Any, cast
 
 import numpy as np
 
@@ -261,6 +262,10 @@ def _floats(values: Sequence[object] | AnyArray) -> Float64:
         return values.astype(np.float64)
     if {float, int}.issuperset(map(type, values)):
         return np.array(values, np.float64)
+    with suppress(TypeError, ValueError):  # of one number of a table each
+        text = "".join(cast(Sequence[str], values))
+        if "_" not in text and "," not in text:
+            return np.array(list(map(float, values)))
     return np.array(list(map(_number, values)), np.float64)
 
 

@@ -33,6 +33,7 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
     require_columns(names, [columns.image, *columns.found_in(names).names()], folder.address(found))
     seen: dict[str, int] = {}
     sizes = cache(home.sizes)  # of a store, one look at each folder
+    known = set[str]()
     for number, values in enumerate(lines):
         name = path_of(str(values[columns.image] or ""))
         first = seen.setdefault(name, number)
@@ -41,7 +42,7 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
             problem = ItemError("duplicate", f"the same file as in row {first} of the table")
         elif None in values:
             problem = ItemError("columns", "the line has more values than the table has columns")
-        yield found_file(home, name, values, sizes, problem)
+        yield found_file(home, name, values, sizes, problem, known)
 
 
 def _table_name(home: store.DataFolder) -> str:

@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import cache, partial
 from itertools import groupby
 from operator import attrgetter
 from typing import IO, Any
@@ -88,17 +89,18 @@ class FoundTouch:
         JSON may hold one half of a surrogate pair without the other, which cannot be stored.
         """
         problem, values = self.problem, self.values
-        broken = (name for name, value in values.items() if isinstance(value, str) and not _is_unicode(value))
-        for name in broken:
-            problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
-            values = {}
+        texts = {name: value for name, value in values.items() if isinstance(value, str)}
+        if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
+            for name in [name for name, value in texts.items() if not _is_unicode(value)]:
+                problem = problem or ItemError("json", f"its field {name!r} holds text that is not Unicode")
+                values = {}
         if problem is None and not self.frames and self.size > MAX_IMAGE_BYTES:
             problem = ItemError("image", f"{self.size:,} bytes; the limit is {MAX_IMAGE_BYTES:,}")
         return replace(self, number=number, values=values, problem=problem)
 
 
 def _is_unicode(text: str) -> bool:
-    return text.isascii() or text.encode(errors="ignore").decode() == text
+    return text.encode(errors="ignore").decode() == text
 
 
 def found_file(
@@ -107,11 +109,12 @@ def found_file(
     values: Mapping[str, object],
     sizes: Callable[[str], Mapping[str, int]],
     problem: ItemError | None = None,
+    known: set[str] | None = None,
 ) -> FoundTouch:
     """Return the touch whose image is a file; a missing file is its problem."""
     size = 0
     try:
-        size = store.size_inside(home, name, sizes)
+        size = store.size_inside(home, name, sizes, known)
     except ItemError as error:
         problem = error
     return FoundTouch(name, home.address(), name, 0, size, values, problem)
@@ -154,31 +157,35 @@ def contents_of(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     A tar is opened once for all that follow each other in it.
     """
     groups = [tuple(group) for _, group in groupby(items, key=attrgetter("file"))]
+    read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
     threads = 1
     if any(store.is_remote(group[0].home) for group in groups[:1]):
         threads = _FAR_READERS
-    for found in run.in_threads(_contents, groups, threads):
+    for found in run.in_threads(read, groups, threads):
         yield from found
 
 
-def _contents(items: Sequence[FoundTouch]) -> list[bytes | ItemError]:
+def _contents(
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], items: Sequence[FoundTouch]
+) -> list[bytes | ItemError]:
     found: list[bytes | ItemError] = []
-    unreadable = ItemError("image", "the file cannot be read")
     try:
-        with store.open_inside(store.open_folder(items[0].home), items[0].path) as stream:
+        folder, known = open_folder(items[0].home)
+        with store.open_inside(folder, items[0].path, known) as stream:
             for item in items:
                 stream.seek(item.start)
                 found.append(stream.read(item.size))
     except ItemError as error:
-        unreadable = error
+        found += [error] * (len(items) - len(found))
     except (OSError, InputError):  # what they say differs between systems
-        pass
-    return [*found, *[unreadable] * (len(items) - len(found))]
+        found += [ItemError("image", "the file cannot be read")] * (len(items) - len(found))
+    return found
 
 
 def path_of(text: str) -> str:
     """Return a path of a table or tar with slashes; programs on Windows write backslashes."""
-    return _HERE.sub("", text.strip().replace("\\", "/"))
+    path = text.strip().replace("\\", "/")
+    return _HERE.sub("", path) if path.startswith(".") else path
 
 
 def source_of(place: str) -> tuple[store.DataFolder, str]:

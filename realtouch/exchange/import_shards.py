@@ -25,7 +25,7 @@ from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import is_jpeg
+from tactile_toolkit.touch import has_application_data, is_jpeg
 
 __all__ = ["CLIPS", "NOT_IMPORTED", "ImportTouches", "NamedTouch", "touch_schema", "version_of"]
 
@@ -105,7 +105,7 @@ class ImportTouches:
             skipped += [touch for touch in found if isinstance(touch, store.Skipped)]
             tables.append(table_of(kept, self.columns, self.schema))
             notes.update(note for touch in kept if touch.clip is not None for note in touch.clip.notes)
-            others.update(not_kept((touch.item for touch in kept), self.columns, extras))
+            others.update(not_kept([touch.item for touch in kept], self.columns, extras))
         for file in self.versions.keys() & {item.file for _, item in touches}:
             if version_of(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
@@ -227,7 +227,7 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
 
 def _is_turned(image: bytes) -> bool:
     """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and b"\xff\xe1" not in image:
+    if is_jpeg(image) and not has_application_data(image):
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:

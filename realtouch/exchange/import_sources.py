@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import chain
 
 from realtouch.alignment_options import Alignment
 from realtouch.exchange.cuts import Cutter
@@ -65,8 +64,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
-    known = dict.fromkeys(chain.from_iterable(map(_known, items)))
-    completed = columns.found_in(known)
+    completed = columns.found_in(_known(items))
     return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures)
 
 
@@ -85,12 +83,15 @@ def _found(
         yield from IMPORTS[layout].find(folder, columns, table)
 
 
-def _known(item: FoundTouch) -> Iterable[str]:
-    """Return the names of what is said of a touch."""
-    return [
-        *(name for name, value in item.values.items() if name and value not in (None, "")),
-        *item.per_frame,
-    ]
+def _known(items: Iterable[FoundTouch]) -> set[str]:
+    """Return the names of what is said of any touch."""
+    known: set[str] = set()
+    for item in items:
+        for name in item.values.keys() - known:  # few, as most touches have the same
+            if name and item.values[name] not in (None, ""):
+                known.add(name)
+        known.update(item.per_frame)
+    return known
 
 
 class _Cuts:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.extra_columns import EXTRA, extra_arrays, extra_types
+from realtouch.exchange.extra_columns import extra_arrays, extra_types
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.imported_clips import ImportedClip
-from realtouch.schema import POSE_COLUMN
+from realtouch.schema import POSE_COLUMN, extra_columns
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
@@ -56,7 +56,7 @@ def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[F
             "touch_end_time_rel": _TIME,
         }
     known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
-    known |= {f"{EXTRA}{name}": data_type for name, data_type in extra_types(items, columns).items()}
+    known |= extra_types(items, columns)
     of_round = [("id", pa.string()), ("label", pa.int64())]
     if columns.object_id:
         of_round.append(("object_id", pa.int64()))
@@ -65,9 +65,8 @@ def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[F
 
 
 def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
-    """Return the type of the value of a touch in each extra column of a schema, by its name."""
-    fields = (each for each in schema if each.name.startswith(EXTRA))
-    return {each.name.removeprefix(EXTRA): each.type.value_type for each in fields}
+    """Return the type of what a touch has in each extra column of a schema."""
+    return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
 
 
 def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.Schema) -> pa.Table:
@@ -84,7 +83,7 @@ def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.
     of_touches = _media_and_poses(touches, schema)
     extras = extras_in(schema)
     arrays = extra_arrays(items, columns, extras)
-    of_touches |= {f"{EXTRA}{name}": array for name, array in zip(extras, arrays, strict=True)}
+    of_touches |= dict(zip(extras, arrays, strict=True))
     offsets = pa.array([*starts, len(touches)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:

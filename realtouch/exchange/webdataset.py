@@ -7,6 +7,7 @@ import json
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
@@ -130,6 +131,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
         ) from error
 
 
+@lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
     """Return whether an ending is that of an image; there may be several: ``rgb.jpg``."""
     return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS

@@ -100,7 +100,7 @@ def expanded(place: str | Path, what: str = "path") -> Path:
         ) from error
 
 
-def open_regular(path: Path, below: Path | None = None) -> IO[bytes]:
+def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
     """Open a regular local file for reading; IntegrityError for any other, or a link out of ``below``.
 
     Reading a pipe would wait, and a device may have no end. ``below`` is a folder with files of anyone: a

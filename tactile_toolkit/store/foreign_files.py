@@ -7,7 +7,9 @@ bytes would then be stored as a picture and published. Reading a pipe would wait
 from __future__ import annotations
 
 import os
+import stat
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import IO
 
@@ -16,7 +18,7 @@ from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.names import problem_of_name
 
 
-def open_inside(folder: DataFolder, path: str) -> IO[bytes]:
+def open_inside(folder: DataFolder, path: str, known: set[str] | None = None) -> IO[bytes]:
     """Open a regular file below a folder for reading.
 
     Parameters
@@ -25,6 +27,8 @@ def open_inside(folder: DataFolder, path: str) -> IO[bytes]:
         The source, as the user named it; it may be reached through a link itself.
     path : str
         Relative path, with slashes.
+    known : set of str, optional
+        Sub-folders that lie inside, for a caller that opens many files in a row: each is checked once.
 
     Raises
     ------
@@ -33,7 +37,7 @@ def open_inside(folder: DataFolder, path: str) -> IO[bytes]:
     InputError
         This user may not read it.
     """
-    _require_inside(folder, path)
+    _require_inside(folder, path, known)
     try:
         return folder.open(path)
     except (FileNotFoundError, NotADirectoryError) as error:
@@ -43,7 +47,10 @@ def open_inside(folder: DataFolder, path: str) -> IO[bytes]:
 
 
 def size_inside(
-    folder: DataFolder, path: str, sizes: Callable[[str], Mapping[str, int]] | None = None
+    folder: DataFolder,
+    path: str,
+    sizes: Callable[[str], Mapping[str, int]] | None = None,
+    known: set[str] | None = None,
 ) -> int:
     """Return the size of a regular file below a folder; raises as :func:`open_inside`.
 
@@ -52,10 +59,12 @@ def size_inside(
     words = problem_of_name(path)
     if words:
         raise ItemError("name", f"the name {words}; expected a path below the folder")
-    _require_inside(folder, path)
+    _require_inside(folder, path, known)
+    size = None
     if folder.is_local:
-        place = Path(folder.address(path))
-        size = place.stat().st_size if place.is_file() else None
+        with suppress(OSError, ValueError):
+            found = os.stat(folder.address(path))  # noqa: PTH116
+            size = found.st_size if stat.S_ISREG(found.st_mode) else None
     else:
         parent, _, base = path.rpartition("/")
         size = (sizes or folder.sizes)(parent).get(base)
@@ -65,14 +74,20 @@ def size_inside(
     return size
 
 
-def _require_inside(folder: DataFolder, path: str) -> None:
+def _require_inside(folder: DataFolder, path: str, known: set[str] | None) -> None:
     """Refuse a path on which a symbolic link leads out of a local folder (ItemError)."""
-    place, step = folder.address(path), folder.root
-    for part in path.split("/") if folder.is_local else ():
+    if not folder.is_local:
+        return
+    parent, step, parts = path.rpartition("/")[0], folder.root, path.split("/")
+    if known is not None and parent in known:
+        step, parts = f"{folder.root}/{parent}", parts[-1:]
+    for part in parts:
         step = f"{step}/{part}"
         # Not pathlib, and resolved only if there is a link: this runs for each image.
         if os.path.islink(step):  # noqa: PTH114
-            if not Path(place).resolve().is_relative_to(Path(folder.root).resolve()):
+            if not Path(folder.address(path)).resolve().is_relative_to(Path(folder.root).resolve()):
                 problem = "a link leads out of the folder; expected a file below it, such as a copy"
                 raise ItemError("name", problem)
             return
+    if known is not None and parent:
+        known.add(parent)

@@ -114,7 +114,7 @@ class LocalFolder(DataFolder):
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
         with readable(self.address(path)):
-            return open_regular(Path(self.address(path)))
+            return open_regular(self.address(path))
 
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is missing or cannot be read."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Iterable
+from functools import lru_cache
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.wording import shortened
@@ -56,6 +57,7 @@ def problem_of_name(name: object) -> str:
     return "is not the plain relative path of a visible file on every system"
 
 
+@lru_cache(maxsize=1024)  # most files of a folder have its name in common
 def _is_plain_part(part: str) -> bool:
     return not (
         part.startswith(".")

@@ -1,0 +1,444 @@
+"""What columns of others mean: mapped by name, in any unit and rotation; clips; and extra columns."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings, strategies as st
+from scipy.spatial.transform import Rotation
+
+import realtouch
+from realtouch.exchange import found_touches
+from realtouch.exchange.extra_columns import value_type
+from realtouch.exchange.fields import poses, positions, times_s
+from realtouch.exchange.found_touches import FoundTouch, ImportFormat
+from realtouch.exchange.recordings import Recording
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.touch import encode_image
+from tests.command_line import call
+from tests.realtouch import factories
+from tests.realtouch.images_of_others import picture, write_table
+
+NAMES = ("x", "y", "z", "a", "b", "c")
+SEED = np.random.default_rng(7)
+PLACES = SEED.uniform(-0.1, 0.1, (20, 3))
+TURNS = Rotation.random(20, random_state=7)
+
+
+def columns_of(values: Any, names: Iterable[str]) -> dict[str, list[Any]]:
+    return {name: column.tolist() for name, column in zip(names, np.transpose(values), strict=True)}
+
+
+def assert_poses(found: Any, places: Any, turns: Rotation) -> None:
+    np.testing.assert_allclose(found[:, :3], places, rtol=0, atol=1e-12)
+    assert (Rotation.from_quat(found[:, 3:]) * turns.inv()).magnitude().max() < 1e-9
+
+
+@pytest.mark.parametrize("sequence", ["xyz", "ZYX", "zxz", "XYX", "yxz"])
+@pytest.mark.parametrize(("unit", "scale"), [("deg", np.degrees(1.0)), ("rad", 1.0)])
+@pytest.mark.parametrize("stated", [True, False])
+def test_euler_angles_are_those_of_scipy(sequence: str, unit: str, scale: float, stated: bool) -> None:
+    angles = SEED.uniform(-3, 3, (20, 3))
+    names = (*NAMES[:3], *(f"{name}_{unit}" if stated else name for name in NAMES[3:]))
+    columns = realtouch.ImportColumns(pose=names, euler=sequence, angle_unit=None if stated else unit)  # type: ignore[arg-type]
+    found = poses(columns_of(np.hstack([PLACES, scale * angles]), names), columns)
+    assert_poses(found, PLACES, Rotation.from_euler(sequence, angles))
+
+
+@pytest.mark.parametrize("one", [True, False])
+@pytest.mark.parametrize("what", ["xyzw", "wxyz", "rotvec", "3x4", "4x4"])
+def test_rotations_of_every_kind(what: str, one: bool) -> None:
+    """In several columns, or in one that holds lists, as text too."""
+    matrices = np.tile(np.eye(4), (20, 1, 1))
+    matrices[:, :3, :3], matrices[:, :3, 3] = TURNS.as_matrix(), 1000 * PLACES
+    options: dict[str, Any] = {"length_unit": "mm"}
+    quaternions = TURNS.as_quat()
+    if what == "rotvec":
+        options["rotvec"] = True
+        values = np.hstack([1000 * PLACES, TURNS.as_rotvec()])
+    elif what in ("3x4", "4x4"):
+        values = matrices[:, : int(what[0])].reshape(20, -1)
+    else:
+        order = [3, 0, 1, 2] if what == "wxyz" else [0, 1, 2, 3]
+        options["quaternion_order"] = what
+        values = np.hstack([1000 * PLACES, quaternions[:, order]])
+    names = tuple(f"c{number}_" for number in range(values.shape[1]))
+    if not one:
+        assert_poses(
+            poses(columns_of(values, names), realtouch.ImportColumns(pose=names, **options)), PLACES, TURNS
+        )
+        return
+    columns = realtouch.ImportColumns(pose=("pose",), **options)
+    forms: list[Any] = [values, values.tolist(), [str(row) for row in values.tolist()], list(values)]
+    if what in ("3x4", "4x4"):
+        nested = matrices[:, : int(what[0])]
+        forms += [nested, nested.tolist(), [str(row) for row in nested.tolist()]]
+    for form in forms:
+        assert_poses(poses({"pose": form}, columns), PLACES, TURNS)
+
+
+def transform() -> np.ndarray:
+    frame = np.eye(4)
+    frame[:3, :3] = Rotation.from_euler("xyz", (0.3, -0.2, 2.0)).as_matrix()
+    frame[:3, 3] = (0.4, -0.3, 0.02)
+    return frame
+
+
+@pytest.mark.parametrize("form", ["txt", "csv", "json", "npy", "array"])
+def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
+    frame, place = transform(), tmp_path / f"frame.{form}"
+    if form == "txt":
+        np.savetxt(place, frame, fmt="%.17g")
+    elif form == "csv":
+        np.savetxt(place, frame, fmt="%.17g", delimiter=",")
+    elif form == "json":
+        place.write_text(json.dumps(frame.tolist(), indent=1))
+    elif form == "npy":
+        np.save(place, frame)
+    there = np.linalg.inv(frame)
+    base_places = PLACES @ there[:3, :3].T + there[:3, 3]
+    base_turns = Rotation.from_matrix(there[:3, :3]) * TURNS
+    given: Any = frame if form == "array" else place
+    columns = realtouch.ImportColumns(pose=("pose",), frame=given)
+    found = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
+    assert_poses(found, PLACES, TURNS)
+    with pytest.raises(ItemError, match="--frame another frame"):
+        poses({"pose": np.hstack([base_places + 1, base_turns.as_quat()])}, columns)
+    with pytest.raises(InputError, match="the frame tilts"):
+        positions({"p": PLACES[:, :2]}, replace(columns, position=("p",)))
+    upright = transform()
+    upright[:3, :3] = Rotation.from_rotvec([0, 0, 1.0]).as_matrix()
+    away = np.linalg.inv(upright)
+    xy = (PLACES @ away[:3, :3].T + away[:3, 3])[:, :2]
+    turned = realtouch.ImportColumns(position=("p",), frame=upright)  # type: ignore[arg-type]
+    np.testing.assert_allclose(positions({"p": xy}, turned), PLACES[:, :2], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("1 0 0 0\n0 1 0 0\n0 0 1 0\n", "no matrix of numbers; expected 4 x 4"),
+        ("2 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1", "no rigid transform"),
+        ("1 0 0 0\n0 1 0 0\n0 0 -1 0\n0 0 0 1", "no rigid transform"),
+        ("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 1 1", "no rigid transform"),
+        ("1 0 0 nan\n0 1 0 0\n0 0 1 0\n0 0 0 1", "no rigid transform"),
+        ("a b", "no matrix"),
+        ("\x93NUMPY", "no matrix"),
+        (" " * (1 << 20) + "1", "more than 1,048,576 bytes"),
+    ],
+)
+def test_frames_that_are_none(content: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "frame").write_text(content, encoding="latin-1")
+    with pytest.raises(InputError, match=words):
+        realtouch.ImportColumns(frame=tmp_path / "frame")  # type: ignore[arg-type]
+    with pytest.raises(InputError, match="cannot be read"):
+        realtouch.ImportColumns(frame=tmp_path / "nothing")  # type: ignore[arg-type]
+
+
+SIX = ("x", "y", "z", "a", "b", "c")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"pose": SIX}, "6 pose columns .*expected 7, 12 or 16.*--euler or --rotvec"),
+        ({"pose": SIX, "euler": "xyz"}, "unit of the Euler angles is not known.*--angle-unit"),
+        ({"pose": ("pose",), "euler": "xyz"}, "unit of the Euler angles is not known"),
+        ({"euler": "xxz"}, "expected three axes"),
+        ({"euler": "xYz"}, "expected three axes"),
+        ({"euler": "xy"}, "expected three axes"),
+        ({"euler": "xyz", "rotvec": True}, "--euler and --rotvec contradict"),
+        ({"euler": "xyz", "quaternion_order": "xyzw"}, "contradict each other"),
+        ({"pose": (*SIX[:3], "a_deg", "b", "c"), "rotvec": True, "angle_unit": "rad"}, "'a_deg' states deg"),
+        ({"pose": (*SIX[:3], "a_mm", "b", "c"), "rotvec": True}, "'a_mm' states mm .*expected an angle"),
+        ({"pose": ("x_ms", *SIX[1:]), "rotvec": True}, "'x_ms' states ms .*expected a length"),
+        ({"time_unit": "min"}, "time_unit of the columns is 'min'"),
+        ({"extra": (("a\nb", "c"),)}, "that can be printed"),
+        ({"extra": (("a" * 101, "c"),)}, "1 to 100 letters"),
+        ({"extra": (("a", "b"), ("a", "c"))}, "named twice"),
+    ],
+)
+def test_columns_that_do_not_say_what_they_are(options: dict[str, Any], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        realtouch.ImportColumns(**options)
+
+
+@pytest.mark.parametrize(
+    ("value", "options", "words"),
+    [
+        ([0, 0, 0, 0, 0, 0], {}, "expected 7 finite numbers, or 12 or 16 of a matrix"),
+        ([0, 0, 0, 0, 0, 90], {"rotvec": True}, "turns more than twice; .*--angle-unit"),
+        (np.diag([1, 1, -1, 1]).tolist(), {}, "no rigid transform"),
+        ((2 * np.eye(4)).tolist(), {}, "no rigid transform"),
+        (np.zeros((2, 6)).tolist(), {}, "expected 7 finite numbers"),
+        (None, {}, "expected 7 finite numbers"),
+        ({"x": 1}, {}, "expected 7 finite numbers"),
+        ([[]], {}, "expected 7 finite numbers"),
+    ],
+)
+def test_values_that_are_no_pose(value: Any, options: dict[str, Any], words: str) -> None:
+    with pytest.raises(ItemError, match=words):
+        poses({"pose": [value]}, realtouch.ImportColumns(pose=("pose",), **options))
+
+
+@given(st.lists(st.floats(0, 1e5), min_size=1, max_size=9), st.sampled_from(["s", "ms", "us", "ns"]))
+@settings(max_examples=50, deadline=None)
+def test_times_are_read_to_a_microsecond(seconds: list[float], unit: str) -> None:
+    scale = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
+    start = 1.7e9
+    ticks = [
+        round((start + each) * scale) if unit in ("us", "ns") else (start + each) * scale for each in seconds
+    ]
+    for columns in (
+        realtouch.ImportColumns(time=f"stamp_{unit}"),
+        realtouch.ImportColumns(time="stamp", time_unit=unit),
+    ):
+        for form in (ticks, [repr(each) for each in ticks], np.array(ticks)):
+            np.testing.assert_allclose(times_s(form, columns) - start, seconds, rtol=0, atol=2e-6)
+
+
+def test_times_may_be_points_in_time() -> None:
+    stamps = np.array(["2024-05-01T12:00:00.25", "2024-05-01T12:00:01.5"], "datetime64[us]")
+    np.testing.assert_allclose(np.diff(times_s(stamps, realtouch.ImportColumns())), [1.25], atol=1e-6)
+    with pytest.raises(ItemError, match="a time is missing"):
+        times_s(np.array(["NaT"], "datetime64[us]"), realtouch.ImportColumns())
+    with pytest.raises(ItemError, match="expected finite numbers"):
+        times_s(["noon"], realtouch.ImportColumns())
+
+
+def test_mapped_names(tmp_path: Path) -> None:
+    lines = tmp_path / "columns.txt"
+    lines.write_text("# of the glove\nround = session \n\nforce_n=Fz\n")
+    found = realtouch.ImportColumns(length_unit="mm").with_mapped(
+        ["label=class", "pose=x, y,z,qx,qy,qz,qw", f"@{lines}", "object=", "a=b=c", "temperature="]
+    )
+    assert (found.label, found.round, found.object_id, found.length_unit) == ("class", "session", "", "mm")
+    assert found.pose == ("x", "y", "z", "qx", "qy", "qz", "qw")
+    assert found.extra == (("force_n", "Fz"), ("a", "b=c"), ("temperature", ""))
+    assert found.names() == ["class", "session", *found.pose, "Fz", "b=c"]
+
+
+@pytest.mark.parametrize(
+    ("pairs", "words"),
+    [
+        (["label"], "--map has 'label'; expected NAME=COLUMN"),
+        (["=x"], "expected NAME=COLUMN"),
+        (["lable=x"], "'lable', which is none of image, .*did you mean 'label'"),
+        (["object_id=x"], "did you mean 'object'"),
+        (["label=x", "label=y"], "names 'label' twice"),
+        (["@nothing.txt"], "cannot be read"),
+        (["a\tb=x"], "that can be printed"),
+        (["pose=x,y"], "2 pose columns"),
+    ],
+)
+def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        realtouch.ImportColumns().with_mapped(pairs)
+
+
+@pytest.mark.parametrize(
+    ("values", "data_type"),
+    [
+        ([True, None, False], pa.bool_()),
+        (["true", "", "False"], pa.bool_()),
+        ([1, None, -3], pa.int64()),
+        (["1", " 22", "", "-3"], pa.int64()),
+        (["007", "3"], pa.string()),
+        ([1, 2.5], pa.float64()),
+        (["1", "2.5", "1e-3", "nan"], pa.float64()),
+        (["1,5", "2,25"], pa.float64()),
+        ([1 << 63], pa.string()),
+        (["9" * 19], pa.string()),
+        (["1_0"], pa.string()),
+        (["a", "1"], pa.string()),
+        ([1, "a"], pa.string()),
+        ([True, 1], pa.string()),
+        ([np.float32(1), None], pa.float64()),
+        ([[1, 2], [], None], pa.list_(pa.int64())),
+        ([[1, 2.5], (3,)], pa.list_(pa.float64())),
+        ([np.eye(2), [[1, None]]], pa.list_(pa.float64())),
+        ([[[[1]]]], pa.list_(pa.int64())),
+        ([[[1, 2], [3]]], None),
+        ([[[1, 2], 3]], None),
+        ([["a"], [None]], pa.list_(pa.string())),
+        ([None, "", " "], None),
+        ([{"a": 1}], None),
+        ([b"a"], None),
+        ([[1], 2], None),
+        ([["\ud800"]], None),
+        ([[[[[[[1]]]]]]], None),
+    ],
+)
+def test_types_of_extra_columns(values: list[Any], data_type: pa.DataType | None) -> None:
+    assert value_type(values) == data_type
+
+
+def test_extra_columns_of_a_table_are_kept(
+    home: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    lines = [
+        {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
+         "id": number, "t_ms": 1500 * number, "empty": ""}
+        for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0,25", "d")])
+    ]  # fmt: skip
+    write_table(home, lines)
+    words = ("--map", "force_n=Fz", "--map", "time=t_ms", "--out", tmp_path / "out", "-w", 1)
+    assert call("realtouch", "import", home, "--format", "folder", *words) == 0
+    rows = pq.read_table(tmp_path / "out" / "data")
+    assert [name for name in rows.column_names if name.startswith("extra.")] == [
+        "extra.force_n", "extra.note", "extra.ok", "extra.time_s"
+    ]  # fmt: skip
+    assert rows["extra.force_n"].to_pylist() == [[1.5], [None], [-2.0], [0.25]]
+    assert rows["extra.note"].to_pylist() == [["a"], ["b, c"], [None], ["d"]]
+    assert rows["extra.ok"].to_pylist() == [[True]] * 4
+    assert rows["extra.time_s"].to_pylist() == [[0.0], [1.5], [3.0], [4.5]]
+    said = capsys.readouterr().err
+    assert "fields that were not imported, with their numbers of touches: id (4)" in said
+    assert realtouch.verify(tmp_path / "out").ok
+    columns = realtouch.ImportColumns().with_mapped(["note=Fz"])
+    with pytest.raises(InputError, match="'Fz' and 'note' would both be kept as 'note'"):
+        realtouch.import_touches(home, tmp_path / "none", "folder", columns)
+    left = realtouch.ImportColumns().with_mapped(["number=id", "Fz=", "ok="])
+    realtouch.import_touches(home, tmp_path / "left", "folder", left)
+    rows = pq.read_table(tmp_path / "left" / "data")
+    assert rows["extra.number"].to_pylist() == [[0], [1], [2], [3]]
+    assert "extra.Fz" not in rows.column_names
+    manifest = json.loads((tmp_path / "left" / "manifest.json").read_text())
+    assert manifest["statistics"]["train"]["not_imported"] == {"Fz": 3, "ok": 4}
+
+
+def frames_of(count: int, pressed: range, size: tuple[int, int] = (24, 32)) -> list[bytes]:
+    """Return pictures of a gel that shows a bright spot while it is pressed."""
+    made = []
+    for number in range(count):
+        pixels = np.full((*size, 3), 90, np.uint8)
+        if number in pressed:
+            pixels[8:18, 10:24] = 200
+        made.append(factories.encode_jpeg(pixels))
+    return made
+
+
+@pytest.fixture
+def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
+    """Import recordings that are in memory; returns the imported rounds of the split ``train``."""
+
+    def make(
+        found: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
+    ) -> Any:
+        def encoded(items: Iterable[FoundTouch]) -> Iterator[Any]:
+            for item in items:
+                yield from pictures[item.path][item.start : item.start + max(1, item.frames)]
+
+        layout = ImportFormat(lambda *_: iter(found), encoded, "whole", 1)
+        monkeypatch.setitem(found_touches.IMPORTS, "replay", layout)
+        (tmp_path / "source").mkdir(exist_ok=True)
+        manifest = realtouch.import_touches(
+            tmp_path / "source", tmp_path / "out", "replay", columns, **options
+        )
+        assert realtouch.verify(tmp_path / "out").ok
+        return realtouch.load(tmp_path / "out", "train"), manifest
+
+    return make
+
+
+def recording(name: str, frames: int, **said: Any) -> Recording:
+    return Recording(name, "memory", name, "", 0, frames, 700, **said)
+
+
+def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> None:
+    """Pictures to the byte, times to a microsecond, poses and extra columns as they were."""
+    pictures = {"a": frames_of(9, range(3, 6)), "b": frames_of(5, range(0))}
+    quaternions, places = TURNS.as_quat()[:9], 1000 * PLACES[:9]
+    time_s = 1.7e9 + np.array([0, 1, 2, 3.5, 4, 5, 6, 7, 8]) / 30
+    found = [
+        recording(
+            "a", 9, values={"class": "cat", "session": "one"}, time_s=time_s,
+            per_frame={"arm_mm": np.hstack([places, quaternions]), "force": np.arange(9, dtype=np.float32),
+                       "tool": np.arange(18).reshape(9, 2), "phase": np.array(["in"] * 9)},
+        ),
+        recording("b", 5, values={"class": "cat", "session": "one", "note": "late", "phase": "out"},
+                  per_frame={"arm_mm": np.tile([1.0, 2, 3, 0, 0, 0, 1], (5, 1))}),
+    ]  # fmt: skip
+    columns = realtouch.ImportColumns().with_mapped(
+        ["label=class", "round=session", "pose=arm_mm", "force_n=force"]
+    )
+    rounds, manifest = recordings(found, pictures, columns)
+    (only,) = rounds
+    assert (only.id, only.label, rounds.label_names) == ("one", 0, ("cat",))
+    assert only.video_length_frames.tolist() == [9, 5]
+    for clip, frames in zip(only.sensor_video, pictures.values(), strict=True):
+        assert [bytes(clip.encoded(number)) for number in range(len(clip))] == frames
+    poses_of = only.gel_pose_cell_frame_seq[0]
+    np.testing.assert_allclose(poses_of.position_m, PLACES[:9], rtol=0, atol=1e-12)
+    np.testing.assert_array_equal(poses_of.quaternion, quaternions)
+    times = only.time_stamp_rel_seq[0] / np.timedelta64(1, "s")
+    np.testing.assert_allclose(times, time_s - time_s[0], rtol=0, atol=1e-6)
+    assert only.sensor_video[0].fps == pytest.approx(30, rel=1e-3)
+    assert only.sensor_video[1].fps == 25
+    assert (only.touch_start_time_rel / np.timedelta64(1, "us")).round()[0] == round(3.5e6 / 30)
+    assert only.sensor_video[0].contact_window == slice(3, 6)
+    rows = pq.read_table(tmp_path / "out" / "data").to_pylist()
+    assert rows[0]["extra_seq.force_n"] == [list(map(float, range(9))), [None] * 5]
+    assert rows[0]["extra_seq.tool"] == [np.arange(18).reshape(9, 2).tolist(), [None] * 5]
+    assert rows[0]["extra_seq.phase"] == [["in"] * 9, ["out"] * 5]
+    assert rows[0]["extra.note"] == [None, "late"]
+    assert manifest.statistics()["train"]["clips"] == {
+        "contact found by the pictures": 1,
+        "no contact found: the best picture": 1,
+        "times of 25 pictures a second, as none are known": 1,
+    }
+
+
+def test_known_contact_and_times_of_a_column(recordings: Any) -> None:
+    pictures = {"a": frames_of(6, range(1, 3))}
+    said = recording("a", 6, per_frame={"stamp_ms": np.arange(6) * 40.0 + 7e9})
+    found = said.clip(0, 6, "a", contact=(2, 4))
+    columns = realtouch.ImportColumns(time="stamp_ms")
+    (only,), manifest = recordings([found], pictures, columns)
+    assert only.sensor_video[0].contact_window == slice(2, 5)
+    assert only.sensor_video[0].fps == 25
+    assert "clips" not in manifest.statistics().get("train", {})
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"time_s": np.array([0, 1, 3, 2.0])}, "picture 3"),
+        ({"time_s": np.array([0, 1, 2, 3e9])}, "--time-unit states another unit"),
+        ({"time_s": np.array([0, 1.0])}, "2 times of 4 pictures"),
+        ({"pictures": [picture(1), picture(2)[:-30], picture(3), picture(4)]}, "picture 1: an image of"),
+        (
+            {"pictures": [picture(1), picture(2), picture(3, (30, 40)), picture(4)]},
+            "picture 2: 40 x 30 pixels",
+        ),
+        ({"pictures": [picture(1), ItemError("image", "lost"), picture(3), picture(4)]}, "picture 1: lost"),
+        ({"per_frame": {"pose": np.full((4, 7), np.nan)}}, "picture 0: .*expected 7 finite numbers"),
+        ({"frames": 10_001}, "10,001 pictures; the limit is 10,000"),
+    ],
+)
+def test_clips_that_cannot_be_used(change: dict[str, Any], words: str, recordings: Any) -> None:
+    change = dict(change)
+    columns = realtouch.ImportColumns(pose=("pose",)) if "per_frame" in change else None
+    pictures = {"a": change.pop("pictures", frames_of(4, range(0))), "b": frames_of(4, range(0))}
+    poses_of = {"per_frame": {"pose": np.tile([0, 0, 0.1, 0, 0, 0, 1.0], (4, 1))}} if columns else {}
+    bad = recording("a", change.pop("frames", 4), **change)
+    _, manifest = recordings([recording("b", 4, **poses_of), bad], pictures, columns)
+    (skipped,) = manifest.shards[0].skipped
+    assert re.search(words, skipped.message)
+
+
+def test_clips_of_other_pictures_are_jpegs(recordings: Any) -> None:
+    """Where pictures are not JPEG, the manifest says that they were encoded."""
+    png = [encode_image(np.full((24, 32, 3), level, np.uint8), "png") for level in (10, 90)]
+    (only,), manifest = recordings([recording("a", 2)], {"a": png})
+    assert [int(clip.mean().round()) for clip in only.sensor_video[0].frames()] == [10, 90]
+    assert manifest.statistics()["train"]["clips"]["pictures encoded as JPEG"] == 1
