@@ -53,8 +53,9 @@ _COUNTS_AT = {b"stsz": 8, b"stz2": 8, b"trun": 4, b"elst": 4}
 _RUNS = (b"stts", b"ctts")  # run lengths
 _MOST_RUN_BYTES = 1 << 26
 _MOST_BOXES = 1 << 20
-_MOST_EDITS = 1 << 10
-_MOST_SAMPLES = 8 * MAX_PICTURES  # of sound, too
+_MOST_SAMPLES = 2 * MAX_PICTURES  # of sound, too; plain sound has no entry for each
+_MOST_EDITED = 1 << 26  # samples times edits
+_SOUND = b"soun"
 _BOX = struct.Struct(">I4s")
 
 
@@ -107,20 +108,37 @@ def require_bounded_boxes(stream: IO[bytes]) -> None:
     A demuxer makes room for all samples that a file of a few bytes states.
     """
     counts = Counter[bytes]()
+    kind, is_pcm = b"", False
     for name, start, size in _boxes(stream):
-        if name in _COUNTS_AT:
-            stream.seek(start + _COUNTS_AT[name])
-            counts[name] += int.from_bytes(stream.read(4), "big")
-        elif name in _RUNS:
-            stream.seek(start + 8)
-            found = stream.read(min(size - 8, _MOST_RUN_BYTES))
-            counts[name] += int(np.frombuffer(found, ">u4", len(found) // 8 * 2)[::2].sum(dtype=np.uint64))
-        elif name == b"cmov":
+        stream.seek(start)
+        if name == b"cmov":
             raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
-        limit = _MOST_EDITS if name == b"elst" else _MOST_SAMPLES
-        if counts[name] > limit:
-            what = f"a video whose header states {counts[name]:,} entries in {name.decode()!r}"
-            raise ItemError("length", f"{what}; the limit is {limit:,}")
+        if name == b"trak":
+            kind, is_pcm = b"", False
+        elif name == b"hdlr":
+            kind = _handler(stream.read(12), kind, is_pcm)
+        elif name in _RUNS:
+            found = stream.read(min(size, _MOST_RUN_BYTES))
+            runs = np.frombuffer(found, ">u4", len(found) // 4)[2:]
+            is_pcm |= name == b"stts" and kind == _SOUND and runs[1:].tolist() == [1]
+            counts[name] += int(runs[::2].sum(dtype=np.uint64)) * (not is_pcm)
+        elif name in _COUNTS_AT and not is_pcm:
+            counts[name] += int.from_bytes(stream.read(_COUNTS_AT[name] + 4)[-4:], "big")
+        if counts[name] > _MOST_SAMPLES or counts[b"elst"] * counts[b"stsz"] > _MOST_EDITED:
+            what = (
+                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
+            )
+            raise ItemError("length", f"{what}; the limit is {_MOST_SAMPLES:,} samples")
+
+
+def _handler(box: bytes, before: bytes, is_pcm: bool) -> bytes:
+    """Return what a track holds; ItemError where that changes after it was taken for plain sound."""
+    kind = box[8:]
+    if kind not in (_SOUND, b"vide"):
+        return before
+    if is_pcm and kind != _SOUND:
+        raise ItemError("damaged", "a video with a track of sound that is stated to be pictures as well")
+    return kind
 
 
 def _boxes(stream: IO[bytes]) -> Iterator[tuple[bytes, int, int]]:

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import chain, groupby, repeat
 from operator import attrgetter
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
@@ -43,21 +44,21 @@ def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None
     folder, paths = _videos(home)
     stems = Counter(map(_stem, paths))
     lines = _lines(folder, columns.image or _FILE, table, paths)
-    values, unnamed = _classes(paths), None
+    said, unnamed = _classes(paths), None
     if lines is not None:
-        values, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
+        said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
-    for path, said in lines or ():
+    for path, values in lines or ():
         problem = None
         if path in seen:
             problem = ItemError("duplicate", "the same file as in an earlier line of the table")
-        elif None in said:
+        elif None in values:
             problem = ItemError("columns", "the line has more values than the table has columns")
         seen.add(path)
-        yield _recording(folder, path, said, problem, stems)
+        yield _recording(folder, path, values, problem, stems)
     for path in paths:
         if path not in seen:
-            yield _recording(folder, path, values.get(path, {}), unnamed, stems)
+            yield _recording(folder, path, said.get(path, {}), unnamed, stems)
 
 
 def _recording(
@@ -70,9 +71,9 @@ def _recording(
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
     found = Recording(name, folder.address(), path, "", 0, 1, 0, {_FILE: path, **said}, time_s=np.zeros(1))
-    if problem is not None:
-        return replace(found, problem=problem)
     try:
+        if problem is not None:
+            raise problem
         store.size_inside(folder, path)
         video = open_video(folder, path)
     except ItemError as error:
@@ -82,9 +83,7 @@ def _recording(
 
 
 def _stem(path: str) -> str:
-    """Return a path without the ending of its file."""
-    folder, slash, name = path.rpartition("/")
-    return f"{folder}{slash}{name.rpartition('.')[0] or name}"
+    return str(PurePosixPath(path).with_suffix(""))
 
 
 def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
@@ -94,10 +93,7 @@ def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
         return folder, [name]
     paths = [path for path in home.walk() if not store.is_hidden(path) and is_video(home, path)]
     if not paths:
-        raise InputError(
-            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS",
-            next="check the path",
-        )
+        raise InputError(f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS")
     return home, paths
 
 
