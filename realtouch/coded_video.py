@@ -222,14 +222,14 @@ class _Reader:
 
         ItemError where none can be decoded, or 8 bits would lose most of it, or where it is to be turned.
         """
-        run = _Run(self, packets, 0, min(_PICTURES_TRIED, len(packets.pts)) - 1)
-        frame = next(run.frames, None)
+        run = _Run(self, packets, 0, 0, min(_PICTURES_TRIED, len(packets.pts)) - 1)
+        frame = run.frame
         if frame is None:
             what = f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
             raise ItemError("frame", what)
         if self._demuxer == "avi":
             at = [cast(int, each.pts) for each in chain([frame], run.frames)]
-            if at != sorted(at):
+            if at != sorted(at) and run.is_whole:
                 raise _untimed()
         require_upright(frame)
         words = _words_of(frame)
@@ -282,17 +282,19 @@ class _Reader:
 
 
 class _Run:
-    """Pictures that are decoded from a packet on; ``broken_at`` is the first packet that is damaged.
+    """Pictures that are decoded from a key packet on, up to some packet.
 
-    Packets of pictures that are shown before the first one may depend on what lies before it: their damage
-    does not count.
+    Damage counts from the packet ``damage_from`` on, of pictures that are not shown before that one: others may
+    depend on what was not decoded.
     """
 
-    def __init__(self, reader: _Reader, packets: _Packets, first: int, last: int) -> None:
-        self.broken_at = len(packets.pts)
+    def __init__(self, reader: _Reader, packets: _Packets, start: int, damage_from: int, last: int) -> None:
         self._reader, self._pts = reader, packets.pts
-        reader.go_to(first, packets)
-        self.frames = self._decoded(first, last)
+        self._damage_from, self._broken_at = damage_from, len(packets.pts)
+        self.is_whole = True
+        reader.go_to(start, packets)
+        self.frames = self._decoded(start, last)
+        self.frame = next(self.frames, None)
 
     def _decoded(self, first: int, last: int) -> Iterator[VideoFrame]:
         import av
@@ -304,11 +306,26 @@ class _Run:
             if packet is not None and not packet.is_corrupt:
                 with suppress(av.FFmpegError):
                     found, is_damaged = decoder.decode(packet), False
-            if is_damaged and self._pts[number] >= self._pts[first]:
-                self.broken_at = min(self.broken_at, number)
+            is_wanted = number >= self._damage_from and self._pts[number] >= self._pts[self._damage_from]
+            self.is_whole &= not is_damaged
+            if is_damaged and is_wanted:
+                self._broken_at = min(self._broken_at, number)
             yield from found
         with suppress(av.FFmpegError):
             yield from decoder.decode(None)
+
+    def is_late(self, pts: int) -> bool:
+        """Return whether the first picture is shown after some time, or there is none."""
+        return self.frame is None or cast(int, self.frame.pts) > pts
+
+    def picture(self, place: int) -> VideoFrame | None:
+        """Return the picture of a packet; None for one that is damaged or depends on one that is."""
+        wanted = int(self._pts[place])
+        while self.frame is not None and cast(int, self.frame.pts) < wanted:
+            self.frame = next(self.frames, None)
+        if self.is_late(wanted) or place >= self._broken_at or cast("VideoFrame", self.frame).is_corrupt:
+            return None
+        return self.frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,24 +362,23 @@ class _Coded:
     def _decoded(self, reader: _Reader, key: int, numbers: Sequence[int]) -> Iterator[bytes | ItemError]:
         """Yield pictures that are decoded from a key.
 
-        With intra refresh, which has no key pictures after the first, those after a key are not whole when
-        decoding begins there; so that it begins a key earlier.
+        Where something is missing, decoding begins a key earlier: with intra refresh, pictures after a key are
+        not whole if it begins there, and with open groups of pictures, decoders miss what these refer to.
         """
-        places = self.packets.shown[numbers]
+        packets, starts = self.packets, [key - 1] * (key > 0)
+        places, damage_from = packets.shown[numbers], int(packets.keys[key])
         last = int(places.max())
-        for start in (key, max(0, key - 1)):
-            run = _Run(reader, self.packets, int(self.packets.keys[start]), last)
-            frame = next(run.frames, None)
-            if frame is not None and cast(int, frame.pts) <= self.packets.first_shown(key):
-                break
+        run = _Run(reader, packets, damage_from, damage_from, last)
+        is_late = run.is_late(packets.first_shown(key))
         for number, place in zip(numbers, places.tolist(), strict=True):
-            wanted = int(self.packets.pts[place])
-            while frame is not None and cast(int, frame.pts) < wanted:
-                frame = next(run.frames, None)
-            if frame is None or frame.pts != wanted or frame.is_corrupt or place >= run.broken_at:
+            frame = run.picture(place)
+            if starts and (frame is None or is_late):
+                run = _Run(reader, packets, int(packets.keys[starts.pop()]), damage_from, last)
+                frame = run.picture(place)
+            if frame is None:
                 yield _missing(number)
-                continue
-            yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
+            else:
+                yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
 
 
 def rising(numbers: Iterable[int]) -> Iterator[Iterator[int]]:
