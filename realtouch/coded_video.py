@@ -284,8 +284,8 @@ class _Reader:
 class _Run:
     """Pictures that are decoded from a key packet on, up to some packet.
 
-    Damage counts from the packet ``damage_from`` on, of pictures that are not shown before that one: others may
-    depend on what was not decoded.
+    Damage counts from the packet ``damage_from`` on, of pictures that are not shown before that one: others
+    may depend on what was not decoded.
     """
 
     def __init__(self, reader: _Reader, packets: _Packets, start: int, damage_from: int, last: int) -> None:
@@ -362,8 +362,8 @@ class _Coded:
     def _decoded(self, reader: _Reader, key: int, numbers: Sequence[int]) -> Iterator[bytes | ItemError]:
         """Yield pictures that are decoded from a key.
 
-        Where something is missing, decoding begins a key earlier: with intra refresh, pictures after a key are
-        not whole if it begins there, and with open groups of pictures, decoders miss what these refer to.
+        Where something is missing, decoding begins a key earlier: with intra refresh, pictures after a key
+        are not whole if it begins there, and with open groups, decoders miss what these refer to.
         """
         packets, starts = self.packets, [key - 1] * (key > 0)
         places, damage_from = packets.shown[numbers], int(packets.keys[key])

@@ -267,7 +267,7 @@ def test_damage_of_a_picture_stays_in_its_group(name: str, tmp_path: Path) -> No
     whole, packets, content = pictures_of(path), packets_of(path), path.read_bytes()
     broken = packets[16]
     assert content.count(broken) == 1
-    path.write_bytes(content.replace(broken, broken[:6] + bytes(len(broken) - 6)))
+    path.write_bytes(content.replace(broken, broken[:6] + bytes(each ^ 0x5A for each in broken[6:])))
     pictures = pictures_of(path)
     assert len(pictures) == COUNT
     lost = [number for number, each in enumerate(pictures) if isinstance(each, ItemError)]
@@ -337,8 +337,8 @@ HOSTILE: dict[str, tuple[Any, str]] = {
     "two cameras": (lambda: riff(avi_header() + avi_header(), movie(JPEGS)), "several streams of pictures"),
     "no pictures": (lambda: riff(avi_header(), movie([])), "an AVI without pictures"),
     "damage in an AVI": (
-        lambda: riff(avi_header(), movie([*JPEGS[:3], *JPEGS[3:]]).replace(b"00dc" + struct.pack("<I", len(JPEGS[3])), bytes(8), 1)),
-        "damaged at byte",
+        lambda: riff(avi_header(), movie(JPEGS[:3]) + movie(JPEGS[3:]).replace(b"00dc", bytes(4), 1)),
+        "damaged at byte .* after 3 pictures",
     ),
     "a billion samples": (lambda: with_count(mp4(), b"stsz", 8, 10**9), "1,000,000,000 entries in 'stsz'"),
     "a billion times": (lambda: with_count(mp4(), b"stts", 8, 10**9), "1,000,000,000 entries in 'stts'"),
@@ -421,7 +421,7 @@ def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
     named = recordings(tmp_path, str(tmp_path / "other.csv"), image="clip")
     assert [(each.path, each.problem is None) for each in named][:2] == [("3.avi", True), ("4.AVI", False)]
     (tmp_path / "again.csv").write_text("file\n3.avi\n")
-    with pytest.raises(InputError, match="several tables of its videos: again.csv, table.csv"):
+    with pytest.raises(InputError, match=r"several tables of its videos: again\.csv, table\.csv"):
         recordings(tmp_path)
 
 
@@ -448,11 +448,7 @@ def test_videos_of_a_store_are_those_of_a_folder(tmp_path: Path) -> None:
     afar = open_folder("memory://videos/of others")
     for name, path in (("a.avi", None), ("b/h264.mp4", made(tmp_path, "h264.mp4"))):
         afar.write_bytes(name, path.read_bytes() if path else AVIS["no index"][0])
-    first, second = (
-        recordings(Path("memory://videos/of others"))
-        if False
-        else find_video(afar, realtouch.ImportColumns(), None)
-    )
+    first, second = find_video(afar, realtouch.ImportColumns(), None)
     assert list(encoded_frames(touches_of(first, "whole"))) == JPEGS
     assert list(encoded_frames(touches_of(second, "whole"))) == pictures_of(tmp_path / "h264.mp4")
 
@@ -467,7 +463,7 @@ def mutated(content: bytes, rng: random.Random) -> bytes:
         if kind == 0:
             changed[at] ^= 1 << rng.randrange(8)
         elif kind == 1:
-            del changed[at : at + rng.randint(1, 40)]
+            del changed[at + 1 : at + rng.randint(2, 40)]
         elif kind == 2:
             changed[at:at] = rng.randbytes(rng.randint(1, 20))
         elif kind == 3:
