@@ -406,7 +406,7 @@ def _untimed() -> ItemError:
 
 def _is_cover(stream: VideoStream) -> bool:
     """Return whether a stream is a still image, such as the cover of a film."""
-    return bool(stream.disposition & _COVER)
+    return bool(stream.disposition.value & _COVER)
 
 
 def require_upright(frame: VideoFrame) -> None:

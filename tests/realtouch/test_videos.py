@@ -488,11 +488,13 @@ def test_mutations_end_in_pictures_or_sentences(name: str, tmp_path: Path) -> No
         content = content[:32] + content[at:] + content[32:at]
     rng = random.Random(49)
     for number in range(2000 if name in ("a.avi", "a.mp4") else 300):
-        (tmp_path / name).write_bytes(mutated(content, rng))
-        (found,) = recordings(tmp_path / name)
+        path = tmp_path / f"{number}-{name}"
+        path.write_bytes(mutated(content, rng))
+        (found,) = recordings(path)
         if found.problem is None:
             assert found.frames == len(found.time_s) < 10_000
             assert np.all(np.diff(found.time_s) > 0)
             pictures = list(encoded_frames(touches_of(found, "whole")))
             assert len(pictures) == found.frames, number
             assert all(isinstance(each, (bytes, ItemError)) for each in pictures)
+        path.unlink()
