@@ -23,7 +23,6 @@ from realtouch.video_files import (
     MAX_PIXELS_IN_ALL,
     Video,
     kept_jpeg,
-    named_problems,
     require_picture_size,
     seconds_of,
 )
@@ -66,11 +65,10 @@ _TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
 
 def coded_video(stream: IO[bytes], demuxer: str) -> Video:
     """Find the pictures of a video by a demuxer."""
-    with named_problems():
-        reader = _Reader(stream, demuxer)
-        packets = reader.read_packets()
-        _require_bounded(stream, packets)
-        words = reader.look_at_first(packets)
+    reader = _Reader(stream, demuxer)
+    packets = reader.read_packets()
+    _require_bounded(stream, packets)
+    words = reader.look_at_first(packets)
     source = _Coded(demuxer, reader.codec, packets)
     times = seconds_of(packets.pts[packets.shown], packets.tick_s)
     if times[-1] > MAX_DURATION_S:

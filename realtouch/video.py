@@ -24,7 +24,6 @@ from realtouch.video_files import (
     seconds_of,
 )
 from tactile_toolkit import store
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES, image_size
 
@@ -51,16 +50,6 @@ def open_video(folder: store.DataFolder, path: str) -> Video:
         PyAV is needed and not installed.
     """
     return _open_video(folder.address(), path, folder.version(path))
-
-
-def times_s(folder: store.DataFolder, path: str) -> Float64:
-    """Return when each picture is shown, seconds from the first, shape (n,); raises as :func:`open_video`."""
-    return open_video(folder, path).time_s
-
-
-def encoded(folder: store.DataFolder, path: str, first: int, count: int) -> Iterator[bytes | ItemError]:
-    """Yield some pictures, JPEG or PNG, in the order shown; see :func:`encoded_pictures`."""
-    return encoded_pictures(folder, path, range(first, first + count))
 
 
 def encoded_pictures(
@@ -92,7 +81,7 @@ def encoded_pictures(
 
 @lru_cache(_KEPT_VIDEOS)
 def _open_video(address: str, path: str, version: object) -> Video:
-    with store.open_inside(store.open_folder(address), path) as stream:
+    with store.open_inside(store.open_folder(address), path) as stream, named_problems():
         return _found_video(stream)
 
 

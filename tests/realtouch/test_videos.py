@@ -17,7 +17,7 @@ import pytest
 import realtouch
 from realtouch.exchange.recordings import Recording, touches_of
 from realtouch.exchange.video_import import describe_conversion, encoded_frames, find_video
-from realtouch.video import encoded, encoded_pictures, open_video, times_s
+from realtouch.video import encoded_pictures, open_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder
 from tactile_toolkit.touch import decode_image
@@ -76,7 +76,7 @@ def made(home: Path, name: str, count: int = COUNT) -> Path:
 
 def pictures_of(path: Path) -> list[bytes | ItemError]:
     folder = open_folder(str(path.parent))
-    return list(encoded(folder, path.name, 0, len(times_s(folder, path.name))))
+    return list(encoded_pictures(folder, path.name, range(len(open_video(folder, path.name)))))
 
 
 def recordings(home: Path, table: str | None = None, **columns: Any) -> list[Recording]:
@@ -110,7 +110,7 @@ def test_pictures_do_not_depend_on_how_they_are_divided(name: str, tmp_path: Pat
     path = made(tmp_path, name)
     folder, whole = open_folder(str(tmp_path)), pictures_of(path)
     for step in (1, 7, 15):
-        parts = [encoded(folder, name, at, min(step, COUNT - at)) for at in range(0, COUNT, step)]
+        parts = [encoded_pictures(folder, name, range(COUNT)[at : at + step]) for at in range(0, COUNT, step)]
         assert [each for part in parts for each in part] == whole
     for numbers in (range(0, COUNT, 3), [30, 31, 5, 6, 6, 39, 0], range(COUNT - 1, -1, -9)):
         assert list(encoded_pictures(folder, name, numbers)) == [whole[number] for number in numbers]
@@ -242,7 +242,7 @@ def test_times_of_a_variable_rate_are_kept(ending: str, tmp_path: Path) -> None:
     path = tmp_path / f"a.{ending}"
     times = [5 + each for each in TIMES_MS]  # time counts from the first picture
     write_video(path, "libx264", len(times), times_ms=times, **GOP)
-    assert times_s(open_folder(str(tmp_path)), path.name) == pytest.approx(np.array(TIMES_MS) / 1e3, abs=1e-6)
+    assert recordings(path)[0].time_s == pytest.approx(np.array(TIMES_MS) / 1e3, abs=1e-6)
     for number, each in enumerate(pictures_of(path)):
         assert isinstance(each, bytes)
         assert psnr_db(decode_image(each), picture(number)) > LEAST_PSNR_DB
@@ -275,7 +275,8 @@ def test_damage_of_a_picture_stays_in_its_group(name: str, tmp_path: Path) -> No
     assert changed == lost, "no picture is another than it was"
     assert lost
     assert max(lost) - min(lost) < 14, "pictures of other groups are whole"
-    parts = [list(encoded(open_folder(str(tmp_path)), name, at, 5)) for at in range(0, COUNT, 5)]
+    folder = open_folder(str(tmp_path))
+    parts = [encoded_pictures(folder, name, range(at, at + 5)) for at in range(0, COUNT, 5)]
     assert [str(each) for part in parts for each in part] == [str(each) for each in pictures]
 
 
@@ -410,6 +411,7 @@ def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
     (tmp_path / "3.csv").write_text("time_s,file\n0,3.avi\n")
     (tmp_path / "3_poses.csv").write_text("time_s,file\n0,3.avi\n")
     (tmp_path / "log.csv").write_text("time_s,force\n0,1\n")
+    (tmp_path / "noise.csv").write_bytes(bytes(range(256)))
     found = recordings(tmp_path)
     assert [each.path for each in found] == ["mug/1.avi", "fork/2.avi", "5.avi", "4.AVI", "4.AVI", "3.avi"]
     assert [each.problem and each.problem.reason for each in found] == [
@@ -417,9 +419,11 @@ def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
     ]  # fmt: skip
     assert found[0].values == {"file": "mug\\1.avi", "label": "a", "force": "1.5"}
     assert [each.name for each in found[:3]] == ["mug/1", "fork/2", "5"]
-    (tmp_path / "other.csv").write_text("clip,label\n3.avi,z\n")
+    (tmp_path / "other.csv").write_text("sep=;\nclip;label\n3.avi;z\n;y\n../x.avi;z\n")
     named = recordings(tmp_path, str(tmp_path / "other.csv"), image="clip")
-    assert [(each.path, each.problem is None) for each in named][:2] == [("3.avi", True), ("4.AVI", False)]
+    assert [(each.path, each.problem is None) for each in named][:4] == [
+        ("3.avi", True), ("", False), ("../x.avi", False), ("4.AVI", False)
+    ]  # fmt: skip
     (tmp_path / "again.csv").write_text("file\n3.avi\n")
     with pytest.raises(InputError, match=r"several tables of its videos: again\.csv, table\.csv"):
         recordings(tmp_path)
