@@ -11,18 +11,21 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import chain, groupby
 from typing import IO, TYPE_CHECKING, cast
 
 import numpy as np
 
 from realtouch.video_files import (
+    CUT_SHORT,
     JPEG_QUALITY,
     MAX_DURATION_S,
     MAX_PICTURES,
     MAX_PIXELS_IN_ALL,
     Video,
     kept_jpeg,
+    require_one_field,
     require_picture_size,
     seconds_of,
 )
@@ -67,20 +70,22 @@ def coded_video(stream: IO[bytes], demuxer: str) -> Video:
     """Find the pictures of a video by a demuxer."""
     reader = _Reader(stream, demuxer)
     packets = reader.read_packets()
-    _require_bounded(stream, packets)
+    _require_usable(packets)
     words = reader.look_at_first(packets)
     source = _Coded(demuxer, reader.codec, packets)
-    times = seconds_of(packets.pts[packets.shown], packets.tick_s)
+    times = seconds_of(packets.shown_pts, packets.tick_s)
     if times[-1] > MAX_DURATION_S:
         raise ItemError("length", f"a video of {times[-1]:,.0f} s; the limit is {MAX_DURATION_S:,.0f} s")
+    cut = [CUT_SHORT] * reader.is_cut
     if source.is_kept:
-        return Video(times, packets.total_bytes // len(packets.pts), ", ".join(words), source)
+        require_one_field(next(source.pictures(stream, [0])), packets.size[0])
+        return Video(times, packets.total_bytes // len(packets.pts), "".join(cut), source)
     height, width = packets.size
     if len(times) * height * width > MAX_PIXELS_IN_ALL:
         what = f"{len(times):,} pictures of {width} x {height} pixels"
         raise ItemError("length", f"{what}; the limit is {MAX_PIXELS_IN_ALL:,} pixels in all")
     stored = "PNG" if source.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
-    words.insert(0, f"{reader.codec} decoded, stored as {stored}")
+    words = [f"{reader.codec} decoded, stored as {stored}", *words, *cut]
     return Video(times, height * width // 2, ", ".join(words), source)
 
 
@@ -100,32 +105,36 @@ class _Packets:
     size: tuple[int, int]
     total_bytes: int
 
+    @cached_property
+    def shown_pts(self) -> Int64:
+        """Times of the pictures that are shown; they rise."""
+        return self.pts[self.shown]
+
+    @cached_property
+    def key_pts(self) -> Int64:
+        """Times of the keys."""
+        return self.pts[self.keys]
+
     def key_of(self, number: int) -> int:
         """Return from which key a picture is decoded: the last one that is not shown after it."""
-        pts = self.pts[self.shown[number]]
-        return max(0, int(np.searchsorted(self.pts[self.keys], pts, "right")) - 1)
+        return max(0, int(np.searchsorted(self.key_pts, self.shown_pts[number], "right")) - 1)
 
     def first_shown(self, key: int) -> int:
         """Return the time of the first picture that is decoded from a key."""
-        shown = self.pts[self.shown]
-        return int(shown[min(np.searchsorted(shown, self.pts[self.keys[key]]), len(shown) - 1)])
+        number = np.searchsorted(self.shown_pts, self.key_pts[key])
+        return int(self.shown_pts[min(number, len(self.shown_pts) - 1)])
 
 
-def _require_bounded(stream: IO[bytes], packets: _Packets) -> None:
-    """Raise ItemError for packets that take more than the file, and for pictures shown at the same time."""
+def _require_usable(packets: _Packets) -> None:
+    """Raise ItemError for a stream without pictures, and for pictures that are shown at the same time."""
     if not len(packets.shown):
         raise ItemError("length", "a video without pictures; expected one or more")
     if not len(packets.keys):
         raise ItemError("damaged", "a video without a key picture, from which decoding could begin")
-    size = stream.seek(0, 2)
-    if packets.total_bytes > _MOST_READ * size + _SPARE_BYTES:
-        found = f"{packets.total_bytes:,} bytes of pictures in a file of {size:,}"
-        raise ItemError("damaged", f"{found}; expected no more than the file holds")
-    same = int(np.count_nonzero(np.diff(packets.pts[packets.shown]) == 0))
+    same = int(np.count_nonzero(np.diff(packets.shown_pts) == 0))
     if same:
-        raise ItemError(
-            "time", f"{same:,} pictures are shown at the same time as another; expected rising times"
-        )
+        what = f"{same:,} pictures are shown at the same time as another"
+        raise ItemError("time", f"{what}; expected rising times")
 
 
 class _Reader:
@@ -133,6 +142,7 @@ class _Reader:
 
     def __init__(self, stream: IO[bytes], demuxer: str) -> None:
         self._stream, self._demuxer = stream, demuxer
+        self._size_bytes = stream.seek(0, 2)
         self.is_cut = False
         self._open()
         self.codec = self._video.codec_context.codec.canonical_name
@@ -177,7 +187,7 @@ class _Reader:
     def read_packets(self) -> _Packets:
         """Read all packets; none is decoded."""
         pts, shown, keys, found_at = array("q"), array("q"), array("q"), array("q")
-        total_bytes = 0
+        total_bytes, most_bytes = 0, _MOST_READ * self._size_bytes + _SPARE_BYTES
         with self._ending_early():
             for number, packet in enumerate(self._packets):
                 if number >= MAX_PICTURES:
@@ -185,6 +195,10 @@ class _Reader:
                 at = cast(int, packet.pts)
                 pts.append(at)
                 total_bytes += packet.size
+                if total_bytes > most_bytes:
+                    raise ItemError(
+                        "damaged", f"pictures take more than the {self._size_bytes:,} bytes of the file"
+                    )
                 if not packet.is_discard:
                     shown.append(number)
                 if packet.is_keyframe:
@@ -230,10 +244,7 @@ class _Reader:
             if at != sorted(at) and run.is_whole:
                 raise _untimed()
         require_upright(frame)
-        words = _words_of(frame)
-        if self.is_cut:
-            words.append("cut short; read up to the last whole picture")
-        return words
+        return _words_of(frame)
 
     def go_to(self, wanted: int, packets: _Packets) -> None:
         """Make a packet, by its number, the next one."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import IO, Protocol
@@ -15,7 +15,7 @@ import numpy as np
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, image_size
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
@@ -27,7 +27,10 @@ MAX_DURATION_S = 1e6
 
 JPEG_QUALITY = 95
 
-_VIDEO_ENDINGS = (
+CUT_SHORT = "cut short; read up to the last whole picture"
+"""What is said of a file that ends in the middle."""
+
+VIDEO_ENDINGS = (
     ".avi",
     ".flv",
     ".m4v",
@@ -85,7 +88,7 @@ def read_start(stream: IO[bytes]) -> bytes:
 
 def is_video(folder: store.DataFolder, path: str) -> bool:
     """Return whether a file begins as a video, or is called one, so that its problem is listed."""
-    if path.lower().endswith(_VIDEO_ENDINGS):
+    if path.lower().endswith(VIDEO_ENDINGS):
         return True
     try:
         with store.open_inside(folder, path) as stream:
@@ -197,6 +200,16 @@ def kept_jpeg(jpeg: bytes, number: int) -> bytes | ItemError:
     if len(jpeg) <= MAX_IMAGE_BYTES:
         return jpeg
     return ItemError("image", f"picture {number:,} takes more than {MAX_IMAGE_BYTES:,} bytes")
+
+
+def require_one_field(jpeg: bytes | ItemError, height: int) -> None:
+    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
+    found = 0
+    if isinstance(jpeg, bytes):
+        with suppress(ValueError):  # damaged: it is found when it is read
+            found, _ = image_size(jpeg)
+    if found and 2 * found == height:
+        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:

@@ -124,7 +124,7 @@ def _lines(
 
 
 def _header(home: store.DataFolder, name: str) -> list[str]:
-    """Return the columns of a table, by its first two lines; it may be of a sensor, and long, or of no text."""
+    """Return the columns of a table by its first two lines; it may be long, or of no text."""
     with suppress(InputError), found_touches.open_source(home, name) as stream:
         return table_lines(b"\n".join(stream.read(_HEADER_BYTES).split(b"\n")[:2]), name)[0]
     return []
