@@ -11,19 +11,21 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
+from functools import cached_property
 from itertools import chain, groupby
 from typing import IO, TYPE_CHECKING, cast
 
 import numpy as np
 
 from realtouch.video_files import (
+    CUT_SHORT,
     JPEG_QUALITY,
     MAX_DURATION_S,
     MAX_PICTURES,
     MAX_PIXELS_IN_ALL,
     Video,
     kept_jpeg,
-    named_problems,
+    require_one_field,
     require_picture_size,
     seconds_of,
 )
@@ -66,23 +68,24 @@ _TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
 
 def coded_video(stream: IO[bytes], demuxer: str) -> Video:
     """Find the pictures of a video by a demuxer."""
-    with named_problems():
-        reader = _Reader(stream, demuxer)
-        packets = reader.read_packets()
-        _require_bounded(stream, packets)
-        words = reader.look_at_first(packets)
+    reader = _Reader(stream, demuxer)
+    packets = reader.read_packets()
+    _require_usable(packets)
+    words = reader.look_at_first(packets)
     source = _Coded(demuxer, reader.codec, packets)
-    times = seconds_of(packets.pts[packets.shown], packets.tick_s)
+    times = seconds_of(packets.shown_pts, packets.tick_s)
     if times[-1] > MAX_DURATION_S:
         raise ItemError("length", f"a video of {times[-1]:,.0f} s; the limit is {MAX_DURATION_S:,.0f} s")
+    cut = [CUT_SHORT] * reader.is_cut
     if source.is_kept:
-        return Video(times, packets.total_bytes // len(packets.pts), ", ".join(words), source)
+        require_one_field(next(source.pictures(stream, [0])), packets.size[0])
+        return Video(times, packets.total_bytes // len(packets.pts), "".join(cut), source)
     height, width = packets.size
     if len(times) * height * width > MAX_PIXELS_IN_ALL:
         what = f"{len(times):,} pictures of {width} x {height} pixels"
         raise ItemError("length", f"{what}; the limit is {MAX_PIXELS_IN_ALL:,} pixels in all")
     stored = "PNG" if source.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
-    words.insert(0, f"{reader.codec} decoded, stored as {stored}")
+    words = [f"{reader.codec} decoded, stored as {stored}", *words, *cut]
     return Video(times, height * width // 2, ", ".join(words), source)
 
 
@@ -102,32 +105,36 @@ class _Packets:
     size: tuple[int, int]
     total_bytes: int
 
+    @cached_property
+    def shown_pts(self) -> Int64:
+        """Times of the pictures that are shown; they rise."""
+        return self.pts[self.shown]
+
+    @cached_property
+    def key_pts(self) -> Int64:
+        """Times of the keys."""
+        return self.pts[self.keys]
+
     def key_of(self, number: int) -> int:
         """Return from which key a picture is decoded: the last one that is not shown after it."""
-        pts = self.pts[self.shown[number]]
-        return max(0, int(np.searchsorted(self.pts[self.keys], pts, "right")) - 1)
+        return max(0, int(np.searchsorted(self.key_pts, self.shown_pts[number], "right")) - 1)
 
     def first_shown(self, key: int) -> int:
         """Return the time of the first picture that is decoded from a key."""
-        shown = self.pts[self.shown]
-        return int(shown[min(np.searchsorted(shown, self.pts[self.keys[key]]), len(shown) - 1)])
+        number = np.searchsorted(self.shown_pts, self.key_pts[key])
+        return int(self.shown_pts[min(number, len(self.shown_pts) - 1)])
 
 
-def _require_bounded(stream: IO[bytes], packets: _Packets) -> None:
-    """Raise ItemError for packets that take more than the file, and for pictures shown at the same time."""
+def _require_usable(packets: _Packets) -> None:
+    """Raise ItemError for a stream without pictures, and for pictures that are shown at the same time."""
     if not len(packets.shown):
         raise ItemError("length", "a video without pictures; expected one or more")
     if not len(packets.keys):
         raise ItemError("damaged", "a video without a key picture, from which decoding could begin")
-    size = stream.seek(0, 2)
-    if packets.total_bytes > _MOST_READ * size + _SPARE_BYTES:
-        found = f"{packets.total_bytes:,} bytes of pictures in a file of {size:,}"
-        raise ItemError("damaged", f"{found}; expected no more than the file holds")
-    same = int(np.count_nonzero(np.diff(packets.pts[packets.shown]) == 0))
+    same = int(np.count_nonzero(np.diff(packets.shown_pts) == 0))
     if same:
-        raise ItemError(
-            "time", f"{same:,} pictures are shown at the same time as another; expected rising times"
-        )
+        what = f"{same:,} pictures are shown at the same time as another"
+        raise ItemError("time", f"{what}; expected rising times")
 
 
 class _Reader:
@@ -135,6 +142,7 @@ class _Reader:
 
     def __init__(self, stream: IO[bytes], demuxer: str) -> None:
         self._stream, self._demuxer = stream, demuxer
+        self._size_bytes = stream.seek(0, 2)
         self.is_cut = False
         self._open()
         self.codec = self._video.codec_context.codec.canonical_name
@@ -179,7 +187,7 @@ class _Reader:
     def read_packets(self) -> _Packets:
         """Read all packets; none is decoded."""
         pts, shown, keys, found_at = array("q"), array("q"), array("q"), array("q")
-        total_bytes = 0
+        total_bytes, most_bytes = 0, _MOST_READ * self._size_bytes + _SPARE_BYTES
         with self._ending_early():
             for number, packet in enumerate(self._packets):
                 if number >= MAX_PICTURES:
@@ -187,6 +195,10 @@ class _Reader:
                 at = cast(int, packet.pts)
                 pts.append(at)
                 total_bytes += packet.size
+                if total_bytes > most_bytes:
+                    raise ItemError(
+                        "damaged", f"pictures take more than the {self._size_bytes:,} bytes of the file"
+                    )
                 if not packet.is_discard:
                     shown.append(number)
                 if packet.is_keyframe:
@@ -222,20 +234,17 @@ class _Reader:
 
         ItemError where none can be decoded, or 8 bits would lose most of it, or where it is to be turned.
         """
-        run = _Run(self, packets, 0, min(_PICTURES_TRIED, len(packets.pts)) - 1)
-        frame = next(run.frames, None)
+        run = _Run(self, packets, 0, 0, min(_PICTURES_TRIED, len(packets.pts)) - 1)
+        frame = run.frame
         if frame is None:
             what = f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
             raise ItemError("frame", what)
         if self._demuxer == "avi":
             at = [cast(int, each.pts) for each in chain([frame], run.frames)]
-            if at != sorted(at):
+            if at != sorted(at) and run.is_whole:
                 raise _untimed()
         require_upright(frame)
-        words = _words_of(frame)
-        if self.is_cut:
-            words.append("cut short; read up to the last whole picture")
-        return words
+        return _words_of(frame)
 
     def go_to(self, wanted: int, packets: _Packets) -> None:
         """Make a packet, by its number, the next one."""
@@ -282,17 +291,19 @@ class _Reader:
 
 
 class _Run:
-    """Pictures that are decoded from a packet on; ``broken_at`` is the first packet that is damaged.
+    """Pictures that are decoded from a key packet on, up to some packet.
 
-    Packets of pictures that are shown before the first one may depend on what lies before it: their damage
-    does not count.
+    Damage counts from the packet ``damage_from`` on, of pictures that are not shown before that one: others
+    may depend on what was not decoded.
     """
 
-    def __init__(self, reader: _Reader, packets: _Packets, first: int, last: int) -> None:
-        self.broken_at = len(packets.pts)
+    def __init__(self, reader: _Reader, packets: _Packets, start: int, damage_from: int, last: int) -> None:
         self._reader, self._pts = reader, packets.pts
-        reader.go_to(first, packets)
-        self.frames = self._decoded(first, last)
+        self._damage_from, self._broken_at = damage_from, len(packets.pts)
+        self.is_whole = True
+        reader.go_to(start, packets)
+        self.frames = self._decoded(start, last)
+        self.frame = next(self.frames, None)
 
     def _decoded(self, first: int, last: int) -> Iterator[VideoFrame]:
         import av
@@ -304,11 +315,26 @@ class _Run:
             if packet is not None and not packet.is_corrupt:
                 with suppress(av.FFmpegError):
                     found, is_damaged = decoder.decode(packet), False
-            if is_damaged and self._pts[number] >= self._pts[first]:
-                self.broken_at = min(self.broken_at, number)
+            is_wanted = number >= self._damage_from and self._pts[number] >= self._pts[self._damage_from]
+            self.is_whole &= not is_damaged
+            if is_damaged and is_wanted:
+                self._broken_at = min(self._broken_at, number)
             yield from found
         with suppress(av.FFmpegError):
             yield from decoder.decode(None)
+
+    def is_late(self, pts: int) -> bool:
+        """Return whether the first picture is shown after some time, or there is none."""
+        return self.frame is None or cast(int, self.frame.pts) > pts
+
+    def picture(self, place: int) -> VideoFrame | None:
+        """Return the picture of a packet; None for one that is damaged or depends on one that is."""
+        wanted = int(self._pts[place])
+        while self.frame is not None and cast(int, self.frame.pts) < wanted:
+            self.frame = next(self.frames, None)
+        if self.is_late(wanted) or place >= self._broken_at or cast("VideoFrame", self.frame).is_corrupt:
+            return None
+        return self.frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -345,24 +371,23 @@ class _Coded:
     def _decoded(self, reader: _Reader, key: int, numbers: Sequence[int]) -> Iterator[bytes | ItemError]:
         """Yield pictures that are decoded from a key.
 
-        With intra refresh, which has no key pictures after the first, those after a key are not whole when
-        decoding begins there; so that it begins a key earlier.
+        Where something is missing, decoding begins a key earlier: with intra refresh, pictures after a key
+        are not whole if it begins there, and with open groups, decoders miss what these refer to.
         """
-        places = self.packets.shown[numbers]
+        packets, starts = self.packets, [key - 1] * (key > 0)
+        places, damage_from = packets.shown[numbers], int(packets.keys[key])
         last = int(places.max())
-        for start in (key, max(0, key - 1)):
-            run = _Run(reader, self.packets, int(self.packets.keys[start]), last)
-            frame = next(run.frames, None)
-            if frame is not None and cast(int, frame.pts) <= self.packets.first_shown(key):
-                break
+        run = _Run(reader, packets, damage_from, damage_from, last)
+        is_late = run.is_late(packets.first_shown(key))
         for number, place in zip(numbers, places.tolist(), strict=True):
-            wanted = int(self.packets.pts[place])
-            while frame is not None and cast(int, frame.pts) < wanted:
-                frame = next(run.frames, None)
-            if frame is None or frame.pts != wanted or frame.is_corrupt or place >= run.broken_at:
+            frame = run.picture(place)
+            if starts and (frame is None or is_late):
+                run = _Run(reader, packets, int(packets.keys[starts.pop()]), damage_from, last)
+                frame = run.picture(place)
+            if frame is None:
                 yield _missing(number)
-                continue
-            yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
+            else:
+                yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
 
 
 def rising(numbers: Iterable[int]) -> Iterator[Iterator[int]]:
@@ -390,7 +415,7 @@ def _untimed() -> ItemError:
 
 def _is_cover(stream: VideoStream) -> bool:
     """Return whether a stream is a still image, such as the cover of a film."""
-    return bool(stream.disposition & _COVER)
+    return bool(stream.disposition.value & _COVER)
 
 
 def require_upright(frame: VideoFrame) -> None:

@@ -7,7 +7,6 @@ again (:mod:`realtouch.coded_video`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import IO
@@ -15,18 +14,19 @@ from typing import IO
 from realtouch.avi_scan import AviPictures, scan_avi
 from realtouch.coded_video import coded_video
 from realtouch.video_files import (
+    CUT_SHORT,
     Video,
     demuxer_of,
     kept_jpeg,
     named_problems,
     read_start,
     require_bounded_boxes,
+    require_one_field,
     seconds_of,
 )
 from tactile_toolkit import store
-from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, image_size
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 _KEPT_VIDEOS = 8
 
@@ -51,16 +51,6 @@ def open_video(folder: store.DataFolder, path: str) -> Video:
         PyAV is needed and not installed.
     """
     return _open_video(folder.address(), path, folder.version(path))
-
-
-def times_s(folder: store.DataFolder, path: str) -> Float64:
-    """Return when each picture is shown, seconds from the first, shape (n,); raises as :func:`open_video`."""
-    return open_video(folder, path).time_s
-
-
-def encoded(folder: store.DataFolder, path: str, first: int, count: int) -> Iterator[bytes | ItemError]:
-    """Yield some pictures, JPEG or PNG, in the order shown; see :func:`encoded_pictures`."""
-    return encoded_pictures(folder, path, range(first, first + count))
 
 
 def encoded_pictures(
@@ -92,7 +82,7 @@ def encoded_pictures(
 
 @lru_cache(_KEPT_VIDEOS)
 def _open_video(address: str, path: str, version: object) -> Video:
-    with store.open_inside(store.open_folder(address), path) as stream:
+    with store.open_inside(store.open_folder(address), path) as stream, named_problems():
         return _found_video(stream)
 
 
@@ -129,17 +119,7 @@ def _video_of_jpegs(stream: IO[bytes], found: AviPictures) -> Video:
     if not len(found.starts):
         raise ItemError("length", "an AVI without pictures; expected one or more")
     source = _Jpegs(found)
-    _require_one_field(next(source.pictures(stream, [0])), found.height)
-    conversion = "cut short; read up to the last whole picture" if found.is_cut else ""
+    require_one_field(next(source.pictures(stream, [0])), found.height)
+    conversion = CUT_SHORT * found.is_cut
     times = seconds_of(found.slots, found.period_s)
     return Video(times, int(found.sizes.mean()), conversion, source)
-
-
-def _require_one_field(jpeg: bytes | ItemError, height: int) -> None:
-    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
-    found = 0
-    if isinstance(jpeg, bytes):
-        with suppress(ValueError):  # damaged: it is found when it is read
-            found, _ = image_size(jpeg)
-    if found and 2 * found == height:
-        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections import Counter
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import IO, Protocol
@@ -15,7 +15,7 @@ import numpy as np
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS
+from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, image_size
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
@@ -27,7 +27,10 @@ MAX_DURATION_S = 1e6
 
 JPEG_QUALITY = 95
 
-_VIDEO_ENDINGS = (
+CUT_SHORT = "cut short; read up to the last whole picture"
+"""What is said of a file that ends in the middle."""
+
+VIDEO_ENDINGS = (
     ".avi",
     ".flv",
     ".m4v",
@@ -53,8 +56,9 @@ _COUNTS_AT = {b"stsz": 8, b"stz2": 8, b"trun": 4, b"elst": 4}
 _RUNS = (b"stts", b"ctts")  # run lengths
 _MOST_RUN_BYTES = 1 << 26
 _MOST_BOXES = 1 << 20
-_MOST_EDITS = 1 << 10
-_MOST_SAMPLES = 8 * MAX_PICTURES  # of sound, too
+_MOST_SAMPLES = 2 * MAX_PICTURES  # of sound, too; plain sound has no entry for each
+_MOST_EDITED = 1 << 26  # samples times edits
+_SOUND = b"soun"
 _BOX = struct.Struct(">I4s")
 
 
@@ -84,7 +88,7 @@ def read_start(stream: IO[bytes]) -> bytes:
 
 def is_video(folder: store.DataFolder, path: str) -> bool:
     """Return whether a file begins as a video, or is called one, so that its problem is listed."""
-    if path.lower().endswith(_VIDEO_ENDINGS):
+    if path.lower().endswith(VIDEO_ENDINGS):
         return True
     try:
         with store.open_inside(folder, path) as stream:
@@ -107,20 +111,37 @@ def require_bounded_boxes(stream: IO[bytes]) -> None:
     A demuxer makes room for all samples that a file of a few bytes states.
     """
     counts = Counter[bytes]()
+    kind, is_pcm = b"", False
     for name, start, size in _boxes(stream):
-        if name in _COUNTS_AT:
-            stream.seek(start + _COUNTS_AT[name])
-            counts[name] += int.from_bytes(stream.read(4), "big")
-        elif name in _RUNS:
-            stream.seek(start + 8)
-            found = stream.read(min(size - 8, _MOST_RUN_BYTES))
-            counts[name] += int(np.frombuffer(found, ">u4", len(found) // 8 * 2)[::2].sum(dtype=np.uint64))
-        elif name == b"cmov":
+        stream.seek(start)
+        if name == b"cmov":
             raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
-        limit = _MOST_EDITS if name == b"elst" else _MOST_SAMPLES
-        if counts[name] > limit:
-            what = f"a video whose header states {counts[name]:,} entries in {name.decode()!r}"
-            raise ItemError("length", f"{what}; the limit is {limit:,}")
+        if name == b"trak":
+            kind, is_pcm = b"", False
+        elif name == b"hdlr":
+            kind = _handler(stream.read(12), kind, is_pcm)
+        elif name in _RUNS:
+            found = stream.read(min(size, _MOST_RUN_BYTES))
+            runs = np.frombuffer(found, ">u4", len(found) // 4)[2:]
+            is_pcm |= name == b"stts" and kind == _SOUND and runs[1:].tolist() == [1]
+            counts[name] += int(runs[::2].sum(dtype=np.uint64)) * (not is_pcm)
+        elif name in _COUNTS_AT and not is_pcm:
+            counts[name] += int.from_bytes(stream.read(_COUNTS_AT[name] + 4)[-4:], "big")
+        if counts[name] > _MOST_SAMPLES or counts[b"elst"] * counts[b"stsz"] > _MOST_EDITED:
+            what = (
+                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
+            )
+            raise ItemError("length", f"{what}; the limit is {_MOST_SAMPLES:,} samples")
+
+
+def _handler(box: bytes, before: bytes, is_pcm: bool) -> bytes:
+    """Return what a track holds; ItemError where that changes after it was taken for plain sound."""
+    kind = box[8:]
+    if kind not in (_SOUND, b"vide"):
+        return before
+    if is_pcm and kind != _SOUND:
+        raise ItemError("damaged", "a video with a track of sound that is stated to be pictures as well")
+    return kind
 
 
 def _boxes(stream: IO[bytes]) -> Iterator[tuple[bytes, int, int]]:
@@ -179,6 +200,16 @@ def kept_jpeg(jpeg: bytes, number: int) -> bytes | ItemError:
     if len(jpeg) <= MAX_IMAGE_BYTES:
         return jpeg
     return ItemError("image", f"picture {number:,} takes more than {MAX_IMAGE_BYTES:,} bytes")
+
+
+def require_one_field(jpeg: bytes | ItemError, height: int) -> None:
+    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
+    found = 0
+    if isinstance(jpeg, bytes):
+        with suppress(ValueError):  # damaged: it is found when it is read
+            found, _ = image_size(jpeg)
+    if found and 2 * found == height:
+        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:

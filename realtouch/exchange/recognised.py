@@ -10,34 +10,24 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from realtouch.exchange.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
+from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 _MOST_LOOKED_AT = 20_000
 _MOST_FOLDERS = 200
-_HEAD_BYTES = 512
 _LEVELS = 3
 _SHOWN = 3
 _TAR_AT = 257
 _ZIP = b"PK\x03\x04"
-# How files of each format begin: place, bytes.
+# How files of other formats than videos begin: place, bytes.
 _BEGINNINGS: dict[str, tuple[tuple[int, bytes], ...]] = {
-    "video": (
-        (8, b"AVI "),
-        (4, b"ftyp"),
-        (4, b"moov"),
-        (4, b"mdat"),
-        (4, b"wide"),
-        (0, b"\x1aE\xdf\xa3"),
-        (188, b"G"),
-    ),
     "hdf5": ((0, b"\x89HDF\r\n\x1a\n"),),
     "flat": ((0, b"PAR1"),),
     "webdataset": ((_TAR_AT, b"ustar"),),
     "replay": ((0, _ZIP),),
 }
-_VIDEO_ENDINGS = (".avi", ".mp4", ".mkv", ".mov", ".webm", ".m4v", ".ts")
 _OXT_MEMBER = re.compile(r"(^|/)data/\w+_tactile_type_\w+(/|\Z)")
 _ZARR_MARKS = (".zgroup", "zarr.json")
 
@@ -64,7 +54,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends(".h5", ".hdf5")),
-    ("video", _ends(*_VIDEO_ENDINGS)),
+    ("video", _ends(*VIDEO_ENDINGS)),
     ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
     ("flat", _ends(".parquet")),
     ("folder", _ends(*TABLE_ENDINGS)),
@@ -118,9 +108,11 @@ def recognised(place: str) -> Recognised:
 def _of_file(place: str) -> Recognised:
     folder, name = source_of(place)
     with store.open_inside(folder, name) as stream:
-        head = stream.read(_HEAD_BYTES)
+        head = read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
+    if demuxer_of(head):
+        return Recognised("video", name)
     for layout, marks in _BEGINNINGS.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)

@@ -4,32 +4,26 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from itertools import chain, groupby, repeat
 from operator import attrgetter
+from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.found_touches import (
-    FoundTouch,
-    open_source,
-    path_of,
-    read_table,
-    require_columns,
-    source_of,
-    visible_files,
-)
+from realtouch import video, video_files
+from realtouch.exchange import found_touches
+from realtouch.exchange.fields import NUMBERED
+from realtouch.exchange.found_touches import FoundTouch, path_of, source_of
 from realtouch.exchange.recordings import Recording
 from realtouch.touch_options import ImportColumns
-from realtouch.video import encoded_pictures, open_video
-from realtouch.video_files import is_video
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
 
 _FILE = "file"
-_LABEL = "label"
 _HEADER_BYTES = 1 << 16
 
 
@@ -43,21 +37,21 @@ def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None
     folder, paths = _videos(home)
     stems = Counter(map(_stem, paths))
     lines = _lines(folder, columns.image or _FILE, table, paths)
-    values, unnamed = _classes(paths), None
+    said, unnamed = _classes(paths), None
     if lines is not None:
-        values, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
+        said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
-    for path, said in lines or ():
+    for path, values in lines or ():
         problem = None
         if path in seen:
             problem = ItemError("duplicate", "the same file as in an earlier line of the table")
-        elif None in said:
+        elif None in values:
             problem = ItemError("columns", "the line has more values than the table has columns")
         seen.add(path)
-        yield _recording(folder, path, said, problem, stems)
+        yield _recording(folder, path, values, problem, stems)
     for path in paths:
         if path not in seen:
-            yield _recording(folder, path, values.get(path, {}), unnamed, stems)
+            yield _recording(folder, path, said.get(path, {}), unnamed, stems)
 
 
 def _recording(
@@ -69,22 +63,20 @@ def _recording(
 ) -> Recording:
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    found = Recording(name, folder.address(), path, "", 0, 1, 0, {_FILE: path, **said}, time_s=np.zeros(1))
-    if problem is not None:
-        return replace(found, problem=problem)
+    whole = Recording(name, folder.address(), path, "", 0, 1, 0, {_FILE: path, **said}, time_s=np.zeros(1))
     try:
+        if problem is not None:
+            raise problem
         store.size_inside(folder, path)
-        video = open_video(folder, path)
+        found = video.open_video(folder, path)
     except ItemError as error:
-        return replace(found, problem=error)
-    size = video.picture_bytes
-    return replace(found, part=video.conversion, frames=len(video), frame_bytes=size, time_s=video.time_s)
+        return replace(whole, problem=error)
+    size, times = found.picture_bytes, found.time_s
+    return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
 
 
 def _stem(path: str) -> str:
-    """Return a path without the ending of its file."""
-    folder, slash, name = path.rpartition("/")
-    return f"{folder}{slash}{name.rpartition('.')[0] or name}"
+    return path.removesuffix(PurePosixPath(path).suffix)
 
 
 def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
@@ -92,12 +84,9 @@ def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
     if (home.info("") or {}).get("type") == "file":
         folder, name = source_of(home.address())
         return folder, [name]
-    paths = [path for path in home.walk() if not store.is_hidden(path) and is_video(home, path)]
+    paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
     if not paths:
-        raise InputError(
-            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS",
-            next="check the path",
-        )
+        raise InputError(f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS")
     return home, paths
 
 
@@ -106,7 +95,7 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
     folders = {path: path.split("/")[0] for path in paths if path.count("/") == 1}
     if len(folders) < len(paths) or len({*folders.values()}) < 2:
         return {}
-    return {path: {_LABEL: name} for path, name in folders.items()}
+    return {path: {NUMBERED: name} for path, name in folders.items()}
 
 
 def _lines(
@@ -115,15 +104,15 @@ def _lines(
     """Return the path of each line of the table, and the line; None if there is no table."""
 
     def read(folder: store.DataFolder, name: str) -> list[tuple[str, dict[str, Any]]]:
-        names, lines = read_table(folder, name)
-        require_columns(names, [image], folder.address(name))
+        names, lines = found_touches.read_table(folder, name)
+        found_touches.require_columns(names, [image], folder.address(name))
         return [(path_of(str(each[image] or "")), each) for each in lines]
 
     if table is not None:
         return read(*source_of(table))
     found = {}
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in visible_files(home, TABLE_ENDINGS):
+    for name in found_touches.visible_files(home, TABLE_ENDINGS):
         if not name.startswith(streams) and image in _header(home, name):
             lines = read(home, name)
             if {path for path, _ in lines}.intersection(paths):
@@ -135,13 +124,10 @@ def _lines(
 
 
 def _header(home: store.DataFolder, name: str) -> list[str]:
-    """Return the columns of a table, which may be of a sensor and long; none if it has no header."""
-    with open_source(home, name) as stream:
-        header = stream.read(_HEADER_BYTES).partition(b"\n")[0]
-    try:
-        return table_lines(header, name)[0]
-    except InputError:
-        return []
+    """Return the columns of a table by its first two lines; it may be long, or of no text."""
+    with suppress(InputError), found_touches.open_source(home, name) as stream:
+        return table_lines(b"\n".join(stream.read(_HEADER_BYTES).split(b"\n")[:2]), name)[0]
+    return []
 
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:
@@ -155,7 +141,7 @@ def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
         ranges = [range(item.start, item.start + max(1, item.frames)) for item in group]
         left = sum(map(len, ranges))
         try:
-            for picture in encoded_pictures(store.open_folder(home), path, chain.from_iterable(ranges)):
+            for picture in video.encoded_pictures(store.open_folder(home), path, chain.from_iterable(ranges)):
                 left -= 1
                 yield picture
         except ItemError as error:
