@@ -184,23 +184,23 @@ def _text_batches(stream: IO[bytes], path: str) -> Iterator[pa.Table]:
     """Yield the rows of a text table, all columns as text."""
     encoding = "utf-16" if stream.read(2) in (b"\xff\xfe", b"\xfe\xff") else "utf-8-sig"
     stream.seek(0)
-    lines = io.TextIOWrapper(stream, encoding, newline="")
-    text, separator = table_text(lines.read(_HEADER_BYTES).encode(), path)
-    header, _, rest = text.partition("\n")
-    names = next(csv.reader([header.rstrip("\r")], delimiter=separator, skipinitialspace=True), [])
-    parsing = pa.csv.ParseOptions(delimiter=separator, newlines_in_values=True)
-    types = pa.csv.ConvertOptions(column_types=dict.fromkeys(_checked_names(names, path), pa.string()))
-    for block in _line_blocks(rest, lines, path, is_quoted=True):
-        reading = pa.csv.ReadOptions(
-            use_threads=False, block_size=len(block) + 1, column_names=_checked_names(names, path)
-        )
-        yield pa.csv.read_csv(pa.BufferReader(block), reading, parsing, types)
+    with io.TextIOWrapper(stream, encoding, newline="") as lines:
+        text, separator = table_text(lines.read(_HEADER_BYTES).encode(), path)
+        header, _, rest = text.partition("\n")
+        names = next(csv.reader([header.rstrip("\r")], delimiter=separator, skipinitialspace=True), [])
+        names = _checked_names(names, path)
+        parsing = pa.csv.ParseOptions(delimiter=separator, newlines_in_values=True)
+        types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
+        for block in _line_blocks(rest, lines, path, is_quoted=True):
+            reading = pa.csv.ReadOptions(use_threads=False, block_size=len(block) + 1, column_names=names)
+            yield pa.csv.read_csv(pa.BufferReader(block), reading, parsing, types)
 
 
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.Table]:
-    for block in _line_blocks("", io.TextIOWrapper(stream, "utf-8-sig", newline=""), path):
-        reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
-        yield pa.json.read_json(pa.BufferReader(block), reading)
+    with io.TextIOWrapper(stream, "utf-8-sig", newline="") as lines:
+        for block in _line_blocks("", lines, path):
+            reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
+            yield pa.json.read_json(pa.BufferReader(block), reading)
 
 
 def _line_blocks(start: str, lines: IO[str], path: str, is_quoted: bool = False) -> Iterator[bytes]:
@@ -213,8 +213,9 @@ def _line_blocks(start: str, lines: IO[str], path: str, is_quoted: bool = False)
             yield block[:end].encode()
             block = block[end:]
         elif len(block) > _LONGEST_LINE:
-            found = f"a line of more than {_LONGEST_LINE:,} letters, or a quote that does not end"
-            raise InputError(f"{path!r} has {found}; expected a table")
+            raise InputError(f"{path!r} has a line of more than {_LONGEST_LINE:,} letters; expected a table")
+    if is_quoted and block.count('"') % 2:
+        raise InputError(f"{path!r} has a quote that does not end; expected a table")
     if block.strip():
         yield block.encode()
 

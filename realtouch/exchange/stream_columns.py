@@ -75,15 +75,15 @@ def _vectors(values: pa.Array, missing: Bool, what: str) -> AnyArray:
     if len(lengths) != 1 or inside.dtype.kind not in "iufb":
         found = f"lists of {', '.join(map(str, lengths[:8]))} values of the type {values.type.value_type}"
         raise InputError(f"{what} holds {found}; expected lists of one number of numbers")
-    found = np.zeros((len(values), int(lengths[0])), inside.dtype)
-    found[~missing] = inside.reshape(-1, int(lengths[0]))
-    return found
+    vectors: AnyArray = np.zeros((len(values), int(lengths[0])), inside.dtype)
+    vectors[~missing] = inside.reshape(-1, int(lengths[0]))
+    return vectors
 
 
 def aligned_values(
     columns: Mapping[str, Values], around: Neighbours, is_linear: bool, pose: Sequence[str]
 ) -> dict[str, AnyArray]:
-    """Return the value of each picture in each column; see :func:`realtouch.exchange.streams.with_streams`."""
+    """Return the value of each picture in each column; those of a pose as :func:`with_streams` says."""
     found = {
         name: values.at(around, is_linear and name not in pose).plain() for name, values in columns.items()
     }

@@ -85,10 +85,14 @@ def with_streams(
             recording, found, report = _by_row(recording, stream, how)
         else:
             found, report = _by_time(recording, stream, recording.time_s, stream.time_s, how, columns)
-        taken = {*recording.per_frame, *recording.values}
-        named = {f"{stream.name}.{name}" if name in taken else name: each for name, each in found.items()}
-        recording = replace(recording, per_frame={**recording.per_frame, **named})
-        reports.append(replace(report, columns=tuple(named)))
+        added = dict(recording.per_frame)
+        for name, values in found.items():
+            while name in added or name in recording.values:
+                name = f"{stream.name}.{name}"
+            added[name] = values
+        columns_added = tuple(name for name in added if name not in recording.per_frame)
+        recording = replace(recording, per_frame=added)
+        reports.append(replace(report, columns=columns_added))
     return recording, reports
 
 
@@ -104,9 +108,9 @@ def _by_row(
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
         raise InputError(
-            f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} {recording.frames:,} "
-            f"pictures; expected as many, as {which} has no times",
-            next="name the column of times (`--map time=COLUMN`), or give a table with a row for each picture",
+            f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} "
+            f"{recording.frames:,} pictures; expected as many, as {which} has no times",
+            next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
     table = stream.table.rows(np.arange(stream.rows))
     if stream.time_s is not None:
