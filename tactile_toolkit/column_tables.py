@@ -21,9 +21,6 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.text_tables import TABLE_ENDINGS, table_text
 
-COLUMN_TABLE_ENDINGS = (*TABLE_ENDINGS, ".parquet", ".jsonl", ".ndjson")
-"""Endings of the names of such tables, in lower case."""
-
 MOST_ROWS = 1 << 25
 """Longest table that is read: nine hours of 1,000 rows a second."""
 
@@ -62,10 +59,8 @@ class ColumnTable:
         self.path, self._open = path, open_file
         self._types: dict[str, pa.DataType] = {}
         ending = path[path.rfind(".") :].lower()
-        self._is_text = ending in TABLE_ENDINGS
-        self._read = _text_batches
-        if not self._is_text:
-            self._read = _parquet_batches if ending == ".parquet" else _json_batches
+        self._read = _READERS.get(ending, _text_batches)
+        self._is_text = self._read is _text_batches
         first = next(self._batches(), None)
         self.names: list[str] = [] if first is None else list(first.schema.names)
 
@@ -231,3 +226,8 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.Table]:
         require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
     for batch in file.iter_batches(_ROWS_AT_ONCE, use_threads=False):
         yield pa.Table.from_batches([batch])
+
+
+_READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _json_batches}
+COLUMN_TABLE_ENDINGS = (*TABLE_ENDINGS, *_READERS)
+"""Endings of the names of such tables, in lower case."""

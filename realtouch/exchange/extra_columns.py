@@ -1,4 +1,4 @@
-"""Columns of a source that mean nothing to this toolkit: kept with their types, as columns ``extra.NAME``.
+"""Columns of a source that mean nothing to this toolkit: kept with their types, as extra columns.
 
 A touch has one value of each, or one for each picture of its clip. Missing values stay missing.
 """
@@ -19,9 +19,6 @@ from realtouch.touch_options import ImportColumns, is_extra_name
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.shown_text import printable
-
-EXTRA = "extra."
-"""How the names of such columns begin in a data set."""
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
@@ -132,7 +129,10 @@ def not_kept(items: Iterable[FoundTouch], columns: ImportColumns, types: Iterabl
 
 
 def _time_s(item: FoundTouch, columns: ImportColumns) -> float:
-    return float(times_s([item.values.get(columns.time or "")], columns)[0])
+    value = item.values.get(columns.time or "")
+    if value is None and TIME_S in item.values:  # of a picture of a recording, in seconds
+        value, columns = item.values[TIME_S], ImportColumns()
+    return float(times_s([value], columns)[0])
 
 
 def value_type(values: Iterable[object], depth: int = 0) -> pa.DataType | None:

@@ -9,10 +9,10 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.extra_columns import EXTRA, extra_arrays, extra_types
+from realtouch.exchange.extra_columns import extra_arrays, extra_types
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.imported_clips import ImportedClip
-from realtouch.schema import POSE_COLUMN
+from realtouch.schema import EXTRA_PREFIX, POSE_COLUMN, extra_columns
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
@@ -56,7 +56,12 @@ def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[F
             "touch_end_time_rel": _TIME,
         }
     known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
-    known |= {f"{EXTRA}{name}": data_type for name, data_type in extra_types(items, columns).items()}
+    sources, of_pictures = dict(columns.extra), {name for item in items for name in item.per_frame}
+    for name, data_type in extra_types(items, columns).items():
+        prefix = EXTRA_PREFIX["touch"]
+        if sources.get(name, name) in of_pictures:
+            prefix = EXTRA_PREFIX["frame"]
+        known[f"{prefix}{name}"] = data_type
     of_round = [("id", pa.string()), ("label", pa.int64())]
     if columns.object_id:
         of_round.append(("object_id", pa.int64()))
@@ -66,8 +71,8 @@ def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[F
 
 def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
     """Return the type of the value of a touch in each extra column of a schema, by its name."""
-    fields = (each for each in schema if each.name.startswith(EXTRA))
-    return {each.name.removeprefix(EXTRA): each.type.value_type for each in fields}
+    stored = extra_columns(schema.names)
+    return {name: schema.field(column).type.value_type for name, column in stored.items()}
 
 
 def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.Schema) -> pa.Table:
@@ -82,9 +87,8 @@ def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.
     }
     items = [touch.item for touch in touches]
     of_touches = _media_and_poses(touches, schema)
-    extras = extras_in(schema)
-    arrays = extra_arrays(items, columns, extras)
-    of_touches |= {f"{EXTRA}{name}": array for name, array in zip(extras, arrays, strict=True)}
+    arrays = extra_arrays(items, columns, extras_in(schema))
+    of_touches |= dict(zip(extra_columns(schema.names).values(), arrays, strict=True))
     offsets = pa.array([*starts, len(touches)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:

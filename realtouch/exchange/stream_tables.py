@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import PurePosixPath
@@ -11,7 +11,6 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.found_touches import open_source
-from realtouch.exchange.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS, ColumnTable
@@ -21,6 +20,7 @@ from tactile_toolkit.units import PER_SECOND
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
 """Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
 
+_JOINTS = "._"  # between the name of a recording and that of a stream
 _UTC = pa.timestamp("ns", "UTC")
 
 
@@ -107,7 +107,7 @@ def open_stream(
     if not rows:
         raise InputError(f"{place!r} has no rows; expected a row for each sample")
     shown = PurePosixPath(name).stem
-    shown = shown.removeprefix(stem).lstrip("._-") or shown
+    shown = shown.removeprefix(stem).lstrip(_JOINTS) or shown
     if not column:
         return Stream(shown, place, table, rows)
     time_s = _seconds(found, column, time_unit, place)
@@ -187,21 +187,21 @@ def _instants(values: pa.ChunkedArray, what: str) -> pa.ChunkedArray:
     raise InputError(f"{what} are text such as {shown!r}; expected numbers, or dates with times (ISO 8601)")
 
 
-def streams_beside(home: store.DataFolder, recording: Recording) -> list[str]:
-    """Return the tables that are named like the file of a recording, below the source, in order.
+def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the tables of a folder that belong to each of its other files, by their names without endings.
 
     ``take1.csv``, ``take1.force.csv`` and ``take1_force.csv`` belong to ``take1.mp4``, unless a longer name
-    of another file fits as well, such as that of ``take1_force.mp4``.
+    fits as well, such as that of ``take1_force.mp4``.
     """
-    folder, _, file = recording.path.rpartition("/")
-    prefix = f"{folder}/" if folder else ""
-    names = [name for name in home.sizes(folder) if name != file and not store.is_hidden(name)]
-    tables = [name for name in names if name.lower().endswith(COLUMN_TABLE_ENDINGS)]
-    stems = {PurePosixPath(name).stem for name in {*names, file} - {*tables}} | {PurePosixPath(file).stem}
-
-    def owner(table: str) -> str:
-        stem = PurePosixPath(table).stem
-        fitting = (each for each in stems if stem == each or stem.startswith((f"{each}.", f"{each}_")))
-        return max(fitting, key=len, default="")
-
-    return [f"{prefix}{name}" for name in sorted(tables) if owner(name) == PurePosixPath(file).stem]
+    seen = [name for name in names if not store.is_hidden(name)]
+    tables = [name for name in seen if name.lower().endswith(COLUMN_TABLE_ENDINGS)]
+    stems = {PurePosixPath(name).stem for name in {*seen} - {*tables}}
+    found: dict[str, list[str]] = {}
+    for name in sorted(tables):
+        whole = PurePosixPath(name).stem
+        ends = [at for at, letter in enumerate(whole) if letter in _JOINTS]
+        fitting = (whole[:end] for end in (len(whole), *reversed(ends)))
+        owner = next((stem for stem in fitting if stem in stems), None)
+        if owner is not None:
+            found.setdefault(owner, []).append(name)
+    return found

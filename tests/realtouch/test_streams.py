@@ -12,13 +12,17 @@ import pyarrow.parquet as pq
 import pytest
 from scipy.spatial.transform import Rotation, Slerp
 
+import realtouch
 from realtouch import ImportColumns
 from realtouch.alignment_options import Alignment
+from realtouch.avi import write_avi
 from realtouch.exchange.recordings import Recording
-from realtouch.exchange.stream_tables import Stream, open_stream, streams_beside
+from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
 from realtouch.exchange.streams import with_streams
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import encode_image
+from tests.realtouch.made_recordings import SIZE, MadeRecording
 
 NO_COLUMNS = ImportColumns()
 
@@ -225,25 +229,73 @@ def test_streams_that_do_not_fit_are_refused(
         with_streams(recording(time_s, frames), [given], Alignment(), NO_COLUMNS)
 
 
-def test_tables_beside_a_recording(tmp_path: Path) -> None:
+def test_tables_beside_a_recording() -> None:
     names = ["take1.mp4", "take1_2.mp4", "take1.csv", "take1.force.CSV", "take1_pose.parquet", "take1_2.csv"]
-    names += ["take1_2.force.jsonl", "take10.csv", "index.csv", "take1.txt", ".take1.csv"]
-    (tmp_path / "day").mkdir()
-    for name in names:
-        (tmp_path / "day" / name).touch()
-    home = store.open_folder(str(tmp_path))
-
-    def beside(name: str) -> list[str]:
-        return streams_beside(home, Recording("take", "", f"day/{name}", "", 0, 1, 1))
-
-    assert beside("take1.mp4") == [
-        f"day/{name}" for name in ("take1.csv", "take1.force.CSV", "take1_pose.parquet")
-    ]
-    assert beside("take1_2.mp4") == ["day/take1_2.csv", "day/take1_2.force.jsonl"]
-    assert streams_beside(home, Recording("take", "", "none.mp4", "", 0, 1, 1)) == []
+    names += ["take1_2.force.jsonl", "take10.csv", "index.csv", "take1.txt", ".take1.csv", "take1"]
+    assert tables_by_stem(names) == {
+        "take1": ["take1.csv", "take1.force.CSV", "take1_pose.parquet"],
+        "take1_2": ["take1_2.csv", "take1_2.force.jsonl"],
+    }
+    assert tables_by_stem(["file-000.parquet", "file-001.parquet"]) == {}
 
 
 def test_alignment_states_its_limits() -> None:
     for wrong in ({"method": "cubic"}, {"max_gap_ms": 0.0}, {"time_offset_s": float("nan")}):
         with pytest.raises(InputError, match="of the alignment is"):
             Alignment(**wrong)
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """Two videos of 100 pictures, each with two touches, and streams beside them."""
+    home = tmp_path / "takes"
+    home.mkdir()
+    for number in (1, 2):
+        made = MadeRecording(100, [(15, 25), (60, 80)], noise=1.0)
+        frames = [encode_image(made.picture(frame)) for frame in range(100)]
+        (home / f"take{number}.avi").write_bytes(write_avi(frames, SIZE[1], SIZE[0], 25.0))
+        force_s = np.arange(4000) / 1000
+        stream(home, {"time_s": force_s, "fz": 10 * number + force_s}, f"take{number}.force.csv")
+        stream(home, {"seq": np.arange(100) + 1000 * number}, f"take{number}.jsonl")
+    return home
+
+
+@pytest.mark.parametrize("cut", ["whole", "contact", "frames", "table"])
+def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path: Path) -> None:
+    if cut == "table":
+        cut = str(takes / "take1_cuts.csv")  # beside a video, and no stream of it
+        lines = [f"take{number},{start},{start + 0.8},mug" for number in (1, 2) for start in (0.4, 2.2)]
+        Path(cut).write_text("\n".join(["recording,start_s,end_s,label", *lines]) + "\n")
+    stream(tmp_path, {"time_s": np.arange(41) / 10, "warmth": np.arange(41) / 10}, "room.csv")
+    how = Alignment(method="linear")
+    manifest = realtouch.import_touches(
+        takes, tmp_path / "out", streams=[str(tmp_path / "room.csv")], alignment=how, cut=cut
+    )
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert not any(record.skipped for record in manifest.shards)
+    touches = rounds.touches()
+    assert len(touches) == {"whole": 2, "contact": 4, "frames": 200}.get(cut, 4)
+    for index, touch in enumerate(touches):
+        number = 1 + index * 2 // len(touches)
+        seq = np.atleast_1d(touch.extra["seq"]) - 1000 * number
+        np.testing.assert_allclose(
+            np.atleast_1d(touch.extra["fz"]), 10 * number + seq / 25, rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(np.atleast_1d(touch.extra["warmth"]), seq / 25, rtol=0, atol=1e-9)
+        assert (np.diff(seq) == 1).all()
+        if cut == "whole":
+            assert len(seq) == len(touch.clip) == 100
+    assert sorted(each.name for each in (tmp_path / "out").glob("cuts/*")) == (
+        ["take1.png", "take2.png"] if cut == "contact" else []
+    )
+
+
+def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tmp_path: Path) -> None:
+    (takes / "take2_note.csv").write_text("note\nfine\n")
+    manifest = realtouch.import_touches(takes, tmp_path / "out")
+    (skipped,) = [each for record in manifest.shards for each in record.skipped]
+    assert "take2_note.csv' has 1 rows, the recording 'take2' 100 pictures" in skipped.message
+    assert "give it another name" in skipped.message
+    late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").place
+    with pytest.raises(InputError, match="expected a common time"):
+        realtouch.import_touches(takes, tmp_path / "two", streams=[late])
