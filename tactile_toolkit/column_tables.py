@@ -6,7 +6,7 @@ import csv
 import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
@@ -106,6 +106,16 @@ class ColumnTable:
                 parts.append(batch.take(pa.array(numbers[first:last] - start)))
             start += len(batch)
         return self._together(parts)
+
+    def lines(self, most: int) -> list[dict[str, Any]]:
+        """Return all rows as objects of Python; InputError for more than ``most``."""
+        rows, _ = self.scan()
+        if rows > most:
+            raise InputError(f"{self.path!r} has {rows:,} rows; expected at most {most:,}")
+        if not rows:
+            return []
+        found: list[dict[str, Any]] = self.rows(np.arange(rows)).to_pylist()
+        return found
 
     def _common(self, known: pa.DataType, values: pa.ChunkedArray, name: str) -> pa.DataType:
         """Return the type of a column, given that of earlier rows."""
@@ -229,5 +239,7 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.Table]:
 
 
 _READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _json_batches}
-COLUMN_TABLE_ENDINGS = (*TABLE_ENDINGS, *_READERS)
-"""Endings of the names of such tables, in lower case."""
+TYPED_ENDINGS = tuple(_READERS)
+"""Endings of the names of tables whose values have types, in lower case."""
+
+COLUMN_TABLE_ENDINGS = (*TABLE_ENDINGS, *TYPED_ENDINGS)
