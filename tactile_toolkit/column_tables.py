@@ -90,8 +90,8 @@ class ColumnTable:
             rows += len(batch)
             for name in batch.schema.names:
                 self._types[name] = self._common(self._types.get(name, pa.null()), batch.column(name), name)
-            if column in batch.schema.names:
-                kept.append(batch.select([column]))
+            if column in batch.schema.names:  # as numbers, which take less space than text
+                kept.append(pa.table({column: self._typed(batch.column(column), column)}))
         self.names = list(self._types) or self.names
         if not kept:
             return rows, pa.chunked_array([pa.nulls(rows)])
@@ -139,13 +139,13 @@ class ColumnTable:
         """Return parts of the table as one, each column of the type that all of its rows have."""
         with self._named_errors():
             found = pa.concat_tables(parts, promote_options="permissive")
-            columns = {}
-            for name in found.schema.names:
-                values = found.column(name)
-                if self._is_text and not pa.types.is_string(self._types[name]):
-                    values = _without_words(values)
-                columns[name] = values.cast(self._types[name])
-            return pa.table(columns)
+            return pa.table({name: self._typed(found.column(name), name) for name in found.schema.names})
+
+    def _typed(self, values: pa.ChunkedArray, name: str) -> pa.ChunkedArray:
+        """Return values of a column with the type that is known of it."""
+        if pa.types.is_string(values.type) and not pa.types.is_string(self._types[name]):
+            values = _without_words(values)
+        return values.cast(self._types[name])
 
 
 def _checked_names(names: Sequence[str], path: str) -> list[str]:

@@ -148,6 +148,9 @@ def test_a_row_for_each_picture_needs_no_times(tmp_path: Path) -> None:
     found, _ = with_streams(recording(None, 3), [timed], Alignment(time_offset_s=1.0), NO_COLUMNS)
     np.testing.assert_array_equal(found.time_s, [1, 1.04, 1.04])
     assert list(found.per_frame) == ["force"]
+    unnamed = stream(tmp_path, {"stamp": [0, 40, 80], "force": [1.0, 2, 3]}, "take1.csv", time_unit="ms")
+    found, _ = with_streams(recording(np.arange(3) / 25), [unnamed], Alignment(), NO_COLUMNS)
+    assert found.per_frame["force"].tolist() == [1, 2, 3]
     asked = stream(tmp_path, {"time_ms": [5, 6, 7]}, "take1.csv", time="")
     found, _ = with_streams(recording(np.arange(3.0)), [asked], Alignment(), NO_COLUMNS)
     np.testing.assert_array_equal(found.per_frame["time_ms"], [5, 6, 7])
@@ -191,7 +194,6 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
         ),
         ({"time_s": [0.0, None], "f": [1, 2]}, {}, "missing in row 2"),
         ({"time": [0, 1], "f": [1, 2]}, {}, "integers, whose unit is not known"),
-        ({"time_ms": [0, 1], "f": [1, 2]}, {"time_unit": "s"}, "in ms by their name; --time-unit states s"),
         ({"time": [0.0], "timestamp": [0.0]}, {}, "several columns of times: time, timestamp"),
         ({"time_s": ["a", "b"], "f": [1, 2]}, {}, "text such as 'a'"),
         ({"time_s": ["inf"], "f": [1]}, {}, "not finite in row 1"),
