@@ -66,12 +66,13 @@ class Neighbours:
         missing = (np.minimum(since, until) > longest) | (gap > longest)
         return cls(np.where(since <= until, before, after), before, after, share, missing)
 
-    def samples(self) -> Int64:
-        """Return the numbers of all samples that are used, rising."""
-        return np.unique(np.concatenate([self.nearest, self.before, self.after]))
+    def samples(self, is_linear: bool = True) -> Int64:
+        """Return the numbers of all samples that are used, rising; only the nearest ones if not linear."""
+        used = [self.nearest, self.before, self.after]
+        return np.unique(np.concatenate(used if is_linear else used[:1]))
 
     def among(self, samples: Int64) -> Neighbours:
-        """Return the same neighbours, numbered among some samples that hold them all."""
+        """Return the same neighbours, numbered among the samples that are used."""
         nearest, before, after = (
             np.searchsorted(samples, each) for each in (self.nearest, self.before, self.after)
         )

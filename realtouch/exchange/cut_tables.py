@@ -38,6 +38,7 @@ class CutTable:
     recording: str | None  # its column
     _used: dict[int, str] = field(default_factory=dict, repr=False)
     _first: str | None = None
+    _named: dict[str, list[int]] | None = field(default=None, repr=False)
 
     @classmethod
     def read(cls, path: str, time_unit: str | None = None) -> CutTable:
@@ -76,19 +77,17 @@ class CutTable:
                 f"{recording.name!r}",
                 next=f"add a column {_RECORDING[0]!r} with the names of their files",
             )
-        self._first, count = recording.name, 0
-        for number, line in enumerate(self.lines):
-            if not self._means(line, recording):
-                continue
+        self._first = recording.name
+        numbers = self._lines_of(recording)
+        for count, number in enumerate(numbers):
             other = self._used.setdefault(number, recording.name)
             if other != recording.name:
                 raise InputError(
                     f"{self.place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
                     next="write whole paths below the source",
                 )
-            yield self._touch(recording, line, f"{recording.name}_{count:03d}")
-            count += 1
-        if not count:
+            yield self._touch(recording, self.lines[number], f"{recording.name}_{count:03d}")
+        if not numbers:
             yield recording.unusable(ItemError("cut", f"no line of {self.place!r} names it"))
 
     def unused(self) -> Iterator[FoundTouch]:
@@ -99,13 +98,18 @@ class CutTable:
                 problem = ItemError("recording", f"names {meant!r}; expected a recording of the source")
                 yield FoundTouch(f"row {number + 1} of the cuts", self.place, "", 0, 0, dict(line), problem)
 
-    def _means(self, line: Mapping[str, Any], recording: Recording) -> bool:
+    def _lines_of(self, recording: Recording) -> Sequence[int]:
+        """Return the numbers of the lines of a recording; all, if no column names recordings."""
         if self.recording is None:
-            return True
-        meant = path_of(text_of(line, self.recording))
+            return range(len(self.lines))
+        if self._named is None:
+            self._named = {}
+            for number, line in enumerate(self.lines):
+                self._named.setdefault(path_of(text_of(line, self.recording)), []).append(number)
         path = PurePosixPath(recording.path)
-        names = {recording.name, recording.path, path.name, str(path.with_suffix("")), path.stem}
-        return meant in names - {""}
+        without_ending = recording.path.removesuffix(path.suffix)
+        names = {recording.name, recording.path, path.name, without_ending, path.stem} - {""}
+        return sorted(number for name in names for number in self._named.get(name, ()))
 
     def _touch(self, recording: Recording, line: Mapping[str, Any], name: str) -> FoundTouch:
         try:

@@ -1,4 +1,4 @@
-"""Columns of a source that mean nothing to this toolkit: kept with their types, as columns ``extra.NAME``.
+"""Columns of a source that mean nothing to this toolkit: kept with their types, as extra columns.
 
 A touch has one value of each, or one for each picture of its clip. Missing values stay missing.
 """
@@ -170,7 +170,10 @@ def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterabl
 
 
 def _time_s(item: FoundTouch, columns: ImportColumns) -> float:
-    return float(times_s([item.values.get(columns.time or "")], columns)[0])
+    value = item.values.get(columns.time or "")
+    if value is None and TIME_S in item.values:  # of a picture of a recording, in seconds
+        value, columns = item.values[TIME_S], ImportColumns()
+    return float(times_s([value], columns)[0])
 
 
 def value_type(values: Iterable[object]) -> pa.DataType | None:

@@ -1,4 +1,4 @@
-"""A folder of images with a CSV table of what is known of them."""
+"""A folder of images with a table of what is known of them."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from realtouch.exchange.found_touches import (
 )
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
+from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 
 def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
@@ -46,10 +46,11 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
 
 
 def _table_name(home: store.DataFolder) -> str:
-    found = visible_files(home, TABLE_ENDINGS)
+    found = visible_files(home, COLUMN_TABLE_ENDINGS)
     if len(found) != 1:
         raise InputError(
-            f"{home.address()!r} should be a folder with one CSV file; found {', '.join(found) or 'none'}",
+            f"{home.address()!r} should be a folder with one table (CSV, TSV, JSON lines or Parquet); found "
+            f"{', '.join(found) or 'none'}",
             next="name it with --table",
         )
     return found[0]

@@ -17,6 +17,7 @@ from realtouch.exchange.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
 from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.text_tables import table_lines
@@ -31,6 +32,7 @@ _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
 
 _SIZES_SEEN = 32
+_MOST_LINES = 1 << 21  # of a table of touches
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,7 +206,11 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
 
 
 def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return the columns and lines of a table; InputError if it cannot be read."""
+    """Return the columns and lines of a table; those of text are text. InputError if it cannot be read."""
+    if name.lower().endswith(TYPED_ENDINGS):
+        table = ColumnTable(folder.address(name), partial(open_source, folder, name))
+        lines = table.lines(_MOST_LINES)
+        return table.names, lines
     with open_source(folder, name) as stream:
         content = stream.read()
     return table_lines(content, folder.address(name))

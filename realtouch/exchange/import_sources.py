@@ -6,11 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 from realtouch.alignment_options import Alignment
+from realtouch.exchange.aligner import Aligner
 from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.recognised import Recognised, recognised
-from realtouch.exchange.recordings import Recording, touches_of
+from realtouch.exchange.recordings import CUTS, Recording, touches_of
+from realtouch.exchange.streams import StreamReport
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
@@ -35,7 +37,8 @@ class FoundSource:
     """The touches of a source.
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
-    recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name.
+    recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
+    say how streams of other rates fit to the recordings.
     """
 
     home: store.DataFolder
@@ -45,6 +48,7 @@ class FoundSource:
     columns: ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
+    streams: Sequence[StreamReport] = ()
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -64,8 +68,8 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
-    completed = columns.found_in(_known(items))
-    return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures)
+    completed, aligned = columns.found_in(_known(items)), cuts.aligner.reports
+    return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures, aligned)
 
 
 def _found(
@@ -105,6 +109,8 @@ class _Cuts:
         self.pictures: Mapping[str, bytes] = {}
         self._wanted, self._format = reading.cut, IMPORTS[layout]
         self._columns = reading.columns or ImportColumns()
+        others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
+        self.aligner = Aligner(reading.streams, reading.alignment, self._columns, others)
 
     def touches(self, found: Iterable[FoundTouch | Recording]) -> Iterator[FoundTouch]:
         """Yield the touches of a source."""
@@ -120,9 +126,11 @@ class _Cuts:
                 yield each
 
     def _noted(self, found: FoundTouch | Recording) -> FoundTouch | Recording:
-        if isinstance(found, Recording):
-            self.done = self._wanted or found.cut or self._format.cut
-        return found
+        """Return what was found, a recording with its streams."""
+        if not isinstance(found, Recording):
+            return found
+        self.done = self._wanted or found.cut or self._format.cut
+        return self.aligner.aligned(found)
 
     def require_recordings(self, home: store.DataFolder) -> None:
         """Refuse to cut a source of single pictures (InputError)."""

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import io
 import itertools
+import json
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
@@ -179,6 +182,23 @@ def test_a_table_says_when_touches_start_and_end(text: str, tmp_path: Path) -> N
         {"round_id": "take1", "label": "fork"},
     ]
     assert not any(each.problem or each.contact for each in found)
+
+
+@pytest.mark.parametrize("ending", ["jsonl", "parquet"])
+def test_tables_with_types_say_it_too(ending: str, tmp_path: Path) -> None:
+    lines = [
+        {"start_ms": 400, "end_ms": 800.0, "label": 3},
+        {"start_ms": 600, "end_ms": 1200.0, "label": None},
+    ]
+    if ending == "parquet":
+        pq.write_table(pa.Table.from_pylist(lines), tmp_path / "cuts.parquet")
+    else:
+        table(tmp_path, "".join(f"{json.dumps(line)}\n" for line in lines), "cuts.jsonl")
+    found = cut([plain()], str(tmp_path / f"cuts.{ending}"))
+    assert [(each.start, each.frames, each.values["label"]) for each in found] == [
+        (10, 11, 3),
+        (15, 16, None),
+    ]
 
 
 def test_the_unit_of_start_and_end_may_be_given(tmp_path: Path) -> None:

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 from PIL import Image
@@ -54,6 +55,22 @@ def test_tables_of_spreadsheets_and_other_systems(
     found = imported(home, tmp_path / "out")
     assert [found.label_names[label] for label in found.labels] == ["a", "b"]
     assert bytes(found[1].sensor_image.encoded(0)) == (home / "pictures" / "1.jpg").read_bytes()
+
+
+@pytest.mark.parametrize("ending", ["jsonl", "parquet"])
+def test_tables_whose_values_have_types(ending: str, home: Path, tmp_path: Path) -> None:
+    lines = [
+        {"file": f"pictures/{number}.jpg", "label": name, "force_n": force}
+        for number, name, force in ((0, "a", 0.5), (1, "b", None))
+    ]
+    if ending == "parquet":
+        pq.write_table(pa.Table.from_pylist(lines), home / "index.parquet")
+    else:
+        (home / "index.jsonl").write_text("".join(f"{json.dumps(line)}\n" for line in lines))
+    realtouch.import_touches(home, tmp_path / "out")
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert [rounds.label_names[label] for label in rounds.labels] == ["a", "b"]
+    np.testing.assert_array_equal([touch.extra["force_n"] for touch in rounds.touches()], [0.5, np.nan])
 
 
 def poses_in(unit: str, scale: float, decimal: str = ".") -> list[dict[str, str]]:
@@ -363,7 +380,7 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
             source.mkdir()
             make(source / name)
             with pytest.raises(
-                (InputError, IntegrityError), match=r"a link leads out|not a regular file|holds no|one CSV"
+                (InputError, IntegrityError), match=r"a link leads out|not a regular file|holds no|one table"
             ):
                 realtouch.import_touches(source, tmp_path / "none", layout)  # type: ignore[arg-type]
             assert not (tmp_path / "none").exists()

@@ -1,0 +1,303 @@
+"""Streams of other rates, aligned to the pictures of recordings: known values, gaps, clocks and tables."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from scipy.spatial.transform import Rotation, Slerp
+
+import realtouch
+from realtouch import ImportColumns
+from realtouch.alignment_options import Alignment
+from realtouch.avi import write_avi
+from realtouch.exchange.recordings import Recording
+from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
+from realtouch.exchange.streams import with_streams
+from tactile_toolkit import store
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import encode_image
+from tests.realtouch.made_recordings import SIZE, MadeRecording
+
+NO_COLUMNS = ImportColumns()
+
+
+def recording(time_s: np.ndarray | None, frames: int = 0, **more: Any) -> Recording:
+    frames = frames or len(time_s if time_s is not None else ())
+    return Recording("take1", "/home", "take1.mp4", "", 0, frames, 1000, time_s=time_s, **more)
+
+
+def jittered(count: int, rate: float, seed: int = 0) -> np.ndarray:
+    random = np.random.default_rng(seed)
+    return (np.arange(count) + random.uniform(-0.3, 0.3, count)) / rate
+
+
+def stream(folder: Path, columns: dict[str, Any], name: str = "take1.force.csv", **options: Any) -> Stream:
+    table = pa.table(columns)
+    if name.endswith(".parquet"):
+        pq.write_table(table, folder / name)
+    elif name.endswith(".jsonl"):
+        (folder / name).write_text("".join(f"{json.dumps(row)}\n" for row in table.to_pylist()))
+    else:
+        rows = [
+            ",".join("" if each is None else str(each) for each in row.values()) for row in table.to_pylist()
+        ]
+        (folder / name).write_text("\n".join([",".join(columns), *rows]) + "\n")
+    return open_stream(store.open_folder(str(folder)), name, stem="take1", **options)
+
+
+@pytest.mark.parametrize("ending", ["csv", "parquet", "jsonl"])
+@pytest.mark.parametrize("method", ["nearest", "linear"])
+def test_forces_and_poses_get_the_times_of_the_pictures(ending: str, method: str, tmp_path: Path) -> None:
+    """A camera at 60 Hz with jitter, a force at 1 kHz and poses at 30 Hz, all of known functions of time."""
+    camera_s = 0.5 + jittered(240, 60)
+    force_s, pose_s = np.arange(6000) / 1000, jittered(180, 30, 1)
+    force = {"time_s": force_s, "fz": np.sin(3 * force_s), "count": np.arange(6000), "ok": force_s > 2}
+    angles = np.column_stack([0.4 * pose_s, np.sin(pose_s), 0.2 * pose_s])
+    turns = Rotation.from_rotvec(angles)
+    pose = {"time_ms": pose_s * 1000, "x": 2 * pose_s, "y": -pose_s, "z": 1 + pose_s}
+    pose |= dict(zip(("qx", "qy", "qz", "qw"), turns.as_quat().T, strict=True))
+    columns = ImportColumns(pose=("x", "y", "z", "qx", "qy", "qz", "qw"))
+    streams = [
+        stream(tmp_path, force, f"take1.force.{ending}"),
+        stream(tmp_path, pose, f"take1_pose.{ending}"),
+    ]
+    given = recording(camera_s, per_frame={"exposure": np.arange(240)})
+    found, reports = with_streams(given, streams, Alignment(method=method), columns)
+
+    assert list(found.per_frame) == ["exposure", "fz", "count", "ok", *columns.pose]
+    nearest = np.abs(camera_s[:, None] - force_s).argmin(axis=1)
+    np.testing.assert_array_equal(found.per_frame["count"], nearest)
+    np.testing.assert_array_equal(found.per_frame["ok"], nearest > 2000)
+    of_pose = np.abs(camera_s[:, None] - pose_s).argmin(axis=1)
+    quaternion = np.column_stack([found.per_frame[name] for name in columns.pose[3:]])
+    if method == "nearest":
+        np.testing.assert_allclose(found.per_frame["fz"], force["fz"][nearest], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(found.per_frame["x"], pose["x"][of_pose], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(quaternion, turns.as_quat()[of_pose], rtol=0, atol=1e-12)
+    else:
+        np.testing.assert_allclose(found.per_frame["fz"], np.sin(3 * camera_s), rtol=0, atol=2e-6)
+        np.testing.assert_allclose(found.per_frame["z"], 1 + camera_s, rtol=0, atol=1e-9)
+        rest = Rotation.from_quat(quaternion) * Slerp(pose_s, turns)(camera_s).inv()
+        assert rest.magnitude().max() < 1e-9
+    assert [each.stream for each in reports] == ["force", "pose"]
+    first = reports[0]
+    assert (first.samples, first.duplicates, first.missing, first.time_column) == (6000, 0, 0, "time_s")
+    assert first.columns == ("fz", "count", "ok")
+    assert first.rate_hz == pytest.approx(1000)
+    assert reports[1].rate_hz == pytest.approx(30, rel=0.1)
+    assert first.first_offset_s == pytest.approx(-camera_s[0])
+    assert first.last_offset_s == pytest.approx(5.999 - camera_s[-1])
+    assert reports[1].largest_gap_s == pytest.approx(np.diff(pose_s).max())
+
+
+def test_pictures_in_gaps_have_missing_values(tmp_path: Path) -> None:
+    time_s = np.arange(21) / 10
+    known = [0.5, 0.6, 0.7, 1.2, 1.3]
+    columns = {"time_s": known, "f": [1.0, 2, 3, None, 5], "n": [1, 2, 3, 4, None], "word": [*"abcde"]}
+    given = stream(tmp_path, columns)
+    missing = ~np.isin(np.round(time_s, 6), [0.4, *known, 1.4])
+    for method in ("nearest", "linear"):
+        found, (report,) = with_streams(recording(time_s), [given], Alignment(method=method), NO_COLUMNS)
+        values = found.per_frame
+        np.testing.assert_array_equal(np.isnan(values["f"]), missing | np.isin(time_s, [1.2]))
+        assert [each for each in values["n"] if each is not None] == [1, 1, 2, 3, 4]
+        assert [each for each in values["word"] if each is not None] == ["a", *"abcde", "e"]
+        assert report.missing == missing.sum()
+    found, _ = with_streams(recording(time_s), [given], Alignment(max_gap_ms=500.0), NO_COLUMNS)
+    assert found.per_frame["word"].tolist() == [*"aaaaaabcccdddeeeeee", None, None]
+
+
+def test_vectors_dates_and_text(tmp_path: Path) -> None:
+    stamps = [f"2026-01-31T12:00:0{number}.5Z" for number in range(4)]
+    start = 1769860800.0
+    columns = {"timestamp": stamps, "pose": [[0.0, number, 0, 0, 0, 0, 1] for number in range(4)]}
+    given = stream(tmp_path, columns, "take1.jsonl")
+    found, _ = with_streams(
+        recording(start + np.array([0.5, 2.0, 3.5])),
+        [given],
+        Alignment(method="linear", max_gap_ms=2000.0),
+        ImportColumns(pose=("pose",)),
+    )
+    np.testing.assert_allclose(found.per_frame["pose"][:, 1], [0, 1.5, 3], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(found.per_frame["pose"][:, 3:], [[0, 0, 0, 1]] * 3)
+
+
+def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) -> None:
+    """Euler angles jump, and what lies between two matrices is no rotation."""
+    for width in (6, 16):
+        columns = {"time_s": [0.0, 0.1], "pose": [[0.0] * width, [1.0] * width], "f": [0.0, 1.0]}
+        given = stream(tmp_path, columns, "take1.jsonl")
+        pictures, how = recording(np.array([0.03, 0.08])), Alignment(method="linear")
+        found, _ = with_streams(pictures, [given], how, ImportColumns(pose=("pose",)))
+        np.testing.assert_allclose(found.per_frame["f"], [0.3, 0.8])
+        np.testing.assert_array_equal(found.per_frame["pose"], [[0.0] * width, [1.0] * width])
+
+
+def test_a_row_for_each_picture_needs_no_times(tmp_path: Path) -> None:
+    given = stream(tmp_path, {"force": [1.0, 2, 3]}, "take1.csv")
+    found, (report,) = with_streams(recording(np.arange(3.0)), [given], Alignment(), NO_COLUMNS)
+    np.testing.assert_array_equal(found.per_frame["force"], [1, 2, 3])
+    assert (report.stream, report.samples, report.rate_hz) == ("take1", 3, None)
+    timed = stream(tmp_path, {"time_ms": [0, 40, 40], "force": [1.0, 2, 3]}, "take1.csv")
+    found, _ = with_streams(recording(None, 3), [timed], Alignment(time_offset_s=1.0), NO_COLUMNS)
+    np.testing.assert_array_equal(found.time_s, [1, 1.04, 1.04])
+    assert list(found.per_frame) == ["force"]
+    unnamed = stream(tmp_path, {"stamp": [0, 40, 80], "force": [1.0, 2, 3]}, "take1.csv", time_unit="ms")
+    found, _ = with_streams(recording(np.arange(3) / 25), [unnamed], Alignment(), NO_COLUMNS)
+    assert found.per_frame["force"].tolist() == [1, 2, 3]
+    asked = stream(tmp_path, {"time_ms": [5, 6, 7]}, "take1.csv", time="")
+    found, _ = with_streams(recording(np.arange(3.0)), [asked], Alignment(), NO_COLUMNS)
+    np.testing.assert_array_equal(found.per_frame["time_ms"], [5, 6, 7])
+
+
+def test_duplicates_keep_the_first_and_are_counted(tmp_path: Path) -> None:
+    given = stream(tmp_path, {"t_s": [0.0, 0.1, 0.1, 0.1, 0.2], "f": [0, 1, 2, 3, 4]})
+    found, (report,) = with_streams(recording(np.array([0, 0.1, 0.2])), [given], Alignment(), NO_COLUMNS)
+    assert found.per_frame["f"].tolist() == [0, 1, 4]
+    assert (report.samples, report.duplicates) == (3, 2)
+
+
+def test_names_that_are_taken_get_that_of_their_stream(tmp_path: Path) -> None:
+    given = [
+        stream(tmp_path, {"time_s": [0.0], "seq": [number], "f": [1.0]}, f"take1.{name}.csv")
+        for number, name in enumerate(("force", "pose", "pose"))
+    ]
+    found, reports = with_streams(recording(np.zeros(1), values={"f": 0}), given, Alignment(), NO_COLUMNS)
+    assert list(found.per_frame) == ["seq", "force.f", "pose.seq", "pose.f", "pose.pose.seq", "pose.pose.f"]
+    assert reports[0].columns == ("seq", "force.f")
+
+
+def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
+    given = stream(tmp_path, {"time_s": 1.7e9 + np.arange(100) / 100, "n": np.arange(100)})
+    camera_s = np.arange(10) / 10
+    with pytest.raises(
+        InputError, match=r"from 1700000000\.000 to 1700000000\.990 s.*from 0\.000 to 0\.900 s"
+    ):
+        with_streams(recording(camera_s), [given], Alignment(), NO_COLUMNS)
+    found, _ = with_streams(recording(camera_s), [given], Alignment(time_offset_s=-1.7e9), NO_COLUMNS)
+    assert found.per_frame["n"].tolist() == list(range(0, 100, 10))
+
+
+@pytest.mark.parametrize(
+    ("columns", "options", "words"),
+    [
+        (
+            {"time_s": [0.0, 0.2, 0.1], "f": [1, 2, 3]},
+            {},
+            r"from 0\.200000 s in row 2 to 0\.100000 s in row 3",
+        ),
+        ({"time_s": [0.0, None], "f": [1, 2]}, {}, "missing in row 2"),
+        ({"time": [0, 1], "f": [1, 2]}, {}, "integers, whose unit is not known"),
+        ({"time": [0.0], "timestamp": [0.0]}, {}, "several columns of times: time, timestamp"),
+        ({"time_s": ["a", "b"], "f": [1, 2]}, {}, "text such as 'a'"),
+        ({"time_s": ["inf"], "f": [1]}, {}, "not finite in row 1"),
+        ({"time_s": pa.array([], pa.float64())}, {}, "has no rows"),
+    ],
+)
+def test_times_that_are_none_are_refused(
+    columns: dict[str, Any], options: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    with pytest.raises(InputError, match=words):
+        stream(tmp_path, columns, **options)
+
+
+@pytest.mark.parametrize(
+    ("columns", "frames", "has_times", "words"),
+    [
+        (
+            {"f": [1, 2]},
+            3,
+            True,
+            "has 2 rows, the recording 'take1' 3 pictures; expected as many, as the table",
+        ),
+        ({"time_s": [0.0, 0.1]}, 3, False, "as the recording has no times"),
+        ({"time_s": [0.5, 1.5], "f": [1, 2]}, 3, True, "no picture of 'take1' gets a value"),
+        ({"time_s": [0.0, 1.0], "f": [[1], [1, 2]]}, 3, True, "lists of 1, 2 values"),
+        ({"time_s": [0.0, 1.0], "f": [{"a": 1}] * 2}, 3, True, "column 'f' holds values of the type struct"),
+    ],
+)
+def test_streams_that_do_not_fit_are_refused(
+    columns: dict[str, Any], frames: int, has_times: bool, words: str, tmp_path: Path
+) -> None:
+    given = stream(tmp_path, columns, "take1.force.parquet")
+    time_s = np.arange(float(frames)) if has_times else None
+    with pytest.raises(InputError, match=words):
+        with_streams(recording(time_s, frames), [given], Alignment(), NO_COLUMNS)
+
+
+def test_tables_beside_a_recording() -> None:
+    names = ["take1.mp4", "take1_2.mp4", "take1.csv", "take1.force.CSV", "take1_pose.parquet", "take1_2.csv"]
+    names += ["take1_2.force.jsonl", "take10.csv", "index.csv", "take1.txt", ".take1.csv", "take1"]
+    assert tables_by_stem(names) == {
+        "take1": ["take1.csv", "take1.force.CSV", "take1_pose.parquet"],
+        "take1_2": ["take1_2.csv", "take1_2.force.jsonl"],
+    }
+    assert tables_by_stem(["file-000.parquet", "file-001.parquet"]) == {}
+
+
+def test_alignment_states_its_limits() -> None:
+    for wrong in ({"method": "cubic"}, {"max_gap_ms": 0.0}, {"time_offset_s": float("nan")}):
+        with pytest.raises(InputError, match="of the alignment is"):
+            Alignment(**wrong)
+
+
+@pytest.fixture
+def takes(tmp_path: Path) -> Path:
+    """Two videos of 100 pictures, each with two touches, and streams beside them."""
+    home = tmp_path / "takes"
+    home.mkdir()
+    for number in (1, 2):
+        made = MadeRecording(100, [(15, 25), (60, 80)], noise=1.0)
+        frames = [encode_image(made.picture(frame)) for frame in range(100)]
+        (home / f"take{number}.avi").write_bytes(write_avi(frames, SIZE[1], SIZE[0], 25.0))
+        force_s = np.arange(4000) / 1000
+        stream(home, {"time_s": force_s, "fz": 10 * number + force_s}, f"take{number}.force.csv")
+        stream(home, {"seq": np.arange(100) + 1000 * number}, f"take{number}.jsonl")
+    return home
+
+
+@pytest.mark.parametrize("cut", ["whole", "contact", "frames", "table"])
+def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path: Path) -> None:
+    if cut == "table":
+        cut = str(takes / "take1_cuts.csv")  # beside a video, and no stream of it
+        lines = [f"take{number},{start},{start + 0.8},mug" for number in (1, 2) for start in (0.4, 2.2)]
+        Path(cut).write_text("\n".join(["recording,start_s,end_s,label", *lines]) + "\n")
+    stream(tmp_path, {"time_s": np.arange(41) / 10, "warmth": np.arange(41) / 10}, "room.csv")
+    how = Alignment(method="linear")
+    manifest = realtouch.import_touches(
+        takes, tmp_path / "out", streams=[str(tmp_path / "room.csv")], alignment=how, cut=cut
+    )
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert not any(record.skipped for record in manifest.shards)
+    touches = rounds.touches()
+    assert len(touches) == {"whole": 2, "contact": 4, "frames": 200}.get(cut, 4)
+    for index, touch in enumerate(touches):
+        number = 1 + index * 2 // len(touches)
+        seq = np.atleast_1d(touch.extra["seq"]) - 1000 * number
+        np.testing.assert_allclose(
+            np.atleast_1d(touch.extra["fz"]), 10 * number + seq / 25, rtol=0, atol=1e-9
+        )
+        np.testing.assert_allclose(np.atleast_1d(touch.extra["warmth"]), seq / 25, rtol=0, atol=1e-9)
+        assert (np.diff(seq) == 1).all()
+        if cut == "whole":
+            assert len(seq) == len(touch.clip) == 100
+    assert sorted(each.name for each in (tmp_path / "out").glob("cuts/*")) == (
+        ["take1.png", "take2.png"] if cut == "contact" else []
+    )
+
+
+def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tmp_path: Path) -> None:
+    (takes / "take2_note.csv").write_text("note\nfine\n")
+    manifest = realtouch.import_touches(takes, tmp_path / "out")
+    (skipped,) = [each for record in manifest.shards for each in record.skipped]
+    assert "take2_note.csv' has 1 rows, the recording 'take2' 100 pictures" in skipped.message
+    assert "give it another name" in skipped.message
+    late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").place
+    with pytest.raises(InputError, match="expected a common time"):
+        realtouch.import_touches(takes, tmp_path / "two", streams=[late])

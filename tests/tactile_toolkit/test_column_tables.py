@@ -1,0 +1,159 @@
+"""Tables that are read a few rows at a time, against what they hold."""
+
+from __future__ import annotations
+
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+from tactile_toolkit import column_tables
+from tactile_toolkit.column_tables import ColumnTable
+from tactile_toolkit.errors import InputError
+
+
+def table(content: bytes | str, ending: str = ".csv") -> ColumnTable:
+    data = content.encode() if isinstance(content, str) else content
+    return ColumnTable(f"home/table{ending}", lambda: io.BytesIO(data))
+
+
+def read(found: ColumnTable, *numbers: int) -> dict[str, list[Any]]:
+    rows, _ = found.scan()
+    result: dict[str, list[Any]] = found.rows(np.array(numbers or range(rows))).to_pydict()
+    return result
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "n,x,ok,note\n1,0.5,true,a\n2,3,FALSE,b c\n-3,,true,7\n",
+        "sep=;\r\nn;x;ok;note\r\n1;0,5;true;a\r\n2;3;FALSE;b c\r\n-3;NA;true;7\r\n",
+        '"n"\t"x"\t"ok"\t"note"\n1\t0.5\ttrue\ta\n2\t 3\tFALSE\t"b c"\n-3\tnan\ttrue\t7',
+    ],
+)
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("block_bytes", [8, 1 << 20])
+def test_types_follow_from_all_rows(
+    text: str, encoding: str, block_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", block_bytes)
+    expected = {"n": [1, 2, -3], "x": [0.5, 3.0, None], "ok": [True, False, True], "note": ["a", "b c", "7"]}
+    assert read(table(text.encode(encoding))) == expected
+    assert read(table(text.encode(encoding)), 0, 2) == {name: each[::2] for name, each in expected.items()}
+
+
+def test_quoted_lines_empty_names_and_words(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 4)
+    found = read(table(',note,code\n0,"two\nlines, a comma",007\n1,NA,1e3\n2,,x\n'))
+    assert found["column_1"] == [0, 1, 2]
+    assert found["note"] == ["two\nlines, a comma", "NA", ""]
+    assert found["code"] == ["007", "1e3", "x"]
+
+
+@pytest.mark.parametrize("block_bytes", [50, 1 << 20])
+def test_json_lines(block_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", block_bytes)
+    lines = [{"t": number, "x": 1 if number % 2 else 0.5, "pose": [0.0, number]} for number in range(20)]
+    lines[3] |= {"note": 'a "quote\nb'}
+    text = "".join(f"{json.dumps(line)}\n" for line in lines)
+    found = read(table(text, ".jsonl"))
+    assert found["t"] == list(range(20))
+    assert found["x"] == [0.5, 1.0] * 10
+    assert found["pose"] == [[0.0, number] for number in range(20)]
+    assert found["note"] == [None] * 3 + ['a "quote\nb'] + [None] * 16
+
+
+def test_parquet(tmp_path: Path) -> None:
+    stored = pa.table(
+        {"t": np.arange(70_000) / 1000, "word": ["a", "b"] * 35_000, "v": [[1.0, 2.0]] * 70_000}
+    )
+    pq.write_table(stored, tmp_path / "table.parquet", row_group_size=20_000)
+    found = table((tmp_path / "table.parquet").read_bytes(), ".parquet")
+    rows, times = found.scan("t")
+    assert rows == 70_000
+    assert times.to_pylist() == stored["t"].to_pylist()
+    numbers = np.array([0, 32_767, 32_768, 69_999])
+    assert found.rows(numbers).to_pydict() == stored.take(numbers).to_pydict()
+
+
+@pytest.mark.parametrize(
+    ("content", "ending", "words"),
+    [
+        ("a,a\n1,2\n", ".csv", "two columns 'a'"),
+        ("a,b\n1,2,3\n", ".csv", "cannot be read as a table"),
+        ("a,b\n1\n", ".csv", "cannot be read as a table"),
+        (b"a\n\xff\xfe\n", ".csv", "cannot be read as a table"),
+        ('a\n"1\n2\n', ".csv", "a quote that does not end"),
+        (",".join(map(str, range(2000))) + "\n", ".csv", "2,000 columns"),
+        ('{"a": 1}\n{"a": \n', ".jsonl", "cannot be read as a table"),
+        ('{"a": 1}\n{"a": "b"}\n', ".jsonl", "cannot be read as a table"),
+        (b"PAR1 and more", ".parquet", "cannot be read as a table"),
+    ],
+)
+def test_what_is_no_table_is_refused(content: bytes | str, ending: str, words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        read(table(content, ending))
+
+
+def test_limits(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(column_tables, "MOST_ROWS", 3)
+    with pytest.raises(InputError, match="more than 3 rows"):
+        table("a\n" + "1\n" * 4).scan()
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 16)
+    monkeypatch.setattr(column_tables, "_LONGEST_LINE", 64)
+    monkeypatch.setattr(column_tables, "_HEADER_BYTES", 2)
+    with pytest.raises(InputError, match="a line of more than 64 letters"):
+        table("a\n" + "1" * 100 + "\n").scan()
+    for kind in (".csv", ".jsonl"):
+        assert table("", kind).names == []
+
+
+def test_types_that_differ_between_blocks_of_json(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
+    with pytest.raises(InputError, match="holds values of the types int64 and string; expected one type"):
+        table('{"a": 1}\n{"a": "b"}\n', ".jsonl").scan()
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("ending", [".csv", ".jsonl", ".parquet"])
+def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
+    """Bytes flipped, cut and inserted, and numbers changed, of a small table of each format."""
+    rows = {"time_s": np.arange(40) / 10, "n": range(40), "note": [f'a "{n}"' for n in range(40)]}
+    rows["pose"] = [[0.0, 1.0]] * 40
+    stored = pa.table(rows)
+    if ending == ".parquet":
+        pq.write_table(stored, tmp_path / "table.parquet")
+        whole = (tmp_path / "table.parquet").read_bytes()
+    elif ending == ".jsonl":
+        whole = "".join(f"{json.dumps(row)}\n" for row in stored.to_pylist()).encode()
+    else:
+        lines = [f'{row["time_s"]},{row["n"]},"{row["note"][2:]}"' for row in stored.to_pylist()]
+        whole = "\n".join(["time_s,n,note", *lines]).encode()
+    refused = 0
+    for seed in range(2000):
+        random = np.random.default_rng(seed)
+        data = bytearray(whole)
+        for _ in range(random.integers(1, 4)):
+            at = int(random.integers(len(data)))
+            kind = random.integers(4)
+            if kind == 0:
+                data[at] ^= 1 << int(random.integers(8))
+            elif kind == 1:
+                del data[at : at + int(random.integers(1, 60))]
+            elif kind == 2:
+                data[at:at] = random.bytes(int(random.integers(1, 20)))
+            else:
+                data[at : at + 4] = int(random.integers(1 << 32)).to_bytes(4, "little")
+        try:
+            found = table(bytes(data), ending)
+            count, _ = found.scan("time_s")
+            if count:
+                assert len(found.rows(np.arange(count))) == count
+        except InputError:
+            refused += 1
+    assert 200 < refused < 2000
