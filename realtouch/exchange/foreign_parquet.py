@@ -56,8 +56,10 @@ class ForeignParquet:
         self.size_bytes = store.size_inside(home, path)
         self.place = home.address(path)
         with _named_values(self.place):
-            self._file = store.open_checked(self.place if home.is_local else home.open(path))
+            source = self.place if home.is_local else home.open(path)
+            self._file = store.open_checked(source)
             schema, metadata = self._file.schema_arrow, self._file.metadata
+            store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
             groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))

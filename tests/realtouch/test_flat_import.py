@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+import re
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -15,7 +16,7 @@ import pytest
 import realtouch
 from realtouch.exchange.flat_import import find_flat, stored_images
 from realtouch.exchange.found_touches import FoundTouch
-from tactile_toolkit import store
+from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.realtouch.images_of_others import picture, spoiled
 
@@ -185,3 +186,27 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -
             assert len(contents) == len(touches) < 100
             used += 1
     assert used > 100
+
+
+def with_wrong_histogram(content: bytes) -> list[bytes]:
+    """Return files whose footer states one count more of some column than its type has levels."""
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    footer, found = content[start:-8], []
+    for at in (place.start() for place in re.finditer(b"\x36", footer)):  # three integers
+        longer = b"".join((footer[:at], b"\x46", footer[at + 1 : at + 4], b"\0", footer[at + 4 :]))
+        found.append(content[:start] + longer + len(longer).to_bytes(4, "little") + b"PAR1")
+    return found
+
+
+def test_a_footer_that_contradicts_itself_does_not_end_the_process(tmp_path: Path) -> None:
+    """Arrow ends the process where such a column is looked at in the footer."""
+    path = write(tmp_path, image=images())
+    problems = set()
+    for content in with_wrong_histogram(path.read_bytes()):
+        path.write_bytes(content)
+        for look in (lambda: found(tmp_path), read.Shard(str(path)).read):
+            try:
+                look()
+            except ToolkitError as error:
+                problems.add((look.__name__, "histogram size mismatch, size: 4" in error.what))
+    assert problems >= {("<lambda>", True), ("read", True)}
