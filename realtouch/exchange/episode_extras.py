@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,12 @@ from tactile_toolkit.array_types import AnyArray
 FEATURE = "observation."
 """How the names of these columns begin."""
 
+# Columns and arrays of the formats themselves.
+_TAKEN = (
+    *("images.tactile", "state", "action", "tactile", "label", "object_id", "gel_pose", "pos_in_cell"),
+    *("time_s", "timestamps", "right_wrist_pose", "camera_main_rgb", "sub_task_instruction"),
+)
+
 
 @dataclass(frozen=True, slots=True)
 class ExtraColumn:
@@ -26,6 +32,21 @@ class ExtraColumn:
     name: str
     data_type: pa.DataType
 
+    @property
+    def own_name(self) -> str:
+        """Its name in :class:`realtouch.extras.Extras`."""
+        return self.stored.partition(".")[2]
+
+    @property
+    def array(self) -> str:
+        """Its name in formats whose columns are arrays."""
+        return self.name.removeprefix(FEATURE)
+
+    @property
+    def is_per_frame(self) -> bool:
+        """Whether it has an entry for each frame, not for each touch."""
+        return self.stored.startswith(EXTRA_PREFIX["frame"])
+
     def of_frames(self, row: StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.
 
@@ -33,7 +54,7 @@ class ExtraColumn:
         vectors of another length.
         """
         values = row.extra_entries(self.stored)
-        if touch is not None and self.stored.startswith(EXTRA_PREFIX["frame"]):
+        if touch is not None and self.is_per_frame:
             frames = values[touch].values
             values = pa.nulls(count, values.type.value_type) if frames is None else frames.slice(0, count)
         elif touch is not None:
@@ -58,14 +79,13 @@ class ExtraColumn:
         return pa.FixedSizeListArray.from_arrays(flat, width) if width else flat
 
 
-def extra_columns_of(shards: Sequence[read.Shard], taken: Collection[str]) -> tuple[ExtraColumn, ...]:
+def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     """Return the further columns of a split, except those without any value.
 
-    Their values are read: for the length of vectors, and whether some are missing. ``taken`` are the names of
-    other columns.
+    Their values are read: for the length of vectors, and whether some are missing.
     """
     types = read.column_types(shards[0].schema)
-    names = {*taken}
+    names = {f"{FEATURE}{name}" for name in _TAKEN}
     found = []
     for name, stored in extra_columns(types).items():
         entry, (width, has_gaps) = extra_type(stored, types[stored]), _widths(shards, stored)

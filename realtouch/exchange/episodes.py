@@ -61,7 +61,7 @@ class Episodes:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
-        extras = extra_columns_of(source.shards[split], (IMAGE, STATE))
+        extras = extra_columns_of(source.shards[split])
         if row.has(MEDIA_COLUMN["single"]):
             return cls(1, SensorImages(row).size(0), names, extras)
         clip = TouchClip(row, 0)
