@@ -13,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
+from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
 from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
@@ -48,6 +49,7 @@ class Episodes:
     fps: int
     size: tuple[int, int]
     names: tuple[str, ...]
+    extras: tuple[ExtraColumn, ...] = ()
     number: pa.DataType = field(default_factory=pa.float32)
 
     @classmethod
@@ -59,10 +61,11 @@ class Episodes:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
+        extras = extra_columns_of(source.shards[split])
         if row.has(MEDIA_COLUMN["single"]):
-            return cls(1, SensorImages(row).size(0), names)
+            return cls(1, SensorImages(row).size(0), names, extras)
         clip = TouchClip(row, 0)
-        return cls(max(1, round(clip.fps)), clip.size, names)
+        return cls(max(1, round(clip.fps)), clip.size, names, extras)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and those of the index of episodes."""
@@ -79,7 +82,8 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
-        return schema_of(source, wanted)
+        extras = [pa.field(each.name, each.data_type) for each in self.extras]
+        return pa.schema([*schema_of(source, wanted), *extras])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
@@ -103,6 +107,7 @@ class Episodes:
                 "object_id": np.full(count, object_id),
                 "timestamp": (np.arange(count) / self.fps).astype(np.float32),
                 "frame_index": np.arange(count),
+                **{each.name: each.of_frames(row, touch, count) for each in self.extras},
             }
             tables.append(table_of_columns(schema, columns))
         return pa.concat_tables(tables), {}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -36,6 +36,15 @@ def is_picture(data_type: pa.DataType | None) -> bool:
     return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
 
 
+class _Chunk(NamedTuple):
+    """What a footer states of a column of a row group; ``values`` counts those in lists."""
+
+    path: str
+    size_bytes: int
+    values: int
+    is_text: bool
+
+
 class ForeignParquet:
     """A Parquet file below a source, whose content is not trusted.
 
@@ -46,12 +55,16 @@ class ForeignParquet:
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.size_bytes = store.size_inside(home, path)
         self.place = home.address(path)
-        with store.named_damage(self.place):
-            self._file = store.open_checked(self.place if home.is_local else home.open(path))
-            self.types = dict(zip(self._file.schema_arrow.names, self._file.schema_arrow.types, strict=True))
-        if len(self.types) < len(self._file.schema_arrow.names):
+        with _named_values(self.place):
+            source = self.place if home.is_local else home.open(path)
+            self._file = store.open_checked(source)
+            schema, metadata = self._file.schema_arrow, self._file.metadata
+            store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
+            groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
+            self._chunks = [_chunks(group) for group in groups]
+        self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
+        if len(self.types) < len(schema.names):
             raise InputError(f"{self.place!r} has two columns of one name; expected a name for each")
-        groups = map(self._file.metadata.row_group, range(self._file.num_row_groups))
         self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
@@ -59,7 +72,7 @@ class ForeignParquet:
 
     def picture_bytes(self, name: str) -> int:
         """Return about how many bytes a picture of a column takes."""
-        size = sum(int(each.total_uncompressed_size) for each in self._chunks([name]))
+        size = sum(each.size_bytes for group in self._chunks for each in _of_columns(group, [name]))
         return size // max(1, len(self)) + 1
 
     def rows(self, names: Sequence[str]) -> Iterator[dict[str, Any]]:
@@ -100,29 +113,21 @@ class ForeignParquet:
             yield image or ItemError("missing", f"row {row:,} of {name!r} holds no bytes; expected a picture")
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
-        sizes = (
-            max(each.total_uncompressed_size, _VALUE_BYTES * each.num_values) for each in self._chunks(names)
-        )
-        require_unpackable(sum(sizes), f"{self.place!r}:", self.size_bytes)
+        """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
+        stated = [each for group in self._chunks for each in _of_columns(group, names)]
+        unpacked = sum(max(each.size_bytes, _VALUE_BYTES * each.values) for each in stated)
+        require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
         unpacked = 0
-        for group in range(len(self._starts) - 1):
+        for group in range(len(self._chunks)):
             for table in self._tables(group, names):
                 unpacked += table.nbytes
                 require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
-    def _chunks(self, names: Sequence[str], group: int | None = None) -> list[pq.ColumnChunkMetaData]:
-        """Return what the footer states of some columns, of one row group or of all."""
-        metadata = self._file.metadata
-        groups = map(metadata.row_group, range(metadata.num_row_groups) if group is None else [group])
-        prefixes = tuple(f"{name}." for name in names)
-        every = (each.column(index) for each in groups for index in range(each.num_columns))
-        return [each for each in every if f"{each.path_in_schema}.".startswith(prefixes)]
-
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield the rows of a row group, few at a time; IntegrityError if it holds fewer than stated."""
-        chunks = self._chunks(names, group)
-        largest = max((1, *(each.total_uncompressed_size for each in chunks if each.physical_type == _TEXT)))
+        chunks = _of_columns(self._chunks[group], names)
+        largest = max((1, *(each.size_bytes for each in chunks if each.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
         with store.named_damage(self.place):
@@ -133,6 +138,20 @@ class ForeignParquet:
         if missing:
             problem = f" is damaged, row group {group} holds {missing:,} rows less than its footer states"
             raise IntegrityError.in_file(self.place, problem)
+
+
+def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
+    """Return what the footer states of the columns of a row group; of a struct or list, of what it holds."""
+    found = map(group.column, range(group.num_columns))
+    return [
+        _Chunk(of.path_in_schema, of.total_uncompressed_size, of.num_values, of.physical_type == _TEXT)
+        for of in found
+    ]
+
+
+def _of_columns(chunks: Sequence[_Chunk], names: Sequence[str]) -> list[_Chunk]:
+    prefixes = tuple(f"{name}." for name in names)
+    return [each for each in chunks if f"{each.path}.".startswith(prefixes)]
 
 
 @contextmanager

@@ -30,9 +30,9 @@ from realtouch.convert.conversion import (
     with_files,
     write_changed,
 )
-from realtouch.exchange.episodes import IMAGE, Episodes, only_split
+from realtouch.exchange.episodes import ACTION, IMAGE, STATE, Episodes, only_split
 from realtouch.exchange.flat import FRAMES_PER_MEDIA
-from realtouch.exchange.lerobot_metadata import Mark
+from realtouch.exchange.lerobot_mark import Mark
 from realtouch.exchange.stored_images import decoded
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import read, store
@@ -46,12 +46,14 @@ FILE_BYTES = 100 << 20
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 _VERSION = "v3.0"
 _GROUP_BYTES = 16 << 20
-_DTYPES = {pa.float32(): "float32", pa.float64(): "float64"}
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
 _OF_READERS = ("round_id", "touch")
 # Images of an episode that are decoded for its statistics.
 _IMAGES_SEEN = 8
 _LEVELS = 256
+_IN_MEMORY_BYTES = 64 << 20
+_POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_COMPONENTS = {STATE: _POSE, ACTION: _POSE[:2]}
 _QUANTILES = {f"q{round(100 * share):02d}": share for share in (0.01, 0.10, 0.50, 0.90, 0.99)}
 _NAMES = ("min", "max", "mean", "std", "count", *_QUANTILES)
 
@@ -205,6 +207,7 @@ class _WriteMeta:
         return files | write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
+        mark = Mark(self.step.names, self.are_clips, {each.name: each.stored for each in self.step.extras})
         return {
             "codebase_version": _VERSION,
             "robot_type": None,
@@ -219,16 +222,21 @@ class _WriteMeta:
             "data_path": "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet",
             "video_path": None,
             "features": {each.name: self._feature(each) for each in frames},
-            "realtouch": msgspec.to_builtins(Mark(self.step.names, self.are_clips)),
+            "realtouch": msgspec.to_builtins(mark),
         }
 
     def _feature(self, each: pa.Field) -> dict[str, object]:
         if each.type == MEDIA_TYPE:
             return {"dtype": "image", "shape": [*self.step.size, 3], "names": ["height", "width", "channels"]}
-        if pa.types.is_fixed_size_list(each.type):
-            names = ["x_m", "y_m", "z_m", "qx", "qy", "qz", "qw"][: each.type.list_size]
-            return {"dtype": "float32", "shape": [len(names)], "names": names}
-        return {"dtype": _DTYPES.get(each.type, "int64"), "shape": [1], "names": None}
+        names, width, leaf = _COMPONENTS.get(each.name), 1, each.type
+        if pa.types.is_fixed_size_list(leaf):
+            width, leaf = leaf.list_size, leaf.value_type
+        return {"dtype": _dtype(leaf), "shape": [width], "names": names and list(names)}
+
+
+def _dtype(data_type: pa.DataType) -> str:
+    """Return LeRobot's name of a type, numpy's but for text."""
+    return "string" if pa.types.is_string(data_type) else np.dtype(data_type.to_pandas_dtype()).name
 
 
 def _json_bytes(values: Mapping[str, object]) -> bytes:
@@ -249,7 +257,7 @@ def _task_table(tasks: Sequence[str]) -> pa.Table:
 def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int]) -> dict[str, pa.Array]:
     """Return the statistics of each feature in each episode, as columns ``stats/FEATURE/STATISTIC``."""
     columns = {}
-    for name in frames.column_names:
+    for name in _counted(frames.schema):
         whole = frames.column(name).combine_chunks()
         found = [_episode(whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
         data_type = pa.list_(pa.float64())
@@ -279,7 +287,15 @@ def _episode(values: pa.Array) -> dict[str, object]:
 
 
 def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
-    """Return the statistics of rising values, given how often each occurs."""
+    """Return the statistics of rising values, given how often each occurs; zeros without any.
+
+    What is missing, NaN, does not count.
+    """
+    if not (math.isfinite(values[0]) and math.isfinite(values[-1])):
+        is_known = np.isfinite(values)
+        values, counts = values[is_known], counts[is_known]
+    if not len(values):
+        return dict.fromkeys((name for name in _NAMES if name != "count"), 0.0)
     total, below = int(counts.sum()), np.cumsum(counts)
     mean = math.fsum(values * counts) / total
     spread = math.sqrt(math.fsum(counts * (values - mean) ** 2) / total)
@@ -294,20 +310,29 @@ def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
 def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shard]) -> dict[str, object]:
     """Return the statistics of all frames; of images put together from the episodes, as LeRobot does.
 
-    One number of each frame is in memory at a time: 8 bytes a frame.
+    Few numbers of each frame are in memory at a time, of long vectors one.
     """
     found: dict[str, Any] = {}
-    for each in frames[0].schema:
-        if each.type == MEDIA_TYPE:
-            found[each.name] = _put_together(episodes, each.name)
+    total = sum(map(len, frames))
+    for name in _counted(frames[0].schema):
+        data_type = frames[0].schema.field(name).type
+        if data_type == MEDIA_TYPE:
+            found[name] = _put_together(episodes, name)
             continue
-        columns = []
-        for number in range(getattr(each.type, "list_size", 1)):
-            parts = [_flat_rows(shard.read(columns=[each.name]).column(0))[:, number] for shard in frames]
-            columns.append(_statistics(*np.unique(np.concatenate(parts), return_counts=True)))
-        numbers = {name: [column[name] for column in columns] for name in columns[0]}
-        found[each.name] = {**numbers, "count": [sum(map(len, frames))]}
+        width, columns = getattr(data_type, "list_size", 1), []
+        step = max(1, _IN_MEMORY_BYTES // (8 * total))
+        for start in range(0, width, step):
+            parts = [_flat_rows(shard.column(name))[:, start : start + step] for shard in frames]
+            for column in np.concatenate(parts).T:
+                columns.append(_statistics(*np.unique(column, return_counts=True)))
+        numbers = {statistic: [column[statistic] for column in columns] for statistic in columns[0]}
+        found[name] = {**numbers, "count": [total]}
     return found
+
+
+def _counted(frames: pa.Schema) -> list[str]:
+    """Return the features that have statistics: numbers and images, but not texts."""
+    return [each.name for each in frames if not pa.types.is_string(read.list_depth(each.type)[1])]
 
 
 def _put_together(episodes: Sequence[read.Shard], name: str) -> dict[str, object]:
@@ -334,5 +359,5 @@ def _flat_rows(values: pa.Array | pa.ChunkedArray) -> Float64:
     count = len(values)
     while pa.types.is_list(values.type) or pa.types.is_fixed_size_list(values.type):
         values = values.flatten()
-    flat: Float64 = values.to_numpy().reshape(count, -1)
+    flat: Float64 = values.to_numpy(zero_copy_only=False).reshape(count, -1)
     return flat.astype(np.float64, copy=False)

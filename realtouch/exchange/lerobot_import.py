@@ -8,31 +8,25 @@ Parquet: of one episode a file (v2), or of many (v3). Pictures are in these rows
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from itertools import groupby
-from operator import attrgetter
 
 import numpy as np
 
 from realtouch import video
-from realtouch.exchange.episodes import ACTION, STATE, TIME
+from realtouch.exchange import video_import
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
 from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.lerobot_metadata import (
-    Episode,
-    Info,
-    Mark,
-    read_episodes,
-    read_info,
-    read_tasks,
-)
+from realtouch.exchange.lerobot_mark import as_ours
+from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
 from realtouch.exchange.recordings import Recording
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import IntegrityError, ItemError
 
-_INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 _ROWS = ".parquet"
+_INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 
 
 def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
@@ -47,32 +41,17 @@ def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | No
 
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:
-    """Return what was done to the pictures, and which cameras were left out; empty for nothing."""
-    first = next((item for item in items if item.problem is None), items[0])
-    home, words = store.open_folder(first.home), []
-    if first.problem is None and not first.path.endswith(_ROWS):
-        words.append(video.open_video(home, first.path).conversion)
-    cameras = [name for name, each in read_info(home).features.items() if each.is_camera]
-    words += [f"{name!r} was left out" for name in cameras if name != first.part]
-    return ", ".join(filter(None, words))
+    """Return what was done to the pictures; empty if they are stored as they were."""
+    usable = next((item for item in items if item.problem is None), None)
+    if usable is None or usable.path.endswith(_ROWS):
+        return ""
+    return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
 def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the pictures of items in order, from rows or videos."""
-    for (home, path), group in groupby(items, key=attrgetter("file")):
-        if path.endswith(_ROWS):
-            yield from stored_pictures(group)
-            continue
-        numbers = [item.start + frame for item in group for frame in range(max(1, item.frames))]
-        for rising in np.split(numbers, np.flatnonzero(np.diff(numbers) <= 0) + 1):
-            yield from _of_video(store.open_folder(home), path, rising.tolist())
-
-
-def _of_video(home: store.DataFolder, path: str, numbers: Sequence[int]) -> Iterator[bytes | ItemError]:
-    try:
-        yield from video.encoded_pictures(home, path, numbers)
-    except ItemError as error:
-        yield from (error for _ in numbers)
+    for are_rows, group in groupby(items, key=lambda item: item.path.endswith(_ROWS)):
+        yield from (stored_pictures if are_rows else video_import.encoded_frames)(group)
 
 
 class _Episodes:
@@ -89,58 +68,49 @@ class _Episodes:
 
     def recording(self, episode: Episode) -> Recording:
         """Return an episode; one that cannot be used has a problem, and one picture."""
+        others = tuple(name for name in self.info.pictures if name != self.camera)
+        place = self.home.address(), episode.data_path, self.camera
+        found = Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
         try:
-            return self._recording(episode)
+            found = self._read(found, episode)
         except ItemError as error:
-            problem = error
+            return replace(found, problem=error)
         except IntegrityError as error:
-            problem = ItemError("file", error.what)
-        address = self.home.address()
-        return Recording(episode.name, address, episode.data_path, self.camera, 0, 1, 0, problem=problem)
+            return replace(found, problem=ItemError("file", error.what))
+        return found if self.info.realtouch is None else as_ours(found, self.info.realtouch)
 
-    def _recording(self, episode: Episode) -> Recording:
-        self._read(episode.data_path)
+    def _read(self, found: Recording, episode: Episode) -> Recording:
+        self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {name: column[rows] for name, column in self._columns.items()}
         time_s = _times(per_frame, self.info.fps)
-        path, first, size = episode.data_path, rows.start, self._picture_bytes
-        if self.info.features[self.camera].dtype == "video":
-            path = episode.video_path
-            store.size_inside(self.home, path)
-            found = video.open_video(self.home, path)
-            first = _first_picture(found.time_s, episode.video_start_s + time_s, self.info.fps)
-            size = found.picture_bytes
-        values = dict(episode.values)
-        if self.info.realtouch is None:
-            values |= self._task(per_frame)
-        else:
-            time_s = per_frame.pop(TIME, time_s)
-            _name_ours(values, per_frame, self.info.realtouch)
-        for name in _INDICES:
-            per_frame.pop(name, None)
-        address, count = self.home.address(), len(time_s)
-        return Recording(
-            episode.name, address, path, self.camera, first, count, size, values, per_frame, time_s
-        )
+        values = {**self._task(per_frame), **episode.values}
+        per_frame = {name: column for name, column in per_frame.items() if name not in _INDICES}
+        found = replace(found, frames=len(time_s), values=values, per_frame=per_frame, time_s=time_s)
+        if self.info.features[self.camera].dtype == "image":
+            return replace(found, first=rows.start, frame_bytes=self._picture_bytes)
+        store.size_inside(self.home, episode.video_path)
+        shown = video.open_video(self.home, episode.video_path)
+        first = _first_picture(shown.time_s, episode.video_start_s + time_s, self.info.fps)
+        return replace(found, path=episode.video_path, first=first, frame_bytes=shown.picture_bytes)
 
-    def _read(self, path: str) -> None:
+    def _read_columns(self, path: str) -> None:
         """Read all columns of a file but pictures, unless it was read last."""
         if path == self._path:
             return
-        parquet, features = ForeignParquet(self.home, path), self.info.features
-        if features[self.camera].dtype == "image":
+        parquet = ForeignParquet(self.home, path)
+        if self.info.features[self.camera].dtype == "image":
             if not is_picture(parquet.types.get(self.camera)):
                 raise ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
-        cameras = {name for name, each in features.items() if each.is_camera}
-        names = [name for name, kind in parquet.types.items() if name not in cameras and not is_picture(kind)]
-        self._columns = parquet.arrays(names)
+        plain = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+        self._columns = parquet.arrays([name for name in plain if name not in self.info.pictures])
         self._path = path
 
     def _task(self, per_frame: dict[str, AnyArray]) -> dict[str, str]:
         """Return the task of an episode; if there are several, each frame gets its own."""
         numbers = per_frame.get("task_index")
-        if numbers is None or numbers.ndim > 1:
+        if numbers is None or numbers.ndim > 1 or self.info.realtouch is not None:
             return {}
         found = [self.tasks.get(number) for number in numbers.tolist()]
         if len({*found}) > 1:
@@ -165,17 +135,10 @@ def _rows_of(episode: Episode, columns: Mapping[str, AnyArray]) -> slice:
 def _times(per_frame: Mapping[str, AnyArray], fps: float) -> Float64:
     """Return the times of frames, seconds: as stated, or by the frame rate if they are that, rounded."""
     stated = per_frame.get("timestamp", np.empty(0, object))
-    if (
-        stated.dtype.kind != "f"
-        or stated.ndim > 1
-        or not np.isfinite(stated).all()
-        or (np.diff(stated) < 0).any()
-    ):
-        raise ItemError("time", f"the column 'timestamp' is {stated.dtype}; expected seconds that rise")
+    if stated.dtype.kind != "f" or stated.ndim > 1 or not np.isfinite(stated).all():
+        raise ItemError("time", f"the column 'timestamp' is {stated.dtype}; expected seconds as floats")
     exact: Float64 = np.arange(len(stated)) / fps
-    if np.array_equal(exact.astype(stated.dtype), stated):
-        return exact
-    return stated.astype(np.float64)
+    return exact if np.array_equal(exact.astype(stated.dtype), stated) else stated.astype(np.float64)
 
 
 def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
@@ -189,23 +152,3 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
             f"times of its {len(wanted_s):,} frames, from {wanted_s[0]:.3f} s to {wanted_s[-1]:.3f} s",
         )
     return first
-
-
-def _name_ours(values: dict[str, object], per_frame: dict[str, AnyArray], mark: Mark) -> None:
-    """Give what this toolkit wrote the names that it has in its tables."""
-    values.pop("touch", None)
-    for column, names in ((STATE, POSE_COLUMNS), (ACTION, POSITION_COLUMNS)):
-        if column in per_frame:
-            per_frame |= dict(zip(names, np.atleast_2d(per_frame.pop(column)).T, strict=False))
-    of_episode = ["label", "object_id", *(POSITION_COLUMNS if mark.clips else ())]
-    for feature, stored in mark.extra.items():
-        prefix, _, name = stored.partition(".")
-        if feature in per_frame:
-            per_frame[name] = per_frame.pop(feature)
-            of_episode += [name] * (mark.clips and prefix == "extra")
-    for name in of_episode:
-        if name in per_frame:
-            values[name] = per_frame.pop(name)[0].tolist()
-    label = values.get("label")
-    if isinstance(label, int) and 0 <= label < len(mark.class_names):
-        values["label_name"] = mark.class_names[label]

@@ -13,6 +13,7 @@ import msgspec
 from realtouch.exchange.fields import shown
 from realtouch.exchange.foreign_parquet import ForeignParquet
 from realtouch.exchange.found_touches import open_source
+from realtouch.exchange.lerobot_mark import Mark
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import did_you_mean
@@ -36,26 +37,9 @@ class Feature(msgspec.Struct, frozen=True):
     info: Mapping[str, Any] | None = None
 
     @property
-    def is_camera(self) -> bool:
-        """Whether it holds pictures, of colours or depth."""
-        return self.dtype in _PICTURES
-
-    @property
     def is_depth(self) -> bool:
         """Whether it holds maps of depth."""
         return any((self.info or {}).get(key) for key in _DEPTH)
-
-
-class Mark(msgspec.Struct, frozen=True):
-    """What an export of this toolkit says of itself.
-
-    ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
-    feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.
-    """
-
-    class_names: tuple[str, ...]
-    clips: bool
-    extra: Mapping[str, str] = {}
 
 
 class Info(msgspec.Struct, frozen=True):
@@ -71,6 +55,11 @@ class Info(msgspec.Struct, frozen=True):
     realtouch: Mark | None = None
 
     @property
+    def pictures(self) -> list[str]:
+        """Features that are pictures, of colours or depth."""
+        return [name for name, each in self.features.items() if each.dtype in _PICTURES]
+
+    @property
     def is_v2(self) -> bool:
         """Whether there is a file for each episode."""
         return self.codebase_version.startswith("v2")
@@ -80,7 +69,7 @@ class Info(msgspec.Struct, frozen=True):
 
         Raises InputError for none or several.
         """
-        cameras = [key for key, each in self.features.items() if each.is_camera and not each.is_depth]
+        cameras = [key for key in self.pictures if not self.features[key].is_depth]
         chosen = [key for key in cameras if name in ("", key)]
         if len(chosen) == 1:
             return chosen[0]

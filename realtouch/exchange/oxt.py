@@ -20,7 +20,16 @@ import pyarrow as pa
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episodes import ACTION, STATE, TIME, Episodes, only_split
-from realtouch.exchange.replay import ATTRIBUTES, CHUNK_BYTES, CLASSES, ENDS, WriteGroup, ends_of, numbers
+from realtouch.exchange.replay import (
+    ATTRIBUTES,
+    CHUNK_BYTES,
+    CLASSES,
+    ENDS,
+    WriteGroup,
+    ends_of,
+    fill_of,
+    numbers,
+)
 from realtouch.exchange.zarr_arrays import ZarrWriter
 from realtouch.poses import Poses
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -50,7 +59,7 @@ def plan_oxt(
     """Plan an Open-X-Tactile group; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "group of Open-X-Tactile"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
-    write = _WriteOxt(step.size, step.names, step.fps)
+    write = _WriteOxt(step.size, step.names, step.extras, step.fps)
     step = replace(step, number=pa.float64())
     return Conversion(source, "export", options, step, choices, extra_dirs=(FOLDER,), write_files=write)
 
@@ -68,11 +77,15 @@ class _WriteOxt(WriteGroup):
         """Add all arrays but the pictures, in chunks; those of zeros have none."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
         arrays = {name: numbers(columns[each]) for each, name in _ARRAYS.items() if each in columns}
-        kept = {name: name for name in arrays}
+        arrays |= {each.array: numbers(columns[each.name]) for each in self.extras}
+        kept = {name: name for name in arrays} | {each.array: each.own_name for each in self.extras}
+        of_clips = [each.own_name for each in self.extras if not each.is_per_frame]
         if TIME in columns:
             kept[TIMES] = "time_s"
         stands = {CAMERA: _BLACK, POSE: _OF_GEL if EXACT_POSE in arrays else _NO_POSE}
-        group.add_json(ATTRIBUTES, {CLASSES: self.names, COLUMNS: kept, PER_CLIP: [], _STAND_INS: stands})
+        group.add_json(
+            ATTRIBUTES, {CLASSES: self.names, COLUMNS: kept, PER_CLIP: of_clips, _STAND_INS: stands}
+        )
         _add(group, ENDS, ends_of(table, starts))
         firsts = table.take(starts)
         _add(group, f"meta/{ROUND}", np.array(firsts["round_id"].to_pylist(), "<U"))
@@ -104,8 +117,9 @@ def _add(group: ZarrWriter, path: str, values: AnyArray, rows: Int64 | None = No
     """Add an array, or some rows of it, in chunks along the first axis; chunks of zeros are not stored."""
     count = len(values if rows is None else rows)
     length = max(1, min(count, CHUNK_BYTES // values[:1].nbytes))
-    fill = "" if values.dtype.kind == "U" else 0
-    group.describe(path, (count, *values.shape[1:]), (length, *values.shape[1:]), values.dtype.str, fill)
+    group.describe(
+        path, (count, *values.shape[1:]), (length, *values.shape[1:]), values.dtype.str, fill_of(values)
+    )
     for number, start in enumerate(range(0, count, length)):
         part = values[slice(start, start + length) if rows is None else rows[start : start + length]]
         chunk = np.zeros((length, *values.shape[1:]), values.dtype)

@@ -22,6 +22,7 @@ import pyarrow as pa
 
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Source
+from realtouch.exchange.episode_extras import ExtraColumn
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, TIME, Episodes, only_split
 from realtouch.exchange.stored_images import StoredImage, decoded
 from realtouch.exchange.zarr_arrays import ZarrWriter
@@ -46,7 +47,7 @@ def plan_replay(
     """Plan a replay buffer; reads footers and one header. InputError for several splits."""
     step = Episodes.of(source, only_split(source, choices, "replay buffer"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
-    write = _WriteBuffer(step.size, step.names)
+    write = _WriteBuffer(step.size, step.names, step.extras)
     return Conversion(source, "export", options, step, choices, extra_dirs=(_FOLDER,), write_files=write)
 
 
@@ -61,6 +62,7 @@ class WriteGroup(ABC):
 
     size: tuple[int, int]
     names: tuple[str, ...]
+    extras: tuple[ExtraColumn, ...]
     file: ClassVar[str]
     pictures: ClassVar[str]
     sensors: ClassVar[tuple[int, ...]] = ()  # length of the axis of sensors, where there is one
@@ -116,8 +118,9 @@ class _WriteBuffer(WriteGroup):
             if name in table.schema.names
         }
         arrays[ENDS] = ends_of(table, starts)
+        arrays |= {f"data/{each.array}": numbers(table[each.name].combine_chunks()) for each in self.extras}
         for path, values in arrays.items():
-            group.describe(path, values.shape, values.shape, values.dtype.str)
+            group.describe(path, values.shape, values.shape, values.dtype.str, fill_of(values))
             group.chunk(path, 0, values)
 
 
@@ -139,9 +142,16 @@ def _images(shards: Sequence[read.Shard]) -> Iterator[StoredImage]:
     yield from (row.group.table[IMAGE][row.index].as_py() for row in stored_rows(shards, [IMAGE]))
 
 
+def fill_of(values: AnyArray) -> object:
+    """Return the value of what no chunk holds."""
+    return "" if values.dtype.kind == "U" else 0
+
+
 def numbers(values: pa.Array) -> AnyArray:
-    """Return numbers, or lists of equal length, as an array, little end first."""
+    """Return numbers, texts, or lists of equal length, as an array, little end first; empty for no text."""
     if pa.types.is_fixed_size_list(values.type):
         return numbers(values.flatten()).reshape(len(values), -1)
-    found: AnyArray = values.to_numpy()
+    if pa.types.is_string(values.type):
+        return np.array([text or "" for text in values.to_pylist()], "<U")
+    found: AnyArray = values.to_numpy(zero_copy_only=False)
     return found.astype(found.dtype.newbyteorder("<"))

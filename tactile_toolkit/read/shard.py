@@ -256,7 +256,11 @@ class Shard:
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that would exceed the limit when unpacked, according to the footer."""
         # A large row group is harmless, because it is unpacked in blocks, unless it may consist of one row.
-        group = self.metadata.row_group(index)
+        metadata = self.metadata
+        if not self.is_remote:
+            with self._named_damage():
+                store.require_sound_columns(self.path, metadata, [index])
+        group = metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]
         size_bytes = sum(
             max(column.total_uncompressed_size, column.num_values * _VALUE_BYTES.get(column.physical_type, 4))

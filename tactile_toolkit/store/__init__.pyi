@@ -80,6 +80,7 @@ from .parquet import (
     is_unchanged as is_unchanged,
     named_damage as named_damage,
     open_checked as open_checked,
+    require_sound_columns as require_sound_columns,
     open_parquet as open_parquet,
     sha256_hex as sha256_hex,
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import FPS
+from tests.realtouch.images_of_others import spoiled
 from tests.realtouch.lerobot_sets import CAMERA, TASKS, Truth, write_json, write_lerobot
 
 KINDS = [(version, dtype) for version in ("v2.1", "v3.0") for dtype in ("image", "video")]
@@ -71,13 +73,15 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     version: str, dtype: str, tmp_path: Path
 ) -> None:
     write_lerobot(tmp_path, version, dtype, Truth((3, 2), (CAMERA, "observation.images.wrist")))
-    with pytest.raises(InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "):
+    with pytest.raises(
+        InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
+    ):
         found(tmp_path)
     with pytest.raises(InputError, match=r"expected 'tactil' among them"):
         found(tmp_path, image="tactil")
     recordings = found(tmp_path, image="observation.images.wrist")
     assert [len(pictures(each)) for each in recordings] == [3, 2]
-    assert f"'{CAMERA}' was left out" in describe_conversion(list(touches_of(recordings[0], "whole")))
+    assert [each.left_out for each in recordings] == [(CAMERA,)] * 2
     info = json.loads((tmp_path / "meta" / "info.json").read_text())
     info["features"]["observation.images.wrist"]["info"] = {"is_depth_map": True, "depth_unit": "m"}
     write_json(tmp_path / "meta" / "info.json", info)
@@ -161,15 +165,23 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
         ("image", cut_file("episode_000000.parquet"), "is damaged"),
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
-        ("image", change_column("timestamp", lambda rows: pa.array([0.0, 1, 0.5, 2, 3])), "expected seconds"),
+        ("image", change_column("timestamp", lambda rows: pa.array([0.0, 1, None, 2, 3])), "expected seconds"),
         ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
         ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
-        ("image", change_column("note", lambda rows: pa.array([[1], [1, 2], [], [], []])), "expected one length"),
+        (
+            "image",
+            change_column("note", lambda rows: pa.array([[1], [1, 2], [], [], []])),
+            "expected one length",
+        ),
         ("video", cut_file("episode_000000.mp4"), ""),
         ("video", remove("episode_000000.mp4"), "the file does not exist"),
         ("video", state(fps=50), ""),
-        ("video", change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)), "not shown at the times"),
+        (
+            "video",
+            change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
+            "not shown at the times",
+        ),
     ],
 )
 def test_an_episode_that_cannot_be_used_is_one_item_with_the_reason(
@@ -220,7 +232,11 @@ def test_paths_in_metadata_stay_inside(
         ("episodes.jsonl", b'{"episode_index": -1, "length": 3}', "Expected `int` >= 0"),
         ("episodes.jsonl", b'{"episode_index": 1e999, "length": 3}', r"episodes\.jsonl' holds no metadata"),
         ("episodes.jsonl", b'{"episode_index": 3}', "Expected `int`"),
-        ("episodes.jsonl", b'{"episode_index": 3, "length": 2}\n' * 2, "episode 3 after 3; expected numbers that"),
+        (
+            "episodes.jsonl",
+            b'{"episode_index": 3, "length": 2}\n' * 2,
+            "episode 3 after 3; expected numbers that",
+        ),
         ("tasks.jsonl", b'{"task_index": 1}', "expected a number and a text"),
         ("tasks.jsonl", b"1", "Expected `object`"),
     ],
@@ -269,7 +285,10 @@ def test_metadata_of_version_3_that_cannot_be_used_are_named(tmp_path: Path) -> 
 def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
     write_lerobot(tmp_path, "v2.1")
     change_column(
-        CAMERA, lambda rows: pa.array([None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type)
+        CAMERA,
+        lambda rows: pa.array(
+            [None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type
+        ),
     )(tmp_path)
     first, *_ = found(tmp_path)
     images = pictures(first)
@@ -293,11 +312,17 @@ def test_an_export_of_this_toolkit_comes_back(
     recordings = found(tmp_path / "there" / "lerobot")
     number = 0
     for record in before:
-        touches = [list(range(record.touch_count))] if kind == "single" else [[t] for t in range(record.touch_count)]
+        touches = (
+            [list(range(record.touch_count))]
+            if kind == "single"
+            else [[t] for t in range(record.touch_count)]
+        )
         for chosen in touches:
             recording, number = recordings[number], number + 1
-            expected = {"round_id": record.id, "split": "train", "label": record.label}
-            assert recording.values.items() >= expected.items()
+            assert recording.values.items() >= {"split": "train", "label": record.label}.items()
+            name = record.id if kind == "single" else f"{record.id}_{chosen[0]:03d}"
+            assert (recording.name, recording.round) == (name, record.id)
+            assert recording.cut == {"single": "frames", "seq": "whole"}[kind]
             assert recording.values["label_name"] == before.label_names[record.label]
             assert recording.values["object_id"] == record.object_id
             assert not {"task", "touch"} & {*recording.values, *recording.per_frame}
@@ -312,10 +337,86 @@ def test_an_export_of_this_toolkit_comes_back(
                 images = [bytes(clip.encoded(frame)) for frame in range(len(clip))]
                 pose = clip.poses
                 assert [recording.values[name] for name in names] == xy[0].tolist()
-                np.testing.assert_array_equal(recording.time_s, clip.time_s)
+                np.testing.assert_array_equal(recording.time_s, clip.timestamps_s)
             assert pictures(recording) == images
             seven = np.hstack([pose.position_m, pose.quaternion]).astype(np.float32)
             names = realtouch.touch_options.POSE_COLUMNS
             assert {*names} <= {*recording.per_frame} | {*realtouch.touch_options.POSITION_COLUMNS}
             np.testing.assert_array_equal(np.stack([recording.per_frame[name] for name in names], -1), seven)
     assert number == len(recordings)
+
+
+def test_an_export_of_single_images_becomes_the_same_set(single_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(single_folder, tmp_path / "there", "lerobot", split="train")
+    realtouch.import_touches(tmp_path / "there", tmp_path / "back", "lerobot")
+    before, after = realtouch.load(single_folder, "train"), realtouch.load(tmp_path / "back", "train")
+    assert after.ids.tolist() == before.ids.tolist()
+    assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
+    for one, other in zip(before, after, strict=True):
+        assert one.object_id == other.object_id
+        for touch in range(one.touch_count):
+            assert bytes(one.sensor_image.encoded(touch)) == bytes(other.sensor_image.encoded(touch))
+        single = np.float32
+        np.testing.assert_array_equal(other.pos_in_cell_m, one.pos_in_cell_m.astype(single))
+        poses = one.gel_pose_cell_frame, other.gel_pose_cell_frame
+        np.testing.assert_array_equal(poses[1].position_m, poses[0].position_m.astype(single))
+        np.testing.assert_array_equal(poses[1].quaternion, poses[0].quaternion.astype(single))
+    assert realtouch.verify(tmp_path / "back").ok
+
+
+@pytest.mark.parametrize(("version", "dtype"), KINDS)
+def test_a_set_of_others_is_imported(version: str, dtype: str, tmp_path: Path) -> None:
+    truth = write_lerobot(tmp_path / "home", version, dtype)
+    manifest = realtouch.import_touches(tmp_path / "home", tmp_path / "out", "lerobot")
+    assert manifest.skipped_reasons() == {}
+    assert [len(realtouch.load(tmp_path / "out", split).touches()) for split in ("train", "test")] == [12, 4]
+    first = realtouch.load(tmp_path / "out", "train")[0]
+    assert (first.id, first.touch_count) == ("episode_000000", 5)
+    if dtype == "image":
+        assert [bytes(first.sensor_image.encoded(touch)) for touch in range(5)] == truth.jpegs[0]
+
+
+def other_number(random: np.random.Generator, content: bytes) -> bytes:
+    """Return JSON with another number or text in one place."""
+    places = list(re.finditer(rb"-?\d+|\"[^\"]*\"", content))
+    place = places[random.integers(len(places))]
+    values = [
+        b"0",
+        b"-1",
+        b"1e400",
+        b"99999999999999999999",
+        b"2147483648",
+        b"null",
+        b"[]",
+        b"{}",
+        b'""',
+        b'"../x"',
+    ]
+    return content[: place.start()] + values[random.integers(len(values))] + content[place.end() :]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(("version", "dtype"), KINDS)
+def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
+    version: str, dtype: str, tmp_path: Path
+) -> None:
+    """500 mutations of each kind of set: of a file of any kind, bytes; of metadata, also numbers."""
+    write_lerobot(tmp_path, version, dtype, Truth((3, 2)))
+    files = {path: path.read_bytes() for path in sorted(tmp_path.rglob("*")) if path.is_file()}
+    random = np.random.default_rng(11)
+    used = 0
+    for _ in range(500):
+        path = list(files)[random.integers(len(files))]
+        change = spoiled if path.suffix not in (".json", ".jsonl") or random.random() < 0.3 else other_number
+        path.write_bytes(change(random, files[path]))
+        with suppress(ToolkitError):
+            for recording in found(tmp_path):
+                touches = list(touches_of(recording, "frames"))
+                assert len(touches) < 100
+                if recording.problem is None:
+                    images = list(encoded_frames(touches))
+                    assert len(images) == len(touches)
+                    assert all(isinstance(each, (bytes, ItemError)) for each in images)
+                    used += 1
+        path.write_bytes(files[path])
+    assert used > 100

@@ -1,0 +1,113 @@
+"""Further columns of touches as columns of frames, whose vectors are of one length."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.extras import array_with_gaps
+from realtouch.schema import EXTRA_PREFIX, extra_columns, extra_type
+from realtouch.stored_round import StoredRound
+from tactile_toolkit import read
+from tactile_toolkit.array_types import AnyArray
+
+FEATURE = "observation."
+"""How the names of these columns begin."""
+
+# Columns and arrays of the formats themselves.
+_TAKEN = (
+    *("images.tactile", "state", "action", "tactile", "label", "object_id", "gel_pose", "pos_in_cell"),
+    *("time_s", "timestamps", "right_wrist_pose", "camera_main_rgb", "sub_task_instruction"),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class ExtraColumn:
+    """A further column: its stored name, its name among those of frames, and its type there."""
+
+    stored: str
+    name: str
+    data_type: pa.DataType
+
+    @property
+    def own_name(self) -> str:
+        """Its name in :class:`realtouch.extras.Extras`."""
+        return self.stored.partition(".")[2]
+
+    @property
+    def array(self) -> str:
+        """Its name in formats whose columns are arrays."""
+        return self.name.removeprefix(FEATURE)
+
+    @property
+    def is_per_frame(self) -> bool:
+        """Whether it has an entry for each frame, not for each touch."""
+        return self.stored.startswith(EXTRA_PREFIX["frame"])
+
+    def of_frames(self, row: StoredRound, touch: int | None, count: int) -> pa.Array:
+        """Return the values of an episode: of all touches of a round, or of the frames of one clip.
+
+        What is missing is NaN, or null of texts. Raises IntegrityError for fewer values than frames, and for
+        vectors of another length.
+        """
+        values = row.extra_entries(self.stored)
+        if touch is not None and self.is_per_frame:
+            frames = values[touch].values
+            values = pa.nulls(count, values.type.value_type) if frames is None else frames.slice(0, count)
+        elif touch is not None:
+            values = values.take(pa.array([touch] * count))
+        if len(values) < count:
+            raise row.damaged(self.stored, f"{len(values)} frames; expected at least {count}", touch)
+        with row.naming(self.stored, touch):
+            return self._packed(array_with_gaps(values))
+
+    def _packed(self, values: AnyArray) -> pa.Array:
+        """Return numbers, texts or vectors as Arrow stores them; ValueError for vectors of another length."""
+        width, leaf = getattr(self.data_type, "list_size", 0), self.data_type
+        if width:
+            leaf = leaf.value_type
+        if width and not values.shape[1]:  # all of them are missing
+            values = np.full((len(values), width), None)
+        if width not in (0, *values.shape[1:]):
+            raise ValueError(f"vectors of {values.shape[1]} values; expected {width}, as in the first touch")
+        if pa.types.is_floating(leaf):
+            values = values.astype(leaf.to_pandas_dtype())
+        flat = pa.array(values.reshape(-1), leaf)
+        return pa.FixedSizeListArray.from_arrays(flat, width) if width else flat
+
+
+def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
+    """Return the further columns of a split, except those without any value.
+
+    Their values are read: for the length of vectors, and whether some are missing.
+    """
+    types = read.column_types(shards[0].schema)
+    names = {f"{FEATURE}{name}" for name in _TAKEN}
+    found = []
+    for name, stored in extra_columns(types).items():
+        entry, (width, has_gaps) = extra_type(stored, types[stored]), _widths(shards, stored)
+        depth, leaf = read.list_depth(entry)
+        if has_gaps and not (pa.types.is_floating(leaf) or pa.types.is_string(leaf)):
+            leaf = pa.float64()  # where NaN stands for what is missing
+        feature = f"{FEATURE}{name.replace('/', '_')}"
+        while feature in names:
+            feature = f"{feature}_"
+        names.add(feature)
+        if width or not depth:
+            found.append(ExtraColumn(stored, feature, pa.list_(leaf, width) if depth else leaf))
+    return tuple(found)
+
+
+def _widths(shards: Iterable[read.Shard], stored: str) -> tuple[int, bool]:
+    """Return the length of the first vector of a column, 0 without any, and whether values are missing."""
+    width, has_gaps = 0, False
+    for block in read.all_blocks(shards, [stored]):
+        column = block.nested(stored)
+        has_gaps = has_gaps or column.nulls > 0
+        last = column.levels[-1]
+        lengths = [last] if isinstance(last, int) else np.diff(last)
+        width = width or int(next(filter(None, lengths), 0))
+    return width, has_gaps

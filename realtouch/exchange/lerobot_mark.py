@@ -1,0 +1,55 @@
+"""What a LeRobotDataset that this toolkit wrote says of itself, and by what names it comes back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import msgspec
+
+from realtouch.exchange.episodes import ACTION, STATE, TIME
+from realtouch.exchange.recordings import Recording
+from realtouch.exchange.zarr_recordings import name_ours
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+
+_VECTORS = {STATE: POSE_COLUMNS, ACTION: POSITION_COLUMNS}
+_OF_EPISODE = ("label", "label_name", "object_id")
+
+
+class Mark(msgspec.Struct, frozen=True):
+    """What an export of this toolkit says of itself.
+
+    ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
+    feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.
+    """
+
+    class_names: tuple[str, ...]
+    clips: bool
+    extra: Mapping[str, str] = {}
+
+    def own_name(self, feature: str) -> str:
+        """Return the own name of a further column, of other features their name."""
+        return self.extra.get(feature, feature).removeprefix("extra_seq.").removeprefix("extra.")
+
+    @property
+    def per_touch(self) -> list[str]:
+        """Own names of the further columns with an entry a touch."""
+        return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
+
+
+def as_ours(found: Recording, mark: Mark) -> Recording:
+    """Return an episode that this toolkit wrote, with its columns named as in its tables."""
+    columns = {mark.own_name(name): column for name, column in found.per_frame.items()}
+    values, time_s = dict(found.values), columns.pop(TIME, found.time_s)
+    name = round_id = str(values.pop("round_id", found.name))
+    touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
+    if mark.clips:
+        name, cut = found.name, "whole"
+        if isinstance(touch, int):
+            name = touch_id(round_id, touch)
+        of_episode += [*POSITION_COLUMNS, *mark.per_touch]
+    found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
+    per_frame = dict(name_ours(found, _VECTORS, mark.class_names).per_frame)
+    values |= {each: per_frame.pop(each)[0].tolist() for each in of_episode if each in per_frame}
+    return replace(found, values=values, per_frame=per_frame)

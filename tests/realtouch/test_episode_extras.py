@@ -1,0 +1,141 @@
+"""Further columns of touches in exports of episodes: forces, markers, contact points."""
+
+from __future__ import annotations
+
+import json
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from realtouch.exchange.lerobot_import import find_lerobot
+from realtouch.exchange.oxt_import import find_oxt
+from realtouch.exchange.recordings import Recording
+from realtouch.exchange.replay_import import find_replay
+from tactile_toolkit import store
+from tactile_toolkit.errors import IntegrityError
+from tests.realtouch.factories import RoundTruth
+
+FORCE = "observation.force_n"
+
+
+def with_extras(source: Path, home: Path, columns: dict[str, list[Any]]) -> Path:
+    """Write the rounds of a set with further columns, an entry a round."""
+    found = sorted((source / "data").glob("train-*.parquet"))
+    rows = pa.concat_tables([pq.read_table(path) for path in found])
+    for name, values in columns.items():
+        rows = rows.append_column(name, pa.array(values, pa.list_(pa.float64()) if "none" in name else None))
+    (home / "data").mkdir(parents=True)
+    pq.write_table(rows, home / "data" / "train-00000-of-00001.parquet", row_group_size=1)
+    return home
+
+
+def found(find: Any, home: Path) -> list[Recording]:
+    return list(find(store.open_folder(str(home)), realtouch.ImportColumns(), None))
+
+
+def exported(home: Path, out: Path) -> tuple[pa.Table, dict[str, Any], dict[str, Any]]:
+    """Return frames, features and statistics of the LeRobotDataset."""
+    realtouch.export(home, out, "lerobot")
+    info, stats = (
+        json.loads((out / "lerobot" / "meta" / f"{name}.json").read_text()) for name in ("info", "stats")
+    )
+    return pq.read_table(out / "lerobot" / "data"), info["features"], stats
+
+
+def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_path: Path) -> None:
+    """Numbers, vectors, texts and booleans; what is missing is NaN, or null of texts."""
+    random = np.random.default_rng(4)
+    force = random.normal(size=(3, 5, 3)).tolist()
+    count: list[list[int | None]] = [[1, 2, None, 4, 5]] * 3
+    force[1][2] = None
+    note = [["a", None, "c", "d", "e"]] * 3
+    is_good = [[True, False, True, True, False]] * 3
+    extras = {"force_n": force, "count": count, "note": note, "good/bad": is_good, "none": [[None] * 5] * 3}
+    home = with_extras(single_folder, tmp_path / "home", {f"extra.{name}": extras[name] for name in extras})
+    frames, features, stats = exported(home, tmp_path / "out")
+    expected = np.array([[np.nan] * 3 if each is None else each for touches in force for each in touches])
+    np.testing.assert_array_equal(np.array(frames[FORCE].to_pylist()), expected)
+    assert features[FORCE] == {"dtype": "float64", "shape": [3], "names": None}
+    np.testing.assert_array_equal(frames["observation.count"].to_numpy(), [1, 2, np.nan, 4, 5] * 3)
+    assert features["observation.count"]["dtype"] == "float64"
+    assert frames["observation.note"].to_pylist() == note[0] * 3
+    assert features["observation.note"]["dtype"] == "string"
+    assert frames["observation.good_bad"].to_pylist() == is_good[0] * 3
+    assert features["observation.good_bad"]["dtype"] == "bool"
+    assert set(frames.column_names) == set(features) == {*stats, "observation.note"} | {"observation.note"}
+    for statistic, value in (("mean", np.nanmean(expected, 0)), ("max", np.nanmax(expected, 0))):
+        np.testing.assert_allclose(stats[FORCE][statistic], value, rtol=1e-12)
+    assert stats["observation.good_bad"]["mean"] == [0.6]
+    episode = pq.read_table(tmp_path / "out" / "lerobot" / "meta" / "episodes").to_pylist()[1]
+    np.testing.assert_allclose(episode[f"stats/{FORCE}/min"], np.nanmin(expected[5:10], 0), rtol=1e-12)
+    recordings = found(find_lerobot, tmp_path / "out" / "lerobot")
+    for number, each in enumerate(recordings):
+        np.testing.assert_array_equal(each.per_frame["force_n"], expected[5 * number : 5 * number + 5])
+        assert each.per_frame["note"].tolist() == note[number]
+        assert each.per_frame["good/bad"].tolist() == is_good[number]
+
+
+def test_columns_with_an_entry_per_frame_are_features(
+    seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    """Beside those of whole clips; a name that a feature of ours has is another one."""
+    random = np.random.default_rng(4)
+    lengths = [[touch.frames for touch in each.touches] for each in truth]
+    force = [[random.normal(size=(length, 3)).tolist() for length in round_] for round_ in lengths]
+    level = [[list(range(length)) for length in round_] for round_ in lengths]
+    warmth = random.normal(size=(3, 5)).tolist()
+    columns = {"extra_seq.force_n": force, "extra_seq.state": level, "extra.temperature": warmth}
+    home = with_extras(seq_folder, tmp_path / "home", columns)
+    frames, features, _ = exported(home, tmp_path / "out")
+    flat = np.concatenate([np.array(touch) for touches in force for touch in touches])
+    np.testing.assert_array_equal(np.array(frames[FORCE].to_pylist()), flat)
+    assert features["observation.state"]["shape"] == [7]
+    assert features["observation.state_"] == {"dtype": "int64", "shape": [1], "names": None}
+    assert frames["observation.state_"].to_pylist() == frames["frame_index"].to_pylist()
+    repeated = np.repeat(np.ravel(warmth), np.ravel(lengths))
+    np.testing.assert_array_equal(frames["observation.temperature"].to_numpy(), repeated)
+    recordings = found(find_lerobot, tmp_path / "out" / "lerobot")
+    for each, touch, value in zip(recordings, chain(*force), chain(*warmth), strict=True):
+        np.testing.assert_array_equal(each.per_frame["force_n"], touch)
+        assert each.values["temperature"] == value
+        assert each.per_frame["state"].tolist() == list(range(each.frames))
+
+
+def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path) -> None:
+    markers = [[[1.0, 2.0]] * 5, [[1.0, 2.0]] * 4 + [[1.0] * 3], [[1.0, 2.0]] * 5]
+    home = with_extras(single_folder, tmp_path / "home", {"extra.markers": markers})
+    with pytest.raises(IntegrityError, match=r"row 1, field 'extra.markers': vectors of 2 and of 3 values"):
+        realtouch.export(home, tmp_path / "out", "lerobot")
+    markers[1] = [[1.0] * 3] * 5
+    home = with_extras(single_folder, tmp_path / "other", {"extra.markers": markers})
+    with pytest.raises(IntegrityError, match="vectors of 3 values; expected 2, as in the first touch"):
+        realtouch.export(home, tmp_path / "out", "lerobot")
+
+
+@pytest.mark.parametrize(("layout", "find"), [("oxt", find_oxt), ("replay", find_replay)])
+def test_columns_are_arrays_of_groups(
+    layout: Any, find: Any, seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    """Open-X-Tactile knows what concerns whole clips; in a replay buffer all columns are of frames."""
+    force = [
+        [[[frame, 2.0, 3.0] for frame in range(touch.frames)] for touch in each.touches] for each in truth
+    ]
+    note, warmth = [["a", "b", None, "d", "e"]] * 3, [[1.0, 2, 3, 4, 5]] * 3
+    columns = {"extra_seq.force_n": force, "extra.temperature": warmth, "extra.note": note}
+    realtouch.export(with_extras(seq_folder, tmp_path / "home", columns), tmp_path / "out", layout)
+    recordings = found(find, tmp_path / "out" / layout)
+    for each, force_n, *both in zip(recordings, chain(*force), chain(*warmth), chain(*note), strict=True):
+        np.testing.assert_array_equal(each.per_frame["force_n"], force_n)
+        for name, value in zip(("temperature", "note"), both, strict=True):
+            expected = value or ""  # of a text that is missing
+            if name in each.values:
+                assert each.values[name] == expected
+            else:
+                assert each.per_frame[name].tolist() == [expected] * each.frames
+    assert ("temperature" in recordings[0].values) == (layout == "oxt")

@@ -1,0 +1,212 @@
+"""Tables of images in Parquet, of this toolkit and of others, as touches."""
+
+from __future__ import annotations
+
+import datetime
+import re
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from realtouch.exchange.flat_import import find_flat, stored_images
+from realtouch.exchange.found_touches import FoundTouch
+from tactile_toolkit import read, store
+from tactile_toolkit.errors import InputError, ToolkitError
+from tests.realtouch.images_of_others import picture, spoiled
+
+JPEGS = [picture(level) for level in range(0, 240, 20)]
+
+
+def found(home: Path, **columns: Any) -> list[FoundTouch]:
+    return list(find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None))
+
+
+def write(
+    home: Path, name: str = "data/train-00000-of-00001.parquet", rows_per_group: int = 5, **columns: Any
+) -> Path:
+    path = home / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    pq.write_table(pa.table(columns), path, row_group_size=rows_per_group)
+    return path
+
+
+def images(names: list[str | None] | None = None) -> pa.Array:
+    paths = names or [None] * len(JPEGS)
+    return pa.array([{"bytes": jpeg, "path": path} for jpeg, path in zip(JPEGS, paths, strict=True)])
+
+
+@pytest.mark.parametrize("form", ["struct", "binary", "large"])
+def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
+    """Every other column by its own name; pictures in any order."""
+    names: list[str | None] = [f"/home/me/{number}.jpg" for number in range(len(JPEGS))]
+    names[3] = None
+    kinds = {"struct": images(names), "binary": pa.array(JPEGS), "large": pa.array(JPEGS, pa.large_binary())}
+    force = np.random.default_rng(1).normal(size=(len(JPEGS), 3))
+    others = {"force": force.tolist(), "label": ["mug", None] * 6, "when": [datetime.date(2026, 1, 1)] * 12}
+    write(tmp_path, tactile=kinds[form], **others)
+    write(tmp_path, "more/part.parquet", tactile=kinds[form], **others)
+    touches = found(tmp_path)
+    assert len(touches) == 24
+    for number, touch in enumerate(touches):
+        row = number % 12
+        split = {"split": "train"} if number < 12 else {}
+        values = {name: column[row] for name, column in others.items()}
+        assert touch.values == {**split, **values}
+        assert touch.problem is None
+    stem = "data/train-00000-of-00001"
+    expected = [f"{stem}_{row:06d}" if form != "struct" or row == 3 else f"{row}.jpg" for row in range(12)]
+    assert [touch.name for touch in touches[:12]] == expected
+    assert list(stored_images(touches)) == JPEGS * 2
+    order = np.random.default_rng(2).permutation(24).tolist()
+    assert list(stored_images([touches[each] for each in order])) == [JPEGS[each % 12] for each in order]
+    (tmp_path / "more" / "part.parquet").rename(tmp_path / "only.parquet")
+    assert len(found(tmp_path / "only.parquet")) == 12
+
+
+def test_a_table_of_nothing_but_pictures(tmp_path: Path) -> None:
+    write(tmp_path, picture=pa.array(JPEGS))
+    assert [touch.values for touch in found(tmp_path)] == [{"split": "train"}] * 12
+
+
+def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
+    write(tmp_path, left=images(), right=pa.array(JPEGS[::-1]), label=["a"] * 12)
+    with pytest.raises(
+        InputError, match="has the columns of pictures left, right; expected one; next: choose one"
+    ):
+        found(tmp_path)
+    with pytest.raises(InputError, match="left, right; expected 'rigt'; did you mean 'right'"):
+        found(tmp_path, image="rigt")
+    touches = found(tmp_path, image="right")
+    assert list(stored_images(touches)) == JPEGS[::-1]
+    assert touches[0].values == {"label": "a", "split": "train"}
+    write(tmp_path, label=["a"])
+    with pytest.raises(InputError, match="the columns of pictures none among label; expected one"):
+        found(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_a_set_of_touches_needs_no_import(kind: str, request: pytest.FixtureRequest) -> None:
+    folder = request.getfixturevalue(f"{kind}_folder")
+    with pytest.raises(
+        InputError, match=r"'sensor_(image|video)': it is of a data set of touches, which needs no"
+    ):
+        found(folder)
+
+
+def test_what_is_no_picture_or_no_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="holds no Parquet files"):
+        found(tmp_path)
+    home, secret = tmp_path / "home", tmp_path / "secret.parquet"
+    write(tmp_path, "secret.parquet", image=images())
+    stored = [
+        {"bytes": None, "path": "/etc/passwd"},
+        None,
+        {"bytes": b"", "path": "a"},
+        {"bytes": JPEGS[0], "path": 3},
+    ]
+    write(home, image=pa.array([{**each, "path": str(each["path"])} if each else None for each in stored]))
+    contents = list(stored_images(found(home)))
+    problems = [f"row {row} of 'image' holds no bytes; expected a picture" for row in range(3)]
+    assert [str(each) for each in contents[:3]] == problems
+    assert contents[3] == JPEGS[0]
+    (home / "data" / "link.parquet").symlink_to(secret)
+    with pytest.raises(InputError, match=r"link\.parquet': a link leads out of the folder"):
+        found(home)
+    (home / "data" / "link.parquet").unlink()
+    (home / "data" / "z.parquet").write_bytes(secret.read_bytes()[:-30])
+    with pytest.raises(ToolkitError, match=r"z\.parquet' is damaged"):
+        found(home)
+    names = ["a", "a"]
+    pq.write_table(
+        pa.Table.from_arrays([pa.array(JPEGS), pa.array(JPEGS)], names), home / "data" / "z.parquet"
+    )
+    with pytest.raises(InputError, match="two columns of one name"):
+        found(home)
+
+
+def test_what_unpacks_to_more_than_a_machine_holds_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A text that is stored once and stands in each of many rows; numbers that take next to no space."""
+    monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "4")
+    count = 100_000
+    image = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array([JPEGS[0]])).cast(
+        pa.binary()
+    )
+    write(tmp_path, rows_per_group=count, image=image, force=np.zeros((count, 8)).tolist())
+    with pytest.raises(InputError, match=r"unpacks to .* nothing was unpacked"):
+        found(tmp_path)
+    note = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array(["x" * 5000]))
+    write(tmp_path, rows_per_group=count, image=image, note=note.cast(pa.string()))
+    with pytest.raises(InputError, match=r"unpacks to .* nothing was unpacked"):
+        found(tmp_path)
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_an_export_of_this_toolkit_comes_back(
+    kind: Any, request: pytest.FixtureRequest, tmp_path: Path
+) -> None:
+    source = request.getfixturevalue(f"{kind}_folder")
+    realtouch.export(source, tmp_path / "flat", "flat")
+    realtouch.import_touches(tmp_path / "flat", tmp_path / "back", "flat")
+    for split in ("train", "test"):
+        before, after = realtouch.load(source, split), realtouch.load(tmp_path / "back", split)
+        assert after.ids.tolist() == before.ids.tolist()
+        assert after.labels.tolist() == before.labels.tolist()
+        assert {after.label_names[label] for label in after.labels} == {str(label) for label in before.labels}
+        flat = pq.read_table(tmp_path / "flat" / "data" / f"{split}-00000-of-00001.parquet").to_pylist()
+        stored = [
+            bytes(each.sensor_image.encoded(touch)) for each in after for touch in range(each.touch_count)
+        ]
+        assert stored == [row["image"]["bytes"] for row in flat]
+        for row, touch in zip(flat, after.touches(), strict=True):
+            pose = [row[name] for name in realtouch.touch_options.POSE_COLUMNS]
+            np.testing.assert_array_equal(touch.gel_pose.translation, pose[:3])
+    assert realtouch.verify(tmp_path / "back").ok
+
+
+@pytest.mark.thorough
+def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(tmp_path: Path) -> None:
+    """2,000 files with bytes flipped, cut out or put in."""
+    force = np.random.default_rng(1).normal(size=(12, 3))
+    path = write(tmp_path, image=images(), force=force.tolist(), label=["mug", None] * 6, count=[1, None] * 6)
+    content, random = path.read_bytes(), np.random.default_rng(3)
+    used = 0
+    for _ in range(2000):
+        path.write_bytes(spoiled(random, content))
+        with suppress(ToolkitError):
+            touches = found(tmp_path)
+            contents = list(stored_images(touches))
+            assert len(contents) == len(touches) < 100
+            used += 1
+    assert used > 100
+
+
+def with_wrong_histogram(content: bytes) -> list[bytes]:
+    """Return files whose footer states one count more of some column than its type has levels."""
+    start = len(content) - 8 - int.from_bytes(content[-8:-4], "little")
+    footer, found = content[start:-8], []
+    for at in (place.start() for place in re.finditer(b"\x36", footer)):  # three integers
+        longer = b"".join((footer[:at], b"\x46", footer[at + 1 : at + 4], b"\0", footer[at + 4 :]))
+        found.append(content[:start] + longer + len(longer).to_bytes(4, "little") + b"PAR1")
+    return found
+
+
+def test_a_footer_that_contradicts_itself_does_not_end_the_process(tmp_path: Path) -> None:
+    """Arrow ends the process where such a column is looked at in the footer."""
+    path = write(tmp_path, image=images())
+    problems = set()
+    for content in with_wrong_histogram(path.read_bytes()):
+        path.write_bytes(content)
+        for look in (lambda: found(tmp_path), read.Shard(str(path)).read):
+            try:
+                look()
+            except ToolkitError as error:
+                problems.add((look.__name__, "histogram size mismatch, size: 4" in error.what))
+    assert problems >= {("<lambda>", True), ("read", True)}
