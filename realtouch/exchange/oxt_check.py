@@ -50,7 +50,7 @@ _Problem = tuple[str, str, str, str]
 
 @dataclass(frozen=True)
 class _Contents:
-    """Names of the arrays of a group, those that can be read, the number of frames, starts of known episodes."""
+    """Names of the arrays of a group, those that can be read, frames, starts of known episodes."""
 
     names: Collection[str]
     arrays: Mapping[str, ZarrArray]

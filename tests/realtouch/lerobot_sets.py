@@ -75,7 +75,10 @@ class Truth:
         """Return the rows of an episode."""
         columns = {name: _arrow(values) for name, values in self.columns[number].items()}
         for camera in self.cameras if has_images else ():
-            images = [{"bytes": jpeg, "path": f"frame-{frame:06d}.png"} for frame, jpeg in enumerate(self.jpegs[number])]
+            images = [
+                {"bytes": jpeg, "path": f"frame-{frame:06d}.png"}
+                for frame, jpeg in enumerate(self.jpegs[number])
+            ]
             columns[camera] = pa.array(images, IMAGE_TYPE)
         return pa.table(columns)
 
@@ -110,7 +113,9 @@ def info_of(truth: Truth, version: str, dtype: str) -> dict[str, Any]:
     }
 
 
-def write_lerobot(home: Path, version: str = "v3.0", dtype: str = "image", truth: Truth | None = None) -> Truth:
+def write_lerobot(
+    home: Path, version: str = "v3.0", dtype: str = "image", truth: Truth | None = None
+) -> Truth:
     """Write a set below a folder; return what it holds."""
     truth = truth or Truth()
     write_json(home / "meta" / "info.json", info_of(truth, version, dtype))
@@ -125,7 +130,12 @@ def write_json(path: Path, content: Any) -> None:
 
 def _write_v2(home: Path, truth: Truth, dtype: str) -> None:
     episodes = [
-        {"episode_index": number, "tasks": [TASKS[number % len(TASKS)]], "length": length, "operator": f"o{number}"}
+        {
+            "episode_index": number,
+            "tasks": [TASKS[number % len(TASKS)]],
+            "length": length,
+            "operator": f"o{number}",
+        }
         for number, length in enumerate(truth.lengths)
     ]
     tasks = [{"task_index": number, "task": task} for number, task in enumerate(TASKS)]
@@ -141,25 +151,43 @@ def _write_v2(home: Path, truth: Truth, dtype: str) -> None:
 def _write_v3(home: Path, truth: Truth, dtype: str) -> None:
     """Write the first two episodes into one file, the others into the next."""
     files = [list(range(2)), list(range(2, len(truth.lengths)))]
-    pandas = {"index_columns": ["__index_level_0__"], "column_indexes": [], "columns": [], "pandas_version": "2.0.0"}
+    pandas = {
+        "index_columns": ["__index_level_0__"],
+        "column_indexes": [],
+        "columns": [],
+        "pandas_version": "2.0.0",
+    }
     tasks = pa.table({"task_index": range(len(TASKS)), "__index_level_0__": list(TASKS)})
-    _write_table(home / "meta" / "tasks.parquet", tasks.replace_schema_metadata({"pandas": json.dumps(pandas)}))
+    _write_table(
+        home / "meta" / "tasks.parquet", tasks.replace_schema_metadata({"pandas": json.dumps(pandas)})
+    )
     for file, numbers in enumerate(files):
         place = {"chunk_index": 0, "file_index": file}
         lines, start_s = [], 0.0
         for number in numbers:
             length = truth.lengths[number]
             first = sum(truth.lengths[:number])
-            line = {"episode_index": number, "tasks": [TASKS[number % 2]], "length": length, "operator": f"o{number}"}
+            line = {
+                "episode_index": number,
+                "tasks": [TASKS[number % 2]],
+                "length": length,
+                "operator": f"o{number}",
+            }
             line |= {"dataset_from_index": first, "dataset_to_index": first + length}
-            line |= {f"{folder}/{name}": value for folder in ("data", "meta/episodes") for name, value in place.items()}
+            line |= {
+                f"{folder}/{name}": value
+                for folder in ("data", "meta/episodes")
+                for name, value in place.items()
+            }
             for camera in truth.cameras if dtype == "video" else ():
                 at = f"videos/{camera}/"
                 line |= {f"{at}{name}": value for name, value in place.items()}
                 line |= {f"{at}from_timestamp": start_s, f"{at}to_timestamp": start_s + length / FPS}
             start_s += length / FPS
             lines.append({**line, "stats/temperature/mean": [0.0]})
-        _write_table(home / "meta" / "episodes" / "chunk-000" / f"file-{file:03d}.parquet", pa.Table.from_pylist(lines))
+        _write_table(
+            home / "meta" / "episodes" / "chunk-000" / f"file-{file:03d}.parquet", pa.Table.from_pylist(lines)
+        )
         rows = pa.concat_tables([truth.table(number, dtype == "image") for number in numbers])
         _write_table(home / V3_DATA.format(**place), rows, row_group_size=3)
         for camera in truth.cameras if dtype == "video" else ():

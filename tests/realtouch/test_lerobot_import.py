@@ -71,7 +71,9 @@ def test_one_of_several_cameras_is_chosen_and_the_others_are_named(
     version: str, dtype: str, tmp_path: Path
 ) -> None:
     write_lerobot(tmp_path, version, dtype, Truth((3, 2), (CAMERA, "observation.images.wrist")))
-    with pytest.raises(InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "):
+    with pytest.raises(
+        InputError, match=rf"cameras {CAMERA}, observation.images.wrist; expected one; next: "
+    ):
         found(tmp_path)
     with pytest.raises(InputError, match=r"expected 'tactil' among them"):
         found(tmp_path, image="tactil")
@@ -165,11 +167,19 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
         ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
-        ("image", change_column("note", lambda rows: pa.array([[1], [1, 2], [], [], []])), "expected one length"),
+        (
+            "image",
+            change_column("note", lambda rows: pa.array([[1], [1, 2], [], [], []])),
+            "expected one length",
+        ),
         ("video", cut_file("episode_000000.mp4"), ""),
         ("video", remove("episode_000000.mp4"), "the file does not exist"),
         ("video", state(fps=50), ""),
-        ("video", change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)), "not shown at the times"),
+        (
+            "video",
+            change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
+            "not shown at the times",
+        ),
     ],
 )
 def test_an_episode_that_cannot_be_used_is_one_item_with_the_reason(
@@ -220,7 +230,11 @@ def test_paths_in_metadata_stay_inside(
         ("episodes.jsonl", b'{"episode_index": -1, "length": 3}', "Expected `int` >= 0"),
         ("episodes.jsonl", b'{"episode_index": 1e999, "length": 3}', r"episodes\.jsonl' holds no metadata"),
         ("episodes.jsonl", b'{"episode_index": 3}', "Expected `int`"),
-        ("episodes.jsonl", b'{"episode_index": 3, "length": 2}\n' * 2, "episode 3 after 3; expected numbers that"),
+        (
+            "episodes.jsonl",
+            b'{"episode_index": 3, "length": 2}\n' * 2,
+            "episode 3 after 3; expected numbers that",
+        ),
         ("tasks.jsonl", b'{"task_index": 1}', "expected a number and a text"),
         ("tasks.jsonl", b"1", "Expected `object`"),
     ],
@@ -269,7 +283,10 @@ def test_metadata_of_version_3_that_cannot_be_used_are_named(tmp_path: Path) -> 
 def test_pictures_that_are_not_there_are_named(tmp_path: Path) -> None:
     write_lerobot(tmp_path, "v2.1")
     change_column(
-        CAMERA, lambda rows: pa.array([None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type)
+        CAMERA,
+        lambda rows: pa.array(
+            [None, {"bytes": None}, {"bytes": b""}, *rows[CAMERA].to_pylist()[3:]], rows[CAMERA].type
+        ),
     )(tmp_path)
     first, *_ = found(tmp_path)
     images = pictures(first)
@@ -293,7 +310,11 @@ def test_an_export_of_this_toolkit_comes_back(
     recordings = found(tmp_path / "there" / "lerobot")
     number = 0
     for record in before:
-        touches = [list(range(record.touch_count))] if kind == "single" else [[t] for t in range(record.touch_count)]
+        touches = (
+            [list(range(record.touch_count))]
+            if kind == "single"
+            else [[t] for t in range(record.touch_count)]
+        )
         for chosen in touches:
             recording, number = recordings[number], number + 1
             expected = {"round_id": record.id, "split": "train", "label": record.label}
