@@ -1,16 +1,20 @@
-"""Tables in text files: separated by commas, semicolons or tabs, in UTF-8, or UTF-16 with a mark."""
+"""Tables in text files: commas, semicolons or tabs, or JSON lines; in UTF-8, or UTF-16 with a mark."""
 
 from __future__ import annotations
 
 import csv
 import io
+import json
 import re
 from typing import Any
 
 from tactile_toolkit.errors import InputError
 
 TABLE_ENDINGS = (".csv", ".tsv")
-"""Endings of such files, in lower case."""
+"""Endings of files with a header and a line a row, in lower case."""
+
+RECORD_ENDINGS = (".jsonl", ".parquet")
+"""Endings of tables whose values have types: JSON lines, and Parquet, which is no text."""
 
 _QUOTED = re.compile(r'"[^"\n]*"')
 _SEPARATORS = (",", ";", "\t")
@@ -44,6 +48,8 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
 def table_lines(content: bytes, path: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return columns and lines of a table; InputError, which names ``path``, for an unreadable one."""
     text, separator = table_text(content, path)
+    if path.lower().endswith(".jsonl"):
+        return _json_lines(text, path)
     # Spaces after a separator are not part of the value.
     stream = io.StringIO(text, newline="")
     lines = csv.DictReader(stream, delimiter=separator, strict=True, skipinitialspace=True)
@@ -55,3 +61,18 @@ def table_lines(content: bytes, path: str) -> tuple[list[str], list[dict[str, An
         raise InputError(
             f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas, semicolons or tabs"
         ) from error
+
+
+def _json_lines(text: str, path: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return columns and lines of JSON objects, one a line; a line without a field has None there."""
+    lines = []
+    for number, line in enumerate(text.splitlines(), 1):
+        if line.strip():
+            try:
+                lines.append(dict(json.loads(line)))
+            except (ValueError, TypeError, RecursionError) as error:
+                raise InputError(
+                    f"{path!r}, line {number}: no JSON object; expected one in each line"
+                ) from error
+    names = list(dict.fromkeys(name for line in lines for name in line))
+    return names, [{name: line.get(name) for name in names} for line in lines]

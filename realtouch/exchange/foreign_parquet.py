@@ -36,6 +36,13 @@ def is_picture(data_type: pa.DataType | None) -> bool:
     return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
 
 
+def parquet_lines(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
+    """Return the columns and rows of a table, without columns of pictures; raises as the file does."""
+    file = ForeignParquet(folder, name)
+    names = [each for each, data_type in file.types.items() if not is_picture(data_type)]
+    return names, list(file.rows(names))
+
+
 class ForeignParquet:
     """A Parquet file below a source, whose content is not trusted.
 

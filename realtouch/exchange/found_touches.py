@@ -30,6 +30,8 @@ _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
 
 _SIZES_SEEN = 32
+_DIGITS = re.compile(r"([0-9]{1,18})")
+_PARQUET_LINES = lazy("realtouch.exchange.foreign_parquet:parquet_lines")
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,8 +198,16 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
         raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
+def natural_order(path: str) -> list[tuple[int, str]]:
+    """Return a key by which ``demo_2`` stands before ``demo_10``."""
+    return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
+
+
 def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the columns and lines of a table; InputError if it cannot be read."""
+    if name.lower().endswith(".parquet"):
+        columns, lines = _PARQUET_LINES(folder, name)
+        return columns, lines
     with open_source(folder, name) as stream:
         content = stream.read()
     return table_lines(content, folder.address(name))

@@ -7,7 +7,6 @@ opened through a link or from another file, nor by filters other than those of H
 from __future__ import annotations
 
 import math
-import re
 import weakref
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
@@ -18,7 +17,7 @@ from typing import IO, Any
 import numpy as np
 
 from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.found_touches import FoundTouch, open_source, source_of, visible_files
+from realtouch.exchange.found_touches import FoundTouch, natural_order, open_source, source_of, visible_files
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, encoded_pictures
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
@@ -176,12 +175,12 @@ class _File:
         groups = [path.removesuffix(image) for path in self.datasets if f"/{path}".endswith(f"/{image}")]
         if not image or not groups:
             several = {path for path, each in self.datasets.items() if len(each.shape or ()) == _PICTURE_AXES}
-            shown = sorted(several, key=_natural)[:_SHOWN]
+            shown = sorted(several, key=natural_order)[:_SHOWN]
             raise InputError(
                 f"{self.place!r} has no dataset of pictures {image!r}; found {', '.join(shown) or 'none'}",
                 next="name it with --map image=PATH, below the file or below the group of each episode",
             )
-        for group in sorted(groups, key=_natural):
+        for group in sorted(groups, key=natural_order):
             yield self._recording(group, image, columns)
 
     def _recording(self, group: str, image: str, columns: ImportColumns) -> Recording:
@@ -259,8 +258,3 @@ def describe_conversion(items: Sequence[FoundTouch]) -> str:
 def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
     """Yield the pixels of each picture of some items as PNG, in order."""
     return encoded_pictures(items, open_pictures)
-
-
-def _natural(path: str) -> list[tuple[int, str]]:
-    """Return a key by which ``demo_2`` stands before ``demo_10``."""
-    return [(int(each), "") if each.isdecimal() else (-1, each) for each in re.split(r"(\d+)", path)]

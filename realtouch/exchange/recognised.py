@@ -12,7 +12,7 @@ from typing import IO, NamedTuple
 from realtouch.exchange.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.text_tables import TABLE_ENDINGS
+from tactile_toolkit.text_tables import RECORD_ENDINGS, TABLE_ENDINGS
 
 _MOST_LOOKED_AT = 20_000
 _MOST_FOLDERS = 200
@@ -67,7 +67,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("video", _ends(*_VIDEO_ENDINGS)),
     ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
     ("flat", _ends(".parquet")),
-    ("folder", _ends(*TABLE_ENDINGS)),
+    ("folder", _ends(*TABLE_ENDINGS, ".jsonl")),
 )
 # Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
 _PARTS = {
@@ -77,7 +77,7 @@ _PARTS = {
     "fota": {"webdataset"},
     "sparsh": {"folder"},
 }
-_TABLES = _ends(*TABLE_ENDINGS, ".parquet", ".jsonl")
+_TABLES = _ends(*TABLE_ENDINGS, *RECORD_ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
