@@ -84,7 +84,7 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
             array = group.array(f"{DATA}/{name}")
             array.require_chunks()
             if array.dtype.kind in "SU":  # of which the letters are looked at, too
-                columns_of({name: array}, array.shape[0], ())
+                columns_of({name: array}, max(array.shape[:1], default=0), ())
             arrays[name] = array
         except InputError as error:
             yield "readable", name, error.what, "an array of Zarr that can be read completely"

@@ -195,7 +195,7 @@ def columns_of(
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
             size += frames * width * array.dtype.itemsize
             require_unpackable(size, f"{array.place}, with all arrays before it,")
-            rows = _letters_checked(array, array.rows(0, frames)).reshape(frames, -1)
+            rows = _letters_checked(array, array.rows(0, frames)).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")

@@ -36,7 +36,10 @@ _MOST_CHUNKS = 1 << 18
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
-_UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
+_UNREADABLE = (
+    *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
+    zlib.error,
+)
 _LEVEL = 1
 
 

@@ -228,6 +228,7 @@ def test_codecs_that_run_code_or_lose_values_are_refused_by_name(
         {"order": 3, "shape": "abcd"},
         {"filters": 3},
         {"fill_value": "many"},
+        {"fill_value": -1},
         {"dimension_separator": "../"},
     ],
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import zipfile
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,9 @@ from realtouch.exchange.found_touches import IMPORTS
 from realtouch.exchange.oxt_check import oxt_findings
 from realtouch.exchange.recordings import Recording
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
+from tests.mutations import mutated, with_other_numbers
 
 zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
 
@@ -298,3 +300,32 @@ def test_the_check_reads_every_chunk_and_the_ends(tmp_path: Path) -> None:
     assert "'pickle'" in rules["readable left_tactile_data_force"]
     with pytest.raises(InputError, match="should hold one Zarr group"):
         findings(tmp_path / "empty" / "b.zarr")
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("layout", ["oxt", "replay"])
+def test_whatever_a_group_holds_ends_in_recordings_or_a_sentence(layout: str, tmp_path: Path) -> None:
+    """2,000 damaged groups: bytes of a zip, of chunks, and numbers of metadata."""
+    image = "right_tactile_data_gripper[1]"
+    data = arrays()
+    if layout == "replay":
+        image, data = "img", {"img": PADS[:, 0], "state": np.zeros((T, 7)), "label": np.arange(T) // 4}
+    zipped = write(tmp_path / "a.zarr.zip", data)
+    folder = write(tmp_path / "b" / "b.zarr", data)
+    files = sorted(path for path in folder.rglob("*") if path.is_file())
+    whole = {path: path.read_bytes() for path in [zipped, *files]}
+    refused = 0
+    for seed in range(2000):
+        path = zipped if seed % 3 == 0 else files[seed // 3 % len(files)]
+        damage = with_other_numbers if path.name.startswith(".") and seed % 3 == 1 else mutated
+        path.write_bytes(damage(whole[path], seed))
+        source = zipped if path == zipped else folder
+        try:
+            for found in recordings(source, image, layout):
+                list(IMPORTS[layout].contents([found.clip(0, found.frames, found.name)]))
+        except ToolkitError:
+            refused += 1
+        with suppress(ToolkitError):
+            findings(source)
+        path.write_bytes(whole[path])
+    assert 0 < refused < 2000
