@@ -10,6 +10,7 @@ import re
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -84,7 +85,7 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
             array = group.array(f"{DATA}/{name}")
             array.require_chunks()
             if array.dtype.kind in "SU":  # of which the letters are looked at, too
-                columns_of({name: array}, max(array.shape[:1], default=0), ())
+                columns_of({name: partial(group.array, array.path)}, max(array.shape[:1], default=0), ())
             arrays[name] = array
         except InputError as error:
             yield "readable", name, error.what, "an array of Zarr that can be read completely"
