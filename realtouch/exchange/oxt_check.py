@@ -60,10 +60,10 @@ class _Contents:
 
     def values(self, name: str) -> AnyArray:
         """Return the values of an array with few numbers a frame; an empty array for all others."""
-        found, _ = columns_of(
-            {each: self.arrays[each] for each in self.arrays if each == name}, self.frames, ()
-        )
-        return found.get(name, np.empty(0))
+        if name not in self.arrays:
+            return np.empty(0)
+        known = {name: partial(self.arrays.__getitem__, name)}
+        return columns_of(known, self.frames, ())[0].get(name, np.empty(0))
 
 
 def oxt_findings(home: store.DataFolder, file: str = "") -> list[Finding]:
