@@ -33,6 +33,7 @@ _HERE = re.compile(r"^(?:\./+)+")
 
 _SIZES_SEEN = 32
 _MOST_LINES = 1 << 21  # of a table of touches
+_DIGITS = re.compile(r"([0-9]{1,18})")
 
 
 @dataclass(frozen=True, slots=True)
@@ -203,6 +204,11 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
         return store.open_inside(folder, name)
     except ItemError as error:
         raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+
+
+def natural_order(path: str) -> list[tuple[int, str]]:
+    """Return a key by which ``demo_2`` stands before ``demo_10``."""
+    return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
 
 
 def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:

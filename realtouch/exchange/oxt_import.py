@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 
 from realtouch.exchange.oxt import (
     COLUMNS,
@@ -55,7 +56,8 @@ def find_oxt(home: store.DataFolder, columns: ImportColumns, table: str | None) 
     chosen = sensors[chosen_pictures(group, columns.image_name, sensors)]
     whole = whole_recording(group, names, chosen, columns)
     ends, stated = episode_ends(group, whole.frames), group.json(ATTRIBUTES)
-    meta = {name: group.array(f"meta/{name}") for name in group.arrays("meta") if name in (ROUND, TOUCH)}
+    of_meta = [name for name in (ROUND, TOUCH) if name in group.arrays("meta")]
+    meta = {name: partial(group.array, f"meta/{name}") for name in of_meta}
     said, _ = columns_of(meta, len(ends), ())
     kept = stated.get(COLUMNS)
     if ROUND not in said or not isinstance(kept, dict):

@@ -182,20 +182,28 @@ def encoded_pictures(
 
 
 def columns_of(
-    arrays: Mapping[str, StoredArray], frames: int, wanted: Collection[str]
+    arrays: Mapping[str, Callable[[], StoredArray]], frames: int, wanted: Collection[str]
 ) -> tuple[dict[str, AnyArray], list[str]]:
     """Read what is said of each picture: shape (frames,), or (frames, k) of vectors and matrices.
 
-    Returns the names and shapes of all other arrays, too. InputError if one of those is wanted.
+    Takes functions that open arrays by name. Returns what is left out, too: names with shapes, or with the
+    reason if an array cannot be used. InputError if one of those is wanted.
     """
     found: dict[str, AnyArray] = {}
     others, size = [], 0
-    for name, array in arrays.items():
+    for name, opened in arrays.items():
+        try:
+            array = opened()
+        except InputError as error:
+            if name in wanted:
+                raise
+            others.append(f"{name} ({error.what})")
+            continue
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
             size += frames * width * array.dtype.itemsize
             require_unpackable(size, f"{array.place}, with all arrays before it,")
-            rows = _letters_checked(array, array.rows(0, frames)).reshape(frames, -1)
+            rows = _letters_checked(array, array.rows(0, frames)).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")

@@ -13,6 +13,7 @@ from realtouch.exchange.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
 from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 _MOST_LOOKED_AT = 20_000
@@ -57,7 +58,7 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("video", _ends(*VIDEO_ENDINGS)),
     ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
     ("flat", _ends(".parquet")),
-    ("folder", _ends(*TABLE_ENDINGS)),
+    ("folder", _ends(*TABLE_ENDINGS, ".jsonl")),
 )
 # Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
 _PARTS = {
@@ -67,7 +68,7 @@ _PARTS = {
     "fota": {"webdataset"},
     "sparsh": {"folder"},
 }
-_TABLES = _ends(*TABLE_ENDINGS, ".parquet", ".jsonl")
+_TABLES = _ends(*COLUMN_TABLE_ENDINGS)
 
 
 def recognised(place: str) -> Recognised:

@@ -36,7 +36,10 @@ _MOST_CHUNKS = 1 << 18
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
 _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
-_UNREADABLE = (OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, zlib.error)
+_UNREADABLE = (
+    *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
+    zlib.error,
+)
 _LEVEL = 1
 
 
@@ -236,7 +239,7 @@ class ZarrArray:
                 f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
             )
         require_unpackable(self._chunk_bytes, f"{self.place}: a chunk")
-        count = math.prod(-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True))
+        count = math.prod(self._chunk_counts)
         if count > _MOST_CHUNKS:
             raise self.refused(f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
 
@@ -255,6 +258,10 @@ class ZarrArray:
         return self.group.refused(self.path, problem)
 
     @property
+    def _chunk_counts(self) -> list[int]:
+        return [-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True)]
+
+    @property
     def _chunk_bytes(self) -> int:
         return math.prod(self.chunks) * self.dtype.itemsize
 
@@ -264,6 +271,11 @@ class ZarrArray:
         if group.is_zip:
             return home.size_bytes(group.path)
         return sum(map(home.size_bytes, home.walk(group.below(self.path))))
+
+    def require_chunks(self) -> None:
+        """Unpack all chunks that are stored; InputError for one that is damaged."""
+        for index in product(*map(range, self._chunk_counts)):
+            self._chunk(index)
 
     def rows(self, start: int, stop: int) -> AnyArray:
         """Return what lies at some places along the first axis, shape (stop - start, ...)."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -13,7 +14,7 @@ from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.found_touches import FoundTouch, source_of
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, encoded_pictures
 from realtouch.exchange.recordings import Recording
-from realtouch.exchange.zarr_arrays import ZarrArray, ZarrGroup
+from realtouch.exchange.zarr_arrays import ZarrGroup
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -73,17 +74,8 @@ def whole_recording(
     name, sensor = pictures
     shown = PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
     wanted = {*columns.found_in(names).names(), NUMBERED}
-    arrays: dict[str, ZarrArray] = {}
-    left_out = []
-    for each in names:
-        try:
-            arrays[each] = group.array(f"{DATA}/{each}")
-        except InputError as error:
-            if each in wanted:
-                raise
-            left_out.append(f"{each} ({error.what})")
-    del arrays[name]
-    per_frame, others = columns_of(arrays, len(shown), wanted)
+    arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
+    per_frame, left_out = columns_of(arrays, len(shown), wanted)
     return Recording(
         name,
         group.home.address(),
@@ -93,7 +85,7 @@ def whole_recording(
         len(shown),
         math.prod(shown.shape[1:]),
         per_frame=per_frame,
-        left_out=(*left_out, *others),
+        left_out=tuple(left_out),
     )
 
 

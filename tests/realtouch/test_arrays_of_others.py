@@ -170,8 +170,10 @@ def test_what_an_array_means_does_not_follow_from_its_shape(
         1,
     )
     assert call("realtouch", *words, "--out", tmp_path / "out") == 0
-    assert "action (6), gel (6), state (6)" in capsys.readouterr().err
+    assert "not imported" not in capsys.readouterr().err
     first, second = realtouch.load(tmp_path / "out", "train")
+    for name, values in (("state", joints), ("action", poses[:, :2]), ("gel", poses)):
+        np.testing.assert_array_equal(np.concatenate([first.extra[name], second.extra[name]]), values)
     assert (first.label, second.label) == (0, 1)
     assert not first.row.has_poses
     assert not first.row.has("pos_in_cell")
@@ -226,6 +228,7 @@ def test_codecs_that_run_code_or_lose_values_are_refused_by_name(
         {"order": 3, "shape": "abcd"},
         {"filters": 3},
         {"fill_value": "many"},
+        {"fill_value": -1},
         {"dimension_separator": "../"},
     ],
 )

@@ -202,7 +202,6 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
         assert not (tmp_path / "out").exists()
 
     table = str(home / "index.csv")
-    refused("one CSV file; found none")
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     refused("no column 'lable'; did you mean 'label'", realtouch.ImportColumns(label="lable"))
     refused("no column 'x'", realtouch.ImportColumns(position=("x", "y")))
@@ -214,7 +213,7 @@ def test_tables_and_options_that_cannot_be_used(home: Path, tmp_path: Path) -> N
     refused("no tars", layout="webdataset")
     refused("--table applies to folders of images", layout="webdataset", table="index.csv")
     refused("no column names the images", realtouch.ImportColumns(image=None))
-    refused("one CSV file; found none", where=home / "pictures" / "0.jpg")
+    refused("one table; found none", where=home / "pictures" / "0.jpg")
     with pytest.raises(InputError, match="6 pose columns"):
         realtouch.ImportColumns(pose=POSE[:6])
     write_table(home, [line("pictures/0.jpg")], "second.csv")

@@ -68,7 +68,7 @@ def test_addresses_that_cannot_be_read(tmp_path: Path, s3: Any, bucket: str) -> 
     open_folder(f"s3://{bucket}/images").write_bytes("a.jpg", b"no table here")
     for place, out, words in (
         (f"s3://{bucket}/nothing", tmp_path / "out", "does not exist"),
-        (f"s3://{bucket}/images", tmp_path / "out", "one CSV file; found none"),
+        (f"s3://{bucket}/images", tmp_path / "out", "no row is left"),
         (f"s3://{bucket}/images", f"s3://{bucket}/images/in", "lies in the source"),
         ("https://example.org/images", tmp_path / "out", "and not of the web"),
         ("s3://key@bucket/images", tmp_path / "out", "may hold a user, a key"),

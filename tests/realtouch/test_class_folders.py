@@ -1,0 +1,103 @@
+"""Folders of images without a table: of classes, of splits, or of images alone; and tables of any kind."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.csv as pa_csv
+import pyarrow.parquet as pq
+import pytest
+
+import realtouch
+from tactile_toolkit.errors import InputError
+from tests.realtouch.images_of_others import line, picture
+
+
+def images(home: Path, *paths: str) -> Path:
+    for number, path in enumerate(paths):
+        (home / path).parent.mkdir(parents=True, exist_ok=True)
+        (home / path).write_bytes(picture(20 * number))
+    return home
+
+
+def imported(home: Path, tmp_path: Path, **options: Any) -> dict[str, Any]:
+    """Return the names of images and their labels, by split."""
+    realtouch.import_touches(home, tmp_path / "out", "folder", **options)
+    found = {}
+    for split in sorted(path.name.partition("-")[0] for path in (tmp_path / "out" / "data").iterdir()):
+        rounds = realtouch.load(tmp_path / "out", split)
+        names = dict(enumerate(rounds.label_names)) | {-1: None}
+        found[split] = [(each.id, names[each.label]) for each in rounds]
+    return found
+
+
+@pytest.mark.parametrize(
+    ("paths", "found"),
+    [
+        (
+            ("mug/10.png", "mug/2.png", "fork/deep/er/1.JPG", "7.png", ".hidden/a.png", "mug/notes.txt"),
+            {"train": [("fork_deep_er_1", "fork"), ("mug_2", "mug"), ("mug_10", "mug")]},
+        ),
+        (
+            ("train/mug/1.png", "train/fork/2.png", "test/mug/3.png"),
+            {"test": [("test_mug_3", "mug")], "train": [("train_fork_2", "fork"), ("train_mug_1", "mug")]},
+        ),
+        (
+            ("train/1.png", "test/2.png"),
+            {"test": [("test_2", None)], "train": [("train_1", None)]},
+        ),
+        (("b.png", "a.png"), {"train": [("a", None), ("b", None)]}),
+        (("in/1.png", "in/deep/2.png"), {"train": [("in_1", None), ("in_deep_2", None)]}),
+        (("train/1.png", "mug/2.png"), {"train": [("mug_2", "mug"), ("train_1", "train")]}),
+    ],
+)
+def test_folders_are_classes_and_splits(
+    paths: tuple[str, ...], found: dict[str, Any], tmp_path: Path
+) -> None:
+    """An image beside the folders of classes is left out and listed."""
+    assert imported(images(tmp_path / "home", *paths), tmp_path) == found
+
+
+@pytest.mark.parametrize("ending", ["tsv", "jsonl", "parquet"])
+def test_a_table_has_any_ending(ending: str, home: Path, tmp_path: Path) -> None:
+    lines: list[dict[str, Any]] = [line(f"pictures/{number}.jpg", "cat") for number in range(3)]
+    for number, each in enumerate(lines):
+        each["force"] = number / 2
+    table = pa.Table.from_pylist(lines)
+    match ending:
+        case "tsv":
+            pa_csv.write_csv(table, home / "t.tsv", pa_csv.WriteOptions(delimiter="\t"))
+        case "jsonl":
+            (home / "t.jsonl").write_text("".join(json.dumps(each) + "\n" for each in lines))
+        case _:
+            pq.write_table(table, home / "t.parquet")
+    realtouch.import_touches(home, tmp_path / "out", "folder")
+    rounds = realtouch.load(tmp_path / "out", "train")
+    assert rounds.label_names == ("cat",)
+    assert [each.extra["force"].tolist() for each in rounds] == [[0.0], [0.5], [1.0]]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "words"),
+    [
+        ("t.jsonl", b'{"file": "a"}\n[1', r"t.jsonl', line 2: no JSON object"),
+        ("t.jsonl", b'"text"', "line 1: no JSON object"),
+        ("t.jsonl", b"[" * 100_000, "line 1: no JSON object"),
+        ("t.parquet", b"PAR1damagedPAR1", "t.parquet"),
+    ],
+)
+def test_tables_that_cannot_be_read_are_named(name: str, content: bytes, words: str, home: Path) -> None:
+    (home / name).write_bytes(content)
+    with pytest.raises(Exception, match=words) as caught:
+        realtouch.import_touches(home, home.parent / "out", "folder")
+    assert isinstance(caught.value, InputError) or name == "t.parquet"
+
+
+def test_images_may_not_be_counted_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("realtouch.exchange.folder._MOST_IMAGES", 2)
+    home = images(tmp_path / "home", "a.png", "b.png", "c.png")
+    with pytest.raises(InputError, match="more than 2 images"):
+        realtouch.import_touches(home, tmp_path / "out", "folder")
