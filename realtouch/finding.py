@@ -18,7 +18,8 @@ class Finding:
     where : str
         Split, round or file concerned.
     touches : tuple of str
-        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``) in data sets and as a path in other formats.
+        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``, or ``12:0-255`` for all) in
+        data sets, and as a path in other formats.
     count : int
         Number of all touches concerned.
     next : str

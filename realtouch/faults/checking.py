@@ -68,7 +68,7 @@ class CheckResult:
         return not self.findings
 
     def pictures(self) -> pictures.PicturePlan:
-        """Plan a picture of each finding: the touches concerned, next to those that they are compared with."""
+        """Plan a picture of each finding: its first touches, next to those that they are compared with."""
         datasets = {split: dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
@@ -229,7 +229,7 @@ def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyD
 
 
 def _tile(
-    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: pictures.Colour | None
+    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: tuple[int, int, int] | None
 ) -> pictures.Tile | None:
     """Return a picture with its name; an empty cell if it cannot be read."""
     if spot is None:

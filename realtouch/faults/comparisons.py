@@ -32,9 +32,9 @@ GELSIGHT_MINI = (
     (81, 99, 111), (131, 108, 133), (133, 108, 131), (85, 92, 108),
     (65, 89, 81), (98, 98, 96), (99, 98, 96), (67, 83, 80),
 )  # fmt: skip
-"""Red, green and blue of a bare GelSight Mini in 4 x 4 parts of its picture, row by row, levels: averages of the
-background of its calibration in the package taxim 1.4.1. The sample images of the published sets, with contact,
-correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
+"""Red, green and blue of a bare GelSight Mini in 4 x 4 parts of its picture, row by row, levels: averages of
+the background of its calibration in the package taxim 1.4.1. The sample images of the published sets, with
+contact, correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
 
 
 def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
@@ -111,7 +111,10 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
 
 
 def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
-    """Return how much better patterns fit with red and blue exchanged, and 1, -1 or 0: as is, exchanged, neither."""
+    """Return how much better patterns fit with red and blue exchanged, and how they fit.
+
+    1 stands for as they are, -1 for exchanged, 0 for neither.
+    """
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
     swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
     gain = swapped - as_is
@@ -121,7 +124,7 @@ def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
 
 
 def _most_common(patterns: Float32) -> Float32:
-    """Return the pattern of most touches, where some have red and blue exchanged; of equally many, the first."""
+    """Return the pattern of most touches, some of which have red and blue exchanged; on a tie, the first."""
     _, order = _gain(patterns, patterns[np.argmax(patterns.any(axis=1))])
     most = 1
     if np.count_nonzero(order == -1) > np.count_nonzero(order == 1):
@@ -130,8 +133,7 @@ def _most_common(patterns: Float32) -> Float32:
     if not len(chosen):
         chosen = patterns
     middle = np.median(chosen, axis=0)
-    deviation = float(middle.std())
-    return ((middle - middle.mean()) / (deviation or 1.0)).astype(np.float32)
+    return seen.normalised(middle)
 
 
 def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:

@@ -22,12 +22,12 @@ NOISE_FACTOR = 6.0
 500 million."""
 
 MIN_RESEMBLANCE, MIN_GAIN = 0.75, 0.4
-"""Colours resemble the reference with red and blue exchanged by this correlation, and this much better than as
-they are. The sample images of the published sets have 0.82 to 0.96 in order, and 0.02 to 0.20 exchanged."""
+"""Colours resemble the reference with red and blue exchanged by this correlation, and this much better than
+as they are. The sample images of the published sets have 0.82 to 0.96 as they are, 0.02 to 0.20 exchanged."""
 
 MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
-"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63) whose distances to their neighbours
-deviate by at most this share of their mean; with at most so many dots it has none."""
+"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63), and the distances to the nearest
+ones deviate by at most this share of their mean; with at most so many dots it has none."""
 
 TREND, MIN_ROUNDS = 0.7, 5
 """Drift is a rank correlation of brightness and order of at least this, over at least so many rounds."""
@@ -37,8 +37,8 @@ MIN_STILL, MIN_CHANGE = 5, 20.0
 pictures of a gel without contact change by 1 to 3."""
 
 JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
-"""A pose jumps if the step is beyond the option and so many times the 90th percentile of the steps; a turn if it
-is beyond this angle and the same multiple."""
+"""A pose jumps if the step is beyond the option, and so many times the 90th percentile of the steps; a turn
+if it is beyond this angle, and the same multiple."""
 
 
 class Spot(NamedTuple):

@@ -30,7 +30,7 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
 GEL_PICTURES = 32
-"""Pictures of a section whose median is its bare gel; a contact is seen in less than half of them at a place."""
+"""Pictures of a section whose median is its bare gel; less than half of them have contact at a place."""
 
 
 class PlacedRow(NamedTuple):
@@ -57,7 +57,8 @@ class RoundSeen:
 class Section:
     """What was seen of some rounds.
 
-    ``spots``, ``digests`` and ``patterns`` have an entry for each touch with a picture. ``gel``, shape (12, 16, 3), are the averages of the bare gel.
+    ``spots``, ``digests`` and ``patterns`` have an entry for each touch with a picture. ``gel``, shape
+    (12, 16, 3), are the averages of the bare gel.
     """
 
     rounds: list[RoundSeen] = field(default_factory=list)
@@ -128,8 +129,11 @@ def _look_at_touch(
     look: Callable[..., _Seen] = _look_at_image
     if stored.kind == "seq":
         look = partial(_look_at_clip, section, limits=limits, frames=frames)
+    place = b""
     try:
         found = look(stored, spot)
+        if is_rendered and _has_poses(stored):  # the bare plate looks the same everywhere
+            place = stored.vectors(f"{POSE_COLUMN[stored.kind]}.position", 3, touch).tobytes()
     except (IntegrityError, ValueError):
         section.faults.append(Fault("unreadable-touches", spot, 0.0))
         return None
@@ -140,7 +144,7 @@ def _look_at_touch(
         section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
-        section.digests.append(found.digest + _rendered_at(row.stored, touch) * is_rendered)
+        section.digests.append(found.digest + place)
         section.patterns.append(seen.colour_pattern(np.median(found.cells, axis=0)))
     return found
 
@@ -151,11 +155,8 @@ def _has_bytes(stored: StoredRound, touch: int) -> bool:
     return touch < stop - start and bool(len(column.values[start + touch] or b""))
 
 
-def _rendered_at(stored: StoredRound, touch: int) -> bytes:
-    """Return the position of a rendered touch: the bare plate looks the same everywhere."""
-    if not stored.has_poses:
-        return b""
-    return stored.vectors(f"{POSE_COLUMN[stored.kind]}.position", 3, touch).tobytes()
+def _has_poses(stored: StoredRound) -> bool:
+    return stored.has_poses and stored.has(f"{POSE_COLUMN[stored.kind]}.quaternion")
 
 
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
@@ -176,7 +177,7 @@ def _look_at_clip(
     time_s = motion.clip_times_s(stored, spot.touch)
     section.faults += motion.time_faults(spot, time_s, limits)
     poses = None
-    if stored.has_poses:
+    if _has_poses(stored):
         poses = stored.pose_sequences(spot.touch)[0]
         section.faults += motion.clip_jumps(spot, poses, limits)
         section.faults += _still_poses(spots, chosen, cells, poses)
@@ -204,7 +205,7 @@ def _frozen(
 def _still_poses(
     spots: Sequence[Spot], numbers: Sequence[int], cells: Sequence[Float32], poses: Poses
 ) -> Iterator[Fault]:
-    """Yield the runs of equal poses over which pictures change; ``numbers`` are those of the pictures' poses."""
+    """Yield the runs of equal poses over which pictures change; ``numbers`` are those of their poses."""
     for start, length in motion.still_runs(poses):
         inside = [index for index, number in enumerate(numbers) if start <= number < start + length]
         if len(inside) < 2:
@@ -221,7 +222,7 @@ def _still_poses(
 def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
     """Compare the poses of the touches of a round, and those of images with the images."""
     stored = row.stored
-    if not stored.has_poses or not found:
+    if not _has_poses(stored) or not found:
         return
     spots = [each.spots[0]._replace(frame=0) for each in found]
     try:

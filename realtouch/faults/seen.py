@@ -15,7 +15,7 @@ from realtouch.faults.rules import (
     MOST_SPECKS,
     NOISE_FACTOR,
 )
-from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
 from tactile_toolkit.touch import decode_small
 
 ROWS, COLUMNS = 12, 16
@@ -38,11 +38,12 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
     # A picture of fewer pixels than cells has cells that share a pixel.
     heights = np.diff(tops, append=height).clip(1)
     widths = np.diff(lefts, append=width).clip(1)
-    return (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
+    means: Float32 = (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
+    return means
 
 
 def content_range(cells: Float32) -> float:
-    """Return by how many levels the cells of a picture differ, in the channel with most; 0 if all is black."""
+    """Return by how many levels the cells of a picture differ, in the channel with most."""
     return float(np.ptp(cells, axis=(0, 1)).max())
 
 
@@ -61,7 +62,8 @@ def brightness_steps(cells: Float32) -> Float64:
     if not len(change):
         return np.zeros(0)
     low, high = np.percentile(change, (_SAME_WAY, 100 - _SAME_WAY), axis=1)
-    return np.maximum(np.maximum(low, -high), 0.0)
+    steps: Float64 = np.maximum(np.maximum(low, -high), 0.0)
+    return steps
 
 
 def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
@@ -84,13 +86,16 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
 
 
 def colour_pattern(cells: Float32) -> Float32:
-    """Return where which colour falls in, shape (48,), of mean 0 and deviation 1; zeros without any pattern."""
+    """Return where which colour falls in, shape (48,), normalised."""
     shape = (_PATCHES, ROWS // _PATCHES, _PATCHES, COLUMNS // _PATCHES, 3)
-    pattern = cells.reshape(shape).mean(axis=(1, 3)).ravel()
-    deviation = float(pattern.std())
-    if deviation == 0:
-        return np.zeros_like(pattern)
-    return (pattern - pattern.mean()) / np.float32(deviation)
+    return normalised(cells.reshape(shape).mean(axis=(1, 3)).ravel())
+
+
+def normalised(pattern: Floating) -> Float32:
+    """Return a pattern less its mean, over its standard deviation; zeros if that is 0."""
+    deviation = float(pattern.std()) or 1.0
+    found: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
+    return found
 
 
 def with_red_as_blue(patterns: Float32) -> Float32:

@@ -8,10 +8,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 import realtouch
+import starstruck_gen
+import tactile_sim
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
 from tactile_toolkit.errors import InputError
@@ -320,48 +324,52 @@ def test_what_is_found_does_not_depend_on_workers(tmp_path: Path) -> None:
     assert results[0].decoded == results[1].decoded
 
 
-def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(tmp_path: Path) -> None:
-    gel = np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3)
-    smooth = np.asarray(Image.fromarray(gel).resize(SIZE, Image.Resampling.BICUBIC)).astype(np.int16)
-    for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
-        truth = recorded()
-        for touch in (touch for each in truth for touch in each.touches):
-            # What the factory adds to its own gel is kept.
-            relief = touch.pixels.astype(np.int16) - factories._gel(SIZE).astype(np.int16)
-            touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., order]
-        found = found_in(written(tmp_path / name, "single", truth))
-        assert list(found) == ["swapped-channels"] * (name == "swapped")
-        assert (
-            realtouch.check(tmp_path / name).findings[:1] == ()
-            or realtouch.check(tmp_path / name).findings[0].count == len(truth) * TOUCHES
-        )
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(
+    order: int, tmp_path: Path
+) -> None:
+    gel = Image.fromarray(np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3))
+    smooth = np.asarray(gel.resize(SIZE, Image.Resampling.BICUBIC)).astype(np.float64)
+    truth = recorded()
+    for touch in (touch for each in truth for touch in each.touches):
+        # What the factory adds to its own gel is kept.
+        relief = touch.pixels - factories._gel(SIZE)
+        touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., ::order]
+    result = realtouch.check(written(tmp_path, "single", truth))
+    found = [(each.rule, each.count) for each in result.findings]
+    assert found == [("swapped-channels", len(truth) * TOUCHES)] * (order == -1)
 
 
 @needs_shared
-def test_sample_images_of_the_published_sets(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", ["320x240", "64x64"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_sample_images_of_the_published_sets(size: str, order: int, tmp_path: Path) -> None:
+    (file,) = (SHARED / "touches").glob(f"*real*{size}.jpeg")
+    pixels = np.asarray(Image.open(file).convert("RGB")).astype(np.int16)[..., ::order]
     random = np.random.default_rng(0)
-    for size in ("320x240", "64x64"):
-        files = sorted((SHARED / "touches").glob(f"*real*{size}.jpeg"))
-        assert files
-        pixels = np.asarray(Image.open(files[0]).convert("RGB")).astype(np.int16)
-        truth = recorded()
-        for each in truth:
-            for touch in each.touches:
-                noise = random.normal(0, 1.5, pixels.shape)
-                object.__setattr__(touch, "pixels", np.clip(pixels + noise, 0, 255).astype(np.uint8)[None])
-                object.__setattr__(touch, "peak", 0)
-        for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
-            folder = written(
-                tmp_path / size / name,
-                "single",
-                truth,
-                encode=lambda each: factories.encode_jpeg(each[..., order]),
-            )
-            assert list(found_in(folder)) == ["swapped-channels"] * (name == "swapped")
+
+    def noisy(_pixels: np.ndarray) -> bytes:
+        return factories.encode_jpeg(
+            np.clip(pixels + random.normal(0, 1.5, pixels.shape), 0, 255).astype(np.uint8)
+        )
+
+    folder = written(tmp_path, "single", recorded(rounds=3), encode=noisy)
+    assert list(found_in(folder)) == ["swapped-channels"] * (order == -1)
 
 
-def test_rendered_touches(tmp_path: Path) -> None:
-    """Touches of the bare plate are equal, and black in pictures of depth; neither is a fault."""
+def test_rendered_touches_of_equal_surfaces_are_no_fault(tmp_path: Path) -> None:
+    scenes, touches = tmp_path / "scenes", tmp_path / "touches"
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 1)))
+    starstruck_gen.generate(spec, str(scenes))
+    plan = tactile_sim.TouchPlan(2, 16, seed=3)
+    tactile_sim.generate(str(scenes), tactile_sim.GenerateSpec((64, 64), "depth", plan=plan), touches)
+    assert realtouch.check(touches).findings == ()
+    # A round that is there twice is a duplicate nevertheless.
+    file = next((touches / "data").glob("train-*"))
+    table = pq.read_table(file)
+    pq.write_table(pa.concat_tables([table, table.slice(1, 1)]), tmp_path / "twice.parquet")
+    result = realtouch.check(tmp_path / "twice.parquet")
+    assert [(each.rule, each.count) for each in result.findings] == [("duplicate-pictures", 32)]
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
