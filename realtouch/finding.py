@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOST_NAMED = 20
+"""Touches that a finding names; it counts the others."""
+
 
 @dataclass(frozen=True)
 class Finding:

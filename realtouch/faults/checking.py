@@ -14,7 +14,7 @@ from realtouch.convert.conversion import parts_of
 from realtouch.faults.comparisons import all_comparisons
 from realtouch.faults.rules import RULES, WHOLE_ROUND, Fault, Spot
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
-from realtouch.finding import Finding
+from realtouch.finding import MOST_NAMED, Finding
 from realtouch.integrity import agreeing_files, readable_rows
 from realtouch.kind import KIND
 from realtouch.picture_views import fitted
@@ -27,9 +27,7 @@ from realtouch.touch_options import CheckLimits
 from tactile_toolkit import catalog, pictures, places, read, run
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
-
-MOST_NAMED = 20
-"""Touches that a finding names; it counts the others."""
+from tactile_toolkit.wording import with_count
 
 MOST_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
@@ -39,6 +37,7 @@ _FEWEST_FRAMES = 8
 _FEWEST_TOUCHES = 4  # shorter rounds are looked at together with those after them
 _MOST_DRAWN = 8
 _TILE_PX = 240
+_LETTERS = 20  # of the name of a round, from its end: as much as fits below a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -191,7 +190,8 @@ def _finding(
     rule: str, faults: Sequence[Fault], rounds: Mapping[tuple[str, int], RoundSeen], limits: CheckLimits
 ) -> Finding:
     """Return what a rule found, over all splits."""
-    names: dict[str, int] = {}
+    names: list[str] = []
+    total = 0
     several = len({fault.at.split for fault in faults}) > 1
     for split, number, touch in sorted({fault.at[:3] for fault in faults}):
         known = rounds.get((split, number), RoundSeen(split, number, f"row {number}", 1, None, None))
@@ -201,15 +201,16 @@ def _finding(
             named = f"{known.name}:0-{count - 1}"
         if several:
             named = f"{split}/{named}"
-        names[named] = count
+        names.append(named)
+        total += count
     said = RULES[rule]
     return Finding(
         rule,
         said.found_text(max(fault.value for fault in faults)),
         said.expected_text(limits),
         " and ".join(dict.fromkeys(fault.at.split for fault in faults)),
-        tuple(names)[:MOST_NAMED],
-        sum(names.values()),
+        tuple(names[:MOST_NAMED]),
+        total,
         said.next,
     )
 
@@ -223,7 +224,7 @@ def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyD
     title = f"{RULES[finding.rule].title}: {finding.found}"
     lines = (
         f"expected: {finding.expected}",
-        f"{finding.count:,} touches; framed: concerned, left: compared with",
+        f"{finding.where}: {with_count(finding.count, 'touches')}; framed, next to what they are compared with",
     )
     return pictures.sheet(tiles, 4, title, lines)
 
@@ -237,7 +238,7 @@ def _tile(
     with suppress(IntegrityError, ValueError, IndexError):
         record = datasets[spot.split][spot.row]
         touch = max(spot.touch, 0)
-        caption = f"{spot.split} {record.id}:{touch}"
+        caption = f"{record.id[-_LETTERS:]}:{touch}"
         if isinstance(record, TouchSingleRound):
             pixels = record.sensor_image[touch]
         else:
