@@ -224,7 +224,7 @@ def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyD
     title = f"{RULES[finding.rule].title}: {finding.found}"
     lines = (
         f"expected: {finding.expected}",
-        f"{finding.where}: {with_count(finding.count, 'touches')}; framed, next to what they are compared with",
+        f"{finding.where}: {with_count(finding.count, 'touches')}, framed; left, what they are compared with",
     )
     return pictures.sheet(tiles, 4, title, lines)
 
