@@ -12,6 +12,7 @@ from scipy import stats
 from realtouch.faults import seen
 from realtouch.faults.rules import (
     MIN_GAIN,
+    MIN_KNOWN,
     MIN_RESEMBLANCE,
     MIN_ROUNDS,
     TREND,
@@ -93,7 +94,7 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
         return
     known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
     reference = _most_common(patterns)
-    gain, order = _gain(reference[None], known)
+    _, order = _gain(reference[None], known, MIN_KNOWN)
     if order[0]:
         reference = known
     gain, order = _gain(patterns, reference)
@@ -110,7 +111,7 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
             yield Fault("swapped-channels", spots[index], float(gain[index]), usual)
 
 
-def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
+def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE) -> tuple[Float64, Int64]:
     """Return how much better patterns fit with red and blue exchanged, and how they fit.
 
     1 stands for as they are, -1 for exchanged, 0 for neither.
@@ -118,8 +119,8 @@ def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
     swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
     gain = swapped - as_is
-    is_swapped = (swapped >= MIN_RESEMBLANCE) & (gain >= MIN_GAIN)
-    is_usual = (as_is >= MIN_RESEMBLANCE) & (-gain >= MIN_GAIN)
+    is_swapped = (swapped >= least) & (gain >= MIN_GAIN)
+    is_usual = (as_is >= least) & (-gain >= MIN_GAIN)
     return gain, is_usual.astype(np.int64) - is_swapped
 
 
@@ -165,7 +166,9 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     gels = np.stack([section.gel for section in session if section.gel is not None])
     rounds = [Spot(each.rounds[0].split, each.rounds[0].number, WHOLE_ROUND) for each in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
-        yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
+        # A step inside of a round changes its gel as well, and is named by its touch.
+        if not any(_has_step(each) for each in session[index - 1 : index + 1]):
+            yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
     if len(gels) < MIN_ROUNDS:
         return
     levels = gels.mean(axis=(1, 2)).astype(np.float64)  # (n, 3)
@@ -180,3 +183,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     largest = float(np.abs(np.diff(levels[:, channel])).max())
     if trend >= TREND and largest < size / 2:
         yield from (Fault("gel-drift", spot, size, rounds[0]) for spot in rounds[-third:])
+
+
+def _has_step(section: Section) -> bool:
+    return any(fault.rule == "exposure-jumps" for fault in section.faults)

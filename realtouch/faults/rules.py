@@ -25,6 +25,10 @@ MIN_RESEMBLANCE, MIN_GAIN = 0.75, 0.4
 """Colours resemble the reference with red and blue exchanged by this correlation, and this much better than
 as they are. The sample images of the published sets have 0.82 to 0.96 as they are, 0.02 to 0.20 exchanged."""
 
+MIN_KNOWN = 0.85
+"""Most of a set must resemble a GelSight Mini by this correlation to be judged by its colours; the published
+sample without a wide contact has 0.96, and other sensors are lit from other sides."""
+
 MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
 """A gel has markers if it shows so many dark dots (a GelSight Mini has 63), and the distances to the nearest
 ones deviate by at most this share of their mean; with at most so many dots it has none."""

@@ -71,7 +71,8 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     steps = brightness_steps(cells)
     if not len(steps):
         return []
-    limit = max(least, NOISE_FACTOR * float(np.median(steps)))
+    usual_step = np.median(np.sort(steps)[:-1]) if len(steps) > 1 else 0.0  # without the one to judge
+    limit = max(least, NOISE_FACTOR * float(usual_step))
     found: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
     for step in np.flatnonzero(steps > limit).tolist():

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
-from tests.realtouch.factories import RoundTruth
+from tests.realtouch.factories import Layout, RoundTruth
 
 SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
 Rows = dict[str, list[dict[str, Any]]]
@@ -322,6 +323,39 @@ def test_what_is_found_does_not_depend_on_workers(tmp_path: Path) -> None:
     results = [realtouch.check(folder, workers=workers) for workers in (1, 3)]
     assert results[0].findings == results[1].findings
     assert results[0].decoded == results[1].decoded
+
+
+def brighter_from(first: int, truth: Truth) -> Truth:
+    for touch in (touch for each in truth[first:] for touch in each.touches):
+        touch.pixels[:] = np.clip(touch.pixels * 1.3, 0, 255)
+    return [replace(each, gel_id=1) for each in truth]
+
+
+def test_a_step_between_rounds(tmp_path: Path) -> None:
+    assert found_in(written(tmp_path, "seq", brighter_from(2, recorded()))) == {"exposure-jumps": ["2:0-5"]}
+
+
+def test_rounds_of_one_image_are_compared_with_their_neighbours(tmp_path: Path) -> None:
+    truth = recorded(rounds=16, touches=1)
+    assert found_in(written(tmp_path / "clean", "single", truth)) == {}
+    found = found_in(written(tmp_path / "step", "single", brighter_from(9, truth)))
+    assert found == {"exposure-jumps": ["9:0"]}
+
+
+def test_damaged_rows_do_not_hide_the_others(tmp_path: Path) -> None:
+    truth = recorded()
+    swapped_touches(truth)
+    rows = {"train": factories.single_rows(truth)}
+    folder = factories.write_set(tmp_path, rows, "single", Layout(group_rows=1))
+    file = next((folder / "data").glob("train-*"))
+    column = pq.ParquetFile(file).metadata.row_group(1).column(0)
+    content = bytearray(file.read_bytes())
+    start = column.data_page_offset
+    content[start : start + column.total_compressed_size] = bytes(column.total_compressed_size)
+    file.write_bytes(content)
+    findings = {each.rule: each.touches for each in realtouch.check(folder).findings}
+    assert findings["unreadable-touches"] == ("row 1:0-0",)
+    assert findings["swapped-channels"] == (f"{truth[2].id}:0", f"{truth[2].id}:1")
 
 
 @pytest.mark.parametrize("order", [1, -1])
