@@ -32,6 +32,8 @@ from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 GEL_PICTURES = 32
 """Pictures of a section whose median is its bare gel; less than half of them have contact at a place."""
 
+_FIRST_FRAMES = 8  # of a clip, before the contact
+
 
 class PlacedRow(NamedTuple):
     """A stored round, its split and its number in it."""
@@ -73,12 +75,12 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The pictures of a touch that were looked at: their cells, and the encoded one of the bare gel."""
+    """The pictures of a touch that were looked at: their cells, and encoded ones, as bare as there are."""
 
     spots: list[Spot]
     cells: list[Float32]
     digest: bytes
-    bare: memoryview
+    bare: Sequence[memoryview]
 
 
 def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
@@ -161,7 +163,7 @@ def _has_poses(stored: StoredRound) -> bool:
 
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
     encoded = SensorImages(stored).encoded(spot.touch)
-    return _Seen([spot], [seen.cells_of(encoded)], xxhash.xxh3_128_digest(encoded), encoded)
+    return _Seen([spot], [seen.cells_of(encoded)], xxhash.xxh3_128_digest(encoded), [encoded])
 
 
 def _look_at_clip(
@@ -185,7 +187,7 @@ def _look_at_clip(
         same = [one == other for one, other in pairwise(digests)]
         all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
         section.faults += _frozen(all_spots, same, poses, limits)
-    return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[0])
+    return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
 
 
 def _frozen(
@@ -266,8 +268,10 @@ def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
         return
     section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)
     decoded: list[Any] = []
-    for index in evenly_spaced(len(pictures), GEL_PICTURES):
-        pixels = decode_image(pictures[index].bare)
+    each_of = max(1, GEL_PICTURES // len(pictures))
+    bare = [encoded for each in pictures for encoded in each.bare[:each_of]]
+    for index in evenly_spaced(len(bare), GEL_PICTURES):
+        pixels = decode_image(bare[index])
         if not decoded or pixels.shape == decoded[0].shape:
             decoded.append(pixels)
     section.decoded += len(decoded)

@@ -23,7 +23,8 @@ ROWS, COLUMNS = 12, 16
 
 _PATCHES = 4  # a side of the coarse pattern that colours are recognised by
 _SAME_WAY = 10  # percent of the cells that may change the other way
-_DOT_CONTRAST, _DOT_SHARE = 6.0, 0.06
+# A dot is darker than what is around it by levels, by a share of its brightness, and by deviations.
+_DOT_CONTRAST, _DOT_SHARE, _DOT_NOISE = 6.0, 0.06, 4.0
 # Dots of GelSight, DIGIT and their likes lie 1/14 to 1/8 of the width of the picture apart.
 _AROUND, _APART = 1 / 8, 1 / 24
 
@@ -113,8 +114,10 @@ def count_markers(background: UInt8) -> int | None:
     around = ndimage.uniform_filter(grey, max(3, round(grey.shape[1] * _AROUND)))
     # The centre of a dot of several equal pixels is one pixel after a little blur.
     darkness = ndimage.gaussian_filter(around - grey, grey.shape[1] / 320)
+    noise = 1.4826 * np.median(np.abs(darkness - np.median(darkness)))  # dots cover less than half
+    least = np.maximum(np.maximum(_DOT_CONTRAST, _DOT_NOISE * noise), _DOT_SHARE * around)
     peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(grey.shape[1] * _APART)))
-    dots = np.argwhere(peaks & (darkness > np.maximum(_DOT_CONTRAST, _DOT_SHARE * around)))
+    dots = np.argwhere(peaks & (darkness > least))
     if len(dots) <= MOST_SPECKS:
         return 0
     squared = ((dots[:, None] - dots[None]) ** 2).sum(axis=2).astype(np.float64)

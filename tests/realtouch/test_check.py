@@ -19,6 +19,7 @@ import starstruck_gen
 import tactile_sim
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
+from realtouch.faults.seen import count_markers
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
@@ -451,3 +452,18 @@ def test_each_rule_is_documented() -> None:
     page = (Path(__file__).parents[2] / "docs" / "howto" / "check.md").read_text(encoding="utf-8")
     for name, rule in RULES.items():
         assert f"| `{name}` | {rule.title} | {rule.expected_text(realtouch.CheckLimits())} |\n" in page
+
+
+@pytest.mark.parametrize("size", [(64, 64), (320, 240), (640, 480)])
+@pytest.mark.parametrize("noise", [1, 3, 6])
+def test_markers_are_counted_at_any_size_and_noise_is_none(size: tuple[int, int], noise: int) -> None:
+    random = np.random.default_rng(0)
+    width, height = size
+    gel = factories._gel(size) + random.normal(0, noise, (height, width, 3))
+    assert count_markers(np.clip(gel, 0, 255).astype(np.uint8)) == 0
+    y, x = np.mgrid[0:height, 0:width]
+    rows, columns = (np.arange(7) + 0.5) * height / 7, (np.arange(9) + 0.5) * width / 9
+    away = np.hypot(y - rows[:, None, None, None], x - columns[:, None, None]).min(axis=(0, 1))
+    dots = np.clip(0.016 * width - away + 0.5, 0, 1)
+    marked = np.clip(gel * (1 - 0.6 * dots[..., None]), 0, 255).astype(np.uint8)
+    assert abs((count_markers(marked) or 0) - 63) <= 2
