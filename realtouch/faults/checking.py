@@ -90,9 +90,8 @@ def check(
 ) -> CheckResult:
     """Find what is wrong with the recordings of a data set whose files are intact.
 
-    Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift of the bare gel, gels with
-    and without markers, empty pictures, duplicates, objects and pictures in two splits, poses that do not
-    move with the pictures or jump, and times that run back.
+    Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift and markers of the gel,
+    empty pictures, duplicates, objects in two splits, poses and times that cannot be.
 
     Parameters
     ----------
@@ -101,7 +100,6 @@ def check(
     split : str, optional
         Only this split; all by default.
     limits : CheckLimits, optional
-        Thresholds.
     workers : int
         Number of threads; what is found does not depend on it.
     on_progress : callable
@@ -130,13 +128,9 @@ def check(
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
     is_rendered = origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
     look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
-    sections: list[Section] = []
-    done = 0
     damaged: list[Fault] = []
-    for section in run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers):
-        sections.append(section)
-        done += len(section.rounds)
-        on_progress(done, total)
+    found = run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
+    sections = list(_counted(found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += all_comparisons(sections, chosen)
     by_rule: dict[str, list[Fault]] = defaultdict(list)
@@ -146,6 +140,16 @@ def check(
     findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in RULES if rule in by_rule)
     decoded = sum(section.decoded for section in sections)
     return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+
+
+def _counted(
+    sections: Iterable[Section], total: int, on_progress: Callable[[int, int], None]
+) -> Iterator[Section]:
+    done = 0
+    for section in sections:
+        yield section
+        done += len(section.rounds)
+        on_progress(done, total)
 
 
 def _placed_rows(files: Mapping[str, Sequence[read.Shard]], damaged: list[Fault]) -> Iterator[PlacedRow]:

@@ -10,9 +10,9 @@ from realtouch.touch_options import CheckLimits
 WHOLE_ROUND = -1
 """In place of the number of a touch: all touches of a round."""
 
-MIN_RANGE = 1.0
-"""A picture whose averages over 12 x 16 cells differ by less has no content, levels of 255. A gel is lit from
-its sides, so that of a GelSight Mini differs by 100."""
+MIN_RANGE = 3.0
+"""A picture whose pixels differ by less in each channel has no content, levels of 255. JPEG changes a
+constant picture by 1; the noise of a camera alone makes 5 and more, the light of a GelSight Mini 100."""
 
 MIN_BRIGHTEST = 8.0
 """A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
@@ -90,8 +90,8 @@ RULES: dict[str, Rule] = {
     ),
     "empty-pictures": Rule(
         "Empty arrays, and pictures without content",
-        "pictures whose parts differ by at most {value:.2g} levels, or no pictures",
-        f"differences of at least {MIN_RANGE:g} level, and a part of at least {MIN_BRIGHTEST:g} levels",
+        "pictures whose pixels differ by at most {value:.2g} levels, or are black, or no pictures",
+        f"differences of at least {MIN_RANGE:g} levels, and a part of at least {MIN_BRIGHTEST:g} levels",
         "look at the camera and its cable, and leave these touches out",
     ),
     "frozen-frames": Rule(

@@ -17,7 +17,7 @@ import xxhash
 
 from realtouch.contact_picture import median_in_memory
 from realtouch.faults import motion, seen
-from realtouch.faults.rules import MIN_CHANGE, WHOLE_ROUND, Fault, Spot
+from realtouch.faults.rules import MIN_CHANGE, MIN_RANGE, WHOLE_ROUND, Fault, Spot
 from realtouch.picture_views import evenly_spaced
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
@@ -79,8 +79,13 @@ class _Seen:
 
     spots: list[Spot]
     cells: list[Float32]
+    ranges: list[float]
     digest: bytes
     bare: Sequence[memoryview]
+
+    def with_content(self) -> list[int]:
+        """Return which of the pictures are neither black nor without content."""
+        return [index for index, value in enumerate(self.ranges) if value >= MIN_RANGE]
 
 
 def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
@@ -140,9 +145,9 @@ def _look_at_touch(
         section.faults.append(Fault("unreadable-touches", spot, 0.0))
         return None
     section.decoded += len(found.cells)
-    empty = [index for index, cells in enumerate(found.cells) if seen.is_empty(cells)]
+    empty = [index for index, value in enumerate(found.ranges) if value < MIN_RANGE]
     if empty and not is_rendered:
-        value = max(seen.content_range(found.cells[index]) for index in empty)
+        value = max(found.ranges[index] for index in empty)
         section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
@@ -163,7 +168,9 @@ def _has_poses(stored: StoredRound) -> bool:
 
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
     encoded = SensorImages(stored).encoded(spot.touch)
-    return _Seen([spot], [seen.cells_of(encoded)], xxhash.xxh3_128_digest(encoded), [encoded])
+    cells = seen.cells_of(encoded)
+    ranges = [seen.content_range(encoded, cells)]
+    return _Seen([spot], [cells], ranges, xxhash.xxh3_128_digest(encoded), [encoded])
 
 
 def _look_at_clip(
@@ -175,6 +182,7 @@ def _look_at_clip(
     digests = list(map(xxhash.xxh3_128_digest, encoded))
     chosen = evenly_spaced(len(clip), frames)
     cells = [seen.cells_of(encoded[frame]) for frame in chosen]
+    ranges = [seen.content_range(encoded[frame], each) for frame, each in zip(chosen, cells, strict=True)]
     spots = [spot._replace(frame=frame) for frame in chosen]
     time_s = motion.clip_times_s(stored, spot.touch)
     section.faults += motion.time_faults(spot, time_s, limits)
@@ -183,11 +191,11 @@ def _look_at_clip(
         poses = stored.pose_sequences(spot.touch)[0]
         section.faults += motion.clip_jumps(spot, poses, limits)
         section.faults += _still_poses(spots, chosen, cells, poses)
-    if not any(map(seen.is_empty, cells)):  # equal because they are empty
+    if min(ranges) >= MIN_RANGE:  # else they are equal because they are empty
         same = [one == other for one, other in pairwise(digests)]
         all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
         section.faults += _frozen(all_spots, same, poses, limits)
-    return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
+    return _Seen(spots, cells, ranges, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
 
 
 def _frozen(
@@ -253,7 +261,7 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
     spots: list[Spot] = []
     for each in pictures:
         # Those without content are reported already.
-        full = [index for index, value in enumerate(each.cells) if not seen.is_empty(value)]
+        full = each.with_content()
         cells += [each.cells[index] for index in full]
         spots += [each.spots[index] for index in full]
     if cells:
@@ -263,7 +271,7 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
 
 def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
-    pictures = [each for each in pictures if not seen.is_empty(each.cells[0])]
+    pictures = [each for each in pictures if each.ranges[0] >= MIN_RANGE]
     if not pictures:
         return
     section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)

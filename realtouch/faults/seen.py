@@ -16,7 +16,7 @@ from realtouch.faults.rules import (
     NOISE_FACTOR,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
-from tactile_toolkit.touch import decode_small
+from tactile_toolkit.touch import decode_image, decode_small
 
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
@@ -43,14 +43,17 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
     return means
 
 
-def content_range(cells: Float32) -> float:
-    """Return by how many levels the cells of a picture differ, in the channel with most."""
-    return float(np.ptp(cells, axis=(0, 1)).max())
+def content_range(encoded: bytes | memoryview, cells: Float32) -> float:
+    """Return by how many levels a picture differs, in the channel with most; 0 if it is black.
 
-
-def is_empty(cells: Float32) -> bool:
-    """Return whether a picture has no content, or is black."""
-    return content_range(cells) < MIN_RANGE or float(cells.max()) < MIN_BRIGHTEST
+    By its cells where that is enough, else by its pixels: a gel without any pattern of light has noise.
+    """
+    if float(cells.max()) < MIN_BRIGHTEST:
+        return 0.0
+    found = float(np.ptp(cells, axis=(0, 1)).max())
+    if found < MIN_RANGE:
+        return float(np.ptp(decode_image(encoded), axis=(0, 1)).max())
+    return found
 
 
 def brightness_steps(cells: Float32) -> Float64:

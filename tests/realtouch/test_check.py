@@ -90,6 +90,15 @@ def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path:
     assert result.decoded >= result.touches
 
 
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_a_gel_of_one_colour_has_content_by_its_noise(kind: str, tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    truth = recorded()
+    for touch in (touch for each in truth for touch in each.touches):
+        touch.pixels[:] = 110 + random.normal(0, 1.5, touch.pixels.shape)
+    assert found_in(written(tmp_path, kind, truth)) == {}
+
+
 def brighter(truth: Truth) -> None:
     for touch in truth[1].touches[3:]:
         touch.pixels[:] = np.clip(touch.pixels * 1.3, 0, 255)
