@@ -12,6 +12,7 @@ import realtouch
 from cli.application import EXIT_FAILED
 from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
 from cli.output import Sink
+from realtouch.finding import MOST_NAMED
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import choice, text
@@ -87,14 +88,13 @@ def _report(
     """Print findings; exit code 1 if there are any."""
     sink.document({"name": name, "ok": not findings, **more, "findings": list(map(asdict, findings))})
     for each in findings:
-        shown = ", ".join(each.touches)
-        if each.count > len(each.touches):
-            shown = f"{shown}, ..."
+        sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
+        named = ", ".join(each.touches)
+        if len(each.touches) == MOST_NAMED:
+            named = f"{named}, ..."
         if each.count:
-            shown = f" ({with_count(each.count, 'touches')}: {shown})"
-        sink.warn(
-            f"{each.rule}: {each.where}: {each.found}; expected {each.expected}{shown}; next: {each.next}"
-        )
+            sink.warn(f"  {with_count(each.count, 'touches')}: {named}")
+        sink.warn(f"  next: {each.next}")
     for path in more.get("pictures", ()):  # type: ignore[attr-defined]
         sink.line(f"drawn: {path}")
     if findings:

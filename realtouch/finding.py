@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+MOST_NAMED = 20
+"""Touches that a finding names; it counts the others."""
+
 
 @dataclass(frozen=True)
 class Finding:
@@ -18,7 +21,8 @@ class Finding:
     where : str
         Split, round or file concerned.
     touches : tuple of str
-        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``) in data sets and as a path in other formats.
+        The touches concerned, at most the first 20, as ``round:touch`` (``12:0``, or ``12:0-255`` for all) in
+        data sets, and as a path in other formats.
     count : int
         Number of all touches concerned.
     next : str

@@ -460,8 +460,8 @@ class CheckLimits:
     motion_mm : float
         The gel moves by this while its picture is frozen, millimetres.
     jump_mm : float
-        Step of the position between frames, millimetres; a robot at 0.25 m/s moves 10 mm in a frame. Positions
-        of touches that are ten times as far from the others jump, too.
+        Step of the position between frames, millimetres; a robot at 0.25 m/s moves 10 mm in a frame. So do
+        touches that are ten times as far from all others.
     """
 
     frozen: int = integer(3, 2, help="So many equal pictures in a row are frozen.")

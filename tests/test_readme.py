@@ -26,6 +26,7 @@ PAGES = (
     "docs/howto/scenes.md",
     "docs/howto/training.md",
     "docs/howto/exchange.md",
+    "docs/howto/check.md",
     "docs/howto/libraries.md",
     "docs/howto/environments.md",
     "docs/howto/train_agent.md",

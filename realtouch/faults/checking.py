@@ -14,7 +14,7 @@ from realtouch.convert.conversion import parts_of
 from realtouch.faults.comparisons import all_comparisons
 from realtouch.faults.rules import RULES, WHOLE_ROUND, Fault, Spot
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
-from realtouch.finding import Finding
+from realtouch.finding import MOST_NAMED, Finding
 from realtouch.integrity import agreeing_files, readable_rows
 from realtouch.kind import KIND
 from realtouch.picture_views import fitted
@@ -27,9 +27,7 @@ from realtouch.touch_options import CheckLimits
 from tactile_toolkit import catalog, pictures, places, read, run
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
-
-MOST_NAMED = 20
-"""Touches that a finding names; it counts the others."""
+from tactile_toolkit.wording import with_count
 
 MOST_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
@@ -39,6 +37,7 @@ _FEWEST_FRAMES = 8
 _FEWEST_TOUCHES = 4  # shorter rounds are looked at together with those after them
 _MOST_DRAWN = 8
 _TILE_PX = 240
+_LETTERS = 20  # of the name of a round, from its end: as much as fits below a picture
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +67,7 @@ class CheckResult:
         return not self.findings
 
     def pictures(self) -> pictures.PicturePlan:
-        """Plan a picture of each finding: the touches concerned, next to those that they are compared with."""
+        """Plan a picture of each finding: its first touches, next to those that they are compared with."""
         datasets = {split: dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
@@ -91,9 +90,8 @@ def check(
 ) -> CheckResult:
     """Find what is wrong with the recordings of a data set whose files are intact.
 
-    Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift of the bare gel, gels with
-    and without markers, empty pictures, duplicates, objects and pictures in two splits, poses that do not
-    move with the pictures or jump, and times that run back.
+    Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift and markers of the gel,
+    empty pictures, duplicates, objects in two splits, poses and times that cannot be.
 
     Parameters
     ----------
@@ -102,7 +100,6 @@ def check(
     split : str, optional
         Only this split; all by default.
     limits : CheckLimits, optional
-        Thresholds.
     workers : int
         Number of threads; what is found does not depend on it.
     on_progress : callable
@@ -131,13 +128,9 @@ def check(
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
     is_rendered = origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
     look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
-    sections: list[Section] = []
-    done = 0
     damaged: list[Fault] = []
-    for section in run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers):
-        sections.append(section)
-        done += len(section.rounds)
-        on_progress(done, total)
+    found = run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
+    sections = list(_counted(found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += all_comparisons(sections, chosen)
     by_rule: dict[str, list[Fault]] = defaultdict(list)
@@ -147,6 +140,16 @@ def check(
     findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in RULES if rule in by_rule)
     decoded = sum(section.decoded for section in sections)
     return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+
+
+def _counted(
+    sections: Iterable[Section], total: int, on_progress: Callable[[int, int], None]
+) -> Iterator[Section]:
+    done = 0
+    for section in sections:
+        yield section
+        done += len(section.rounds)
+        on_progress(done, total)
 
 
 def _placed_rows(files: Mapping[str, Sequence[read.Shard]], damaged: list[Fault]) -> Iterator[PlacedRow]:
@@ -191,7 +194,8 @@ def _finding(
     rule: str, faults: Sequence[Fault], rounds: Mapping[tuple[str, int], RoundSeen], limits: CheckLimits
 ) -> Finding:
     """Return what a rule found, over all splits."""
-    names: dict[str, int] = {}
+    names: list[str] = []
+    total = 0
     several = len({fault.at.split for fault in faults}) > 1
     for split, number, touch in sorted({fault.at[:3] for fault in faults}):
         known = rounds.get((split, number), RoundSeen(split, number, f"row {number}", 1, None, None))
@@ -201,15 +205,16 @@ def _finding(
             named = f"{known.name}:0-{count - 1}"
         if several:
             named = f"{split}/{named}"
-        names[named] = count
+        names.append(named)
+        total += count
     said = RULES[rule]
     return Finding(
         rule,
         said.found_text(max(fault.value for fault in faults)),
         said.expected_text(limits),
         " and ".join(dict.fromkeys(fault.at.split for fault in faults)),
-        tuple(names)[:MOST_NAMED],
-        sum(names.values()),
+        tuple(names[:MOST_NAMED]),
+        total,
         said.next,
     )
 
@@ -223,13 +228,13 @@ def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyD
     title = f"{RULES[finding.rule].title}: {finding.found}"
     lines = (
         f"expected: {finding.expected}",
-        f"{finding.count:,} touches; framed: concerned, left: compared with",
+        f"{finding.where}: {with_count(finding.count, 'touches')}, framed; left, what they are compared with",
     )
     return pictures.sheet(tiles, 4, title, lines)
 
 
 def _tile(
-    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: pictures.Colour | None
+    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: tuple[int, int, int] | None
 ) -> pictures.Tile | None:
     """Return a picture with its name; an empty cell if it cannot be read."""
     if spot is None:
@@ -237,7 +242,7 @@ def _tile(
     with suppress(IntegrityError, ValueError, IndexError):
         record = datasets[spot.split][spot.row]
         touch = max(spot.touch, 0)
-        caption = f"{spot.split} {record.id}:{touch}"
+        caption = f"{record.id[-_LETTERS:]}:{touch}"
         if isinstance(record, TouchSingleRound):
             pixels = record.sensor_image[touch]
         else:

@@ -12,6 +12,7 @@ from scipy import stats
 from realtouch.faults import seen
 from realtouch.faults.rules import (
     MIN_GAIN,
+    MIN_KNOWN,
     MIN_RESEMBLANCE,
     MIN_ROUNDS,
     TREND,
@@ -32,9 +33,9 @@ GELSIGHT_MINI = (
     (81, 99, 111), (131, 108, 133), (133, 108, 131), (85, 92, 108),
     (65, 89, 81), (98, 98, 96), (99, 98, 96), (67, 83, 80),
 )  # fmt: skip
-"""Red, green and blue of a bare GelSight Mini in 4 x 4 parts of its picture, row by row, levels: averages of the
-background of its calibration in the package taxim 1.4.1. The sample images of the published sets, with contact,
-correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
+"""Red, green and blue of a bare GelSight Mini in 4 x 4 parts of its picture, row by row, levels: averages of
+the background of its calibration in the package taxim 1.4.1. The sample images of the published sets, with
+contact, correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
 
 
 def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
@@ -93,7 +94,7 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
         return
     known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
     reference = _most_common(patterns)
-    gain, order = _gain(reference[None], known)
+    _, order = _gain(reference[None], known, MIN_KNOWN)
     if order[0]:
         reference = known
     gain, order = _gain(patterns, reference)
@@ -110,18 +111,21 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
             yield Fault("swapped-channels", spots[index], float(gain[index]), usual)
 
 
-def _gain(patterns: Float32, reference: Float32) -> tuple[Float64, Int64]:
-    """Return how much better patterns fit with red and blue exchanged, and 1, -1 or 0: as is, exchanged, neither."""
+def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE) -> tuple[Float64, Int64]:
+    """Return how much better patterns fit with red and blue exchanged, and how they fit.
+
+    1 stands for as they are, -1 for exchanged, 0 for neither.
+    """
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
     swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
     gain = swapped - as_is
-    is_swapped = (swapped >= MIN_RESEMBLANCE) & (gain >= MIN_GAIN)
-    is_usual = (as_is >= MIN_RESEMBLANCE) & (-gain >= MIN_GAIN)
+    is_swapped = (swapped >= least) & (gain >= MIN_GAIN)
+    is_usual = (as_is >= least) & (-gain >= MIN_GAIN)
     return gain, is_usual.astype(np.int64) - is_swapped
 
 
 def _most_common(patterns: Float32) -> Float32:
-    """Return the pattern of most touches, where some have red and blue exchanged; of equally many, the first."""
+    """Return the pattern of most touches, some of which have red and blue exchanged; on a tie, the first."""
     _, order = _gain(patterns, patterns[np.argmax(patterns.any(axis=1))])
     most = 1
     if np.count_nonzero(order == -1) > np.count_nonzero(order == 1):
@@ -130,8 +134,7 @@ def _most_common(patterns: Float32) -> Float32:
     if not len(chosen):
         chosen = patterns
     middle = np.median(chosen, axis=0)
-    deviation = float(middle.std())
-    return ((middle - middle.mean()) / (deviation or 1.0)).astype(np.float32)
+    return seen.normalised(middle)
 
 
 def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
@@ -163,7 +166,9 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     gels = np.stack([section.gel for section in session if section.gel is not None])
     rounds = [Spot(each.rounds[0].split, each.rounds[0].number, WHOLE_ROUND) for each in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
-        yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
+        # A step inside of a round changes its gel as well, and is named by its touch.
+        if not any(_has_step(each) for each in session[index - 1 : index + 1]):
+            yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
     if len(gels) < MIN_ROUNDS:
         return
     levels = gels.mean(axis=(1, 2)).astype(np.float64)  # (n, 3)
@@ -178,3 +183,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     largest = float(np.abs(np.diff(levels[:, channel])).max())
     if trend >= TREND and largest < size / 2:
         yield from (Fault("gel-drift", spot, size, rounds[0]) for spot in rounds[-third:])
+
+
+def _has_step(section: Section) -> bool:
+    return any(fault.rule == "exposure-jumps" for fault in section.faults)

@@ -10,9 +10,9 @@ from realtouch.touch_options import CheckLimits
 WHOLE_ROUND = -1
 """In place of the number of a touch: all touches of a round."""
 
-MIN_RANGE = 1.0
-"""A picture whose averages over 12 x 16 cells differ by less has no content, levels of 255. A gel is lit from
-its sides, so that of a GelSight Mini differs by 100."""
+MIN_RANGE = 3.0
+"""A picture whose pixels differ by less in each channel has no content, levels of 255. JPEG changes a
+constant picture by 1; the noise of a camera alone makes 5 and more, the light of a GelSight Mini 100."""
 
 MIN_BRIGHTEST = 8.0
 """A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
@@ -22,12 +22,16 @@ NOISE_FACTOR = 6.0
 500 million."""
 
 MIN_RESEMBLANCE, MIN_GAIN = 0.75, 0.4
-"""Colours resemble the reference with red and blue exchanged by this correlation, and this much better than as
-they are. The sample images of the published sets have 0.82 to 0.96 in order, and 0.02 to 0.20 exchanged."""
+"""Colours resemble the reference with red and blue exchanged by this correlation, and this much better than
+as they are. The sample images of the published sets have 0.82 to 0.96 as they are, 0.02 to 0.20 exchanged."""
+
+MIN_KNOWN = 0.85
+"""Most of a set must resemble a GelSight Mini by this correlation to be judged by its colours; the published
+sample without a wide contact has 0.96, and other sensors are lit from other sides."""
 
 MIN_DOTS, MOST_SPECKS, MAX_UNEVENNESS = 20, 9, 0.3
-"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63) whose distances to their neighbours
-deviate by at most this share of their mean; with at most so many dots it has none."""
+"""A gel has markers if it shows so many dark dots (a GelSight Mini has 63), and the distances to the nearest
+ones deviate by at most this share of their mean; with at most so many dots it has none."""
 
 TREND, MIN_ROUNDS = 0.7, 5
 """Drift is a rank correlation of brightness and order of at least this, over at least so many rounds."""
@@ -37,8 +41,8 @@ MIN_STILL, MIN_CHANGE = 5, 20.0
 pictures of a gel without contact change by 1 to 3."""
 
 JUMP_FACTOR, MIN_TURN_DEG = 8.0, 20.0
-"""A pose jumps if the step is beyond the option and so many times the 90th percentile of the steps; a turn if it
-is beyond this angle and the same multiple."""
+"""A pose jumps if the step is beyond the option, and so many times the 90th percentile of the steps; a turn
+if it is beyond this angle, and the same multiple."""
 
 
 class Spot(NamedTuple):
@@ -86,8 +90,8 @@ RULES: dict[str, Rule] = {
     ),
     "empty-pictures": Rule(
         "Empty arrays, and pictures without content",
-        "pictures whose parts differ by at most {value:.2g} levels, or no pictures",
-        f"differences of at least {MIN_RANGE:g} level, and a part of at least {MIN_BRIGHTEST:g} levels",
+        "pictures whose pixels differ by at most {value:.2g} levels, or are black, or no pictures",
+        f"differences of at least {MIN_RANGE:g} levels, and a part of at least {MIN_BRIGHTEST:g} levels",
         "look at the camera and its cable, and leave these touches out",
     ),
     "frozen-frames": Rule(

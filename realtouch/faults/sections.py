@@ -17,7 +17,7 @@ import xxhash
 
 from realtouch.contact_picture import median_in_memory
 from realtouch.faults import motion, seen
-from realtouch.faults.rules import MIN_CHANGE, WHOLE_ROUND, Fault, Spot
+from realtouch.faults.rules import MIN_CHANGE, MIN_RANGE, WHOLE_ROUND, Fault, Spot
 from realtouch.picture_views import evenly_spaced
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
@@ -30,7 +30,9 @@ from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
 GEL_PICTURES = 32
-"""Pictures of a section whose median is its bare gel; a contact is seen in less than half of them at a place."""
+"""Pictures of a section whose median is its bare gel; less than half of them have contact at a place."""
+
+_FIRST_FRAMES = 8  # of a clip, before the contact
 
 
 class PlacedRow(NamedTuple):
@@ -57,7 +59,8 @@ class RoundSeen:
 class Section:
     """What was seen of some rounds.
 
-    ``spots``, ``digests`` and ``patterns`` have an entry for each touch with a picture. ``gel``, shape (12, 16, 3), are the averages of the bare gel.
+    ``spots``, ``digests`` and ``patterns`` have an entry for each touch with a picture. ``gel``, shape
+    (12, 16, 3), are the averages of the bare gel.
     """
 
     rounds: list[RoundSeen] = field(default_factory=list)
@@ -72,12 +75,17 @@ class Section:
 
 @dataclass(frozen=True, eq=False)
 class _Seen:
-    """The pictures of a touch that were looked at: their cells, and the encoded one of the bare gel."""
+    """The pictures of a touch that were looked at: their cells, and encoded ones, as bare as there are."""
 
     spots: list[Spot]
     cells: list[Float32]
+    ranges: list[float]
     digest: bytes
-    bare: memoryview
+    bare: Sequence[memoryview]
+
+    def with_content(self) -> list[int]:
+        """Return which of the pictures are neither black nor without content."""
+        return [index for index, value in enumerate(self.ranges) if value >= MIN_RANGE]
 
 
 def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
@@ -128,19 +136,22 @@ def _look_at_touch(
     look: Callable[..., _Seen] = _look_at_image
     if stored.kind == "seq":
         look = partial(_look_at_clip, section, limits=limits, frames=frames)
+    place = b""
     try:
         found = look(stored, spot)
+        if is_rendered and _has_poses(stored):  # the bare plate looks the same everywhere
+            place = stored.vectors(f"{POSE_COLUMN[stored.kind]}.position", 3, touch).tobytes()
     except (IntegrityError, ValueError):
         section.faults.append(Fault("unreadable-touches", spot, 0.0))
         return None
     section.decoded += len(found.cells)
-    empty = [index for index, cells in enumerate(found.cells) if seen.is_empty(cells)]
+    empty = [index for index, value in enumerate(found.ranges) if value < MIN_RANGE]
     if empty and not is_rendered:
-        value = max(seen.content_range(found.cells[index]) for index in empty)
+        value = max(found.ranges[index] for index in empty)
         section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
-        section.digests.append(found.digest + _rendered_at(row.stored, touch) * is_rendered)
+        section.digests.append(found.digest + place)
         section.patterns.append(seen.colour_pattern(np.median(found.cells, axis=0)))
     return found
 
@@ -151,16 +162,15 @@ def _has_bytes(stored: StoredRound, touch: int) -> bool:
     return touch < stop - start and bool(len(column.values[start + touch] or b""))
 
 
-def _rendered_at(stored: StoredRound, touch: int) -> bytes:
-    """Return the position of a rendered touch: the bare plate looks the same everywhere."""
-    if not stored.has_poses:
-        return b""
-    return stored.vectors(f"{POSE_COLUMN[stored.kind]}.position", 3, touch).tobytes()
+def _has_poses(stored: StoredRound) -> bool:
+    return stored.has_poses and stored.has(f"{POSE_COLUMN[stored.kind]}.quaternion")
 
 
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
     encoded = SensorImages(stored).encoded(spot.touch)
-    return _Seen([spot], [seen.cells_of(encoded)], xxhash.xxh3_128_digest(encoded), encoded)
+    cells = seen.cells_of(encoded)
+    ranges = [seen.content_range(encoded, cells)]
+    return _Seen([spot], [cells], ranges, xxhash.xxh3_128_digest(encoded), [encoded])
 
 
 def _look_at_clip(
@@ -172,19 +182,20 @@ def _look_at_clip(
     digests = list(map(xxhash.xxh3_128_digest, encoded))
     chosen = evenly_spaced(len(clip), frames)
     cells = [seen.cells_of(encoded[frame]) for frame in chosen]
+    ranges = [seen.content_range(encoded[frame], each) for frame, each in zip(chosen, cells, strict=True)]
     spots = [spot._replace(frame=frame) for frame in chosen]
     time_s = motion.clip_times_s(stored, spot.touch)
     section.faults += motion.time_faults(spot, time_s, limits)
     poses = None
-    if stored.has_poses:
+    if _has_poses(stored):
         poses = stored.pose_sequences(spot.touch)[0]
         section.faults += motion.clip_jumps(spot, poses, limits)
         section.faults += _still_poses(spots, chosen, cells, poses)
-    if not any(map(seen.is_empty, cells)):  # equal because they are empty
+    if min(ranges) >= MIN_RANGE:  # else they are equal because they are empty
         same = [one == other for one, other in pairwise(digests)]
         all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
         section.faults += _frozen(all_spots, same, poses, limits)
-    return _Seen(spots, cells, xxhash.xxh3_128_digest(b"".join(digests)), encoded[0])
+    return _Seen(spots, cells, ranges, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
 
 
 def _frozen(
@@ -204,7 +215,7 @@ def _frozen(
 def _still_poses(
     spots: Sequence[Spot], numbers: Sequence[int], cells: Sequence[Float32], poses: Poses
 ) -> Iterator[Fault]:
-    """Yield the runs of equal poses over which pictures change; ``numbers`` are those of the pictures' poses."""
+    """Yield the runs of equal poses over which pictures change; ``numbers`` are those of their poses."""
     for start, length in motion.still_runs(poses):
         inside = [index for index, number in enumerate(numbers) if start <= number < start + length]
         if len(inside) < 2:
@@ -221,7 +232,7 @@ def _still_poses(
 def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
     """Compare the poses of the touches of a round, and those of images with the images."""
     stored = row.stored
-    if not stored.has_poses or not found:
+    if not _has_poses(stored) or not found:
         return
     spots = [each.spots[0]._replace(frame=0) for each in found]
     try:
@@ -250,7 +261,7 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
     spots: list[Spot] = []
     for each in pictures:
         # Those without content are reported already.
-        full = [index for index, value in enumerate(each.cells) if not seen.is_empty(value)]
+        full = each.with_content()
         cells += [each.cells[index] for index in full]
         spots += [each.spots[index] for index in full]
     if cells:
@@ -260,13 +271,15 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
 
 def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
-    pictures = [each for each in pictures if not seen.is_empty(each.cells[0])]
+    pictures = [each for each in pictures if each.ranges[0] >= MIN_RANGE]
     if not pictures:
         return
     section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)
     decoded: list[Any] = []
-    for index in evenly_spaced(len(pictures), GEL_PICTURES):
-        pixels = decode_image(pictures[index].bare)
+    each_of = max(1, GEL_PICTURES // len(pictures))
+    bare = [encoded for each in pictures for encoded in each.bare[:each_of]]
+    for index in evenly_spaced(len(bare), GEL_PICTURES):
+        pixels = decode_image(bare[index])
         if not decoded or pixels.shape == decoded[0].shape:
             decoded.append(pixels)
     section.decoded += len(decoded)

@@ -15,15 +15,16 @@ from realtouch.faults.rules import (
     MOST_SPECKS,
     NOISE_FACTOR,
 )
-from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
-from tactile_toolkit.touch import decode_small
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, UInt8
+from tactile_toolkit.touch import decode_image, decode_small
 
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
 
 _PATCHES = 4  # a side of the coarse pattern that colours are recognised by
 _SAME_WAY = 10  # percent of the cells that may change the other way
-_DOT_CONTRAST, _DOT_SHARE = 6.0, 0.06
+# A dot is darker than what is around it by levels, by a share of its brightness, and by deviations.
+_DOT_CONTRAST, _DOT_SHARE, _DOT_NOISE = 6.0, 0.06, 4.0
 # Dots of GelSight, DIGIT and their likes lie 1/14 to 1/8 of the width of the picture apart.
 _AROUND, _APART = 1 / 8, 1 / 24
 
@@ -38,17 +39,21 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
     # A picture of fewer pixels than cells has cells that share a pixel.
     heights = np.diff(tops, append=height).clip(1)
     widths = np.diff(lefts, append=width).clip(1)
-    return (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
+    means: Float32 = (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
+    return means
 
 
-def content_range(cells: Float32) -> float:
-    """Return by how many levels the cells of a picture differ, in the channel with most; 0 if all is black."""
-    return float(np.ptp(cells, axis=(0, 1)).max())
+def content_range(encoded: bytes | memoryview, cells: Float32) -> float:
+    """Return by how many levels a picture differs, in the channel with most; 0 if it is black.
 
-
-def is_empty(cells: Float32) -> bool:
-    """Return whether a picture has no content, or is black."""
-    return content_range(cells) < MIN_RANGE or float(cells.max()) < MIN_BRIGHTEST
+    By its cells where that is enough, else by its pixels: a gel without any pattern of light has noise.
+    """
+    if float(cells.max()) < MIN_BRIGHTEST:
+        return 0.0
+    found = float(np.ptp(cells, axis=(0, 1)).max())
+    if found < MIN_RANGE:
+        return float(np.ptp(decode_image(encoded), axis=(0, 1)).max())
+    return found
 
 
 def brightness_steps(cells: Float32) -> Float64:
@@ -61,7 +66,8 @@ def brightness_steps(cells: Float32) -> Float64:
     if not len(change):
         return np.zeros(0)
     low, high = np.percentile(change, (_SAME_WAY, 100 - _SAME_WAY), axis=1)
-    return np.maximum(np.maximum(low, -high), 0.0)
+    steps: Float64 = np.maximum(np.maximum(low, -high), 0.0)
+    return steps
 
 
 def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
@@ -69,7 +75,8 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
     steps = brightness_steps(cells)
     if not len(steps):
         return []
-    limit = max(least, NOISE_FACTOR * float(np.median(steps)))
+    usual_step = np.median(np.sort(steps)[:-1]) if len(steps) > 1 else 0.0  # without the one to judge
+    limit = max(least, NOISE_FACTOR * float(usual_step))
     found: list[tuple[int, float]] = []
     usual = 0  # the last picture before the first step
     for step in np.flatnonzero(steps > limit).tolist():
@@ -84,13 +91,16 @@ def outlying_steps(cells: Float32, least: float) -> list[tuple[int, float]]:
 
 
 def colour_pattern(cells: Float32) -> Float32:
-    """Return where which colour falls in, shape (48,), of mean 0 and deviation 1; zeros without any pattern."""
+    """Return where which colour falls in, shape (48,), normalised."""
     shape = (_PATCHES, ROWS // _PATCHES, _PATCHES, COLUMNS // _PATCHES, 3)
-    pattern = cells.reshape(shape).mean(axis=(1, 3)).ravel()
-    deviation = float(pattern.std())
-    if deviation == 0:
-        return np.zeros_like(pattern)
-    return (pattern - pattern.mean()) / np.float32(deviation)
+    return normalised(cells.reshape(shape).mean(axis=(1, 3)).ravel())
+
+
+def normalised(pattern: Floating) -> Float32:
+    """Return a pattern less its mean, over its standard deviation; zeros if that is 0."""
+    deviation = float(pattern.std()) or 1.0
+    found: Float32 = ((pattern - pattern.mean()) / deviation).astype(np.float32)
+    return found
 
 
 def with_red_as_blue(patterns: Float32) -> Float32:
@@ -107,8 +117,10 @@ def count_markers(background: UInt8) -> int | None:
     around = ndimage.uniform_filter(grey, max(3, round(grey.shape[1] * _AROUND)))
     # The centre of a dot of several equal pixels is one pixel after a little blur.
     darkness = ndimage.gaussian_filter(around - grey, grey.shape[1] / 320)
+    noise = 1.4826 * np.median(np.abs(darkness - np.median(darkness)))  # dots cover less than half
+    least = np.maximum(np.maximum(_DOT_CONTRAST, _DOT_NOISE * noise), _DOT_SHARE * around)
     peaks = darkness == ndimage.maximum_filter(darkness, max(3, round(grey.shape[1] * _APART)))
-    dots = np.argwhere(peaks & (darkness > np.maximum(_DOT_CONTRAST, _DOT_SHARE * around)))
+    dots = np.argwhere(peaks & (darkness > least))
     if len(dots) <= MOST_SPECKS:
         return 0
     squared = ((dots[:, None] - dots[None]) ** 2).sum(axis=2).astype(np.float64)

@@ -4,21 +4,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
 import realtouch
+import starstruck_gen
+import tactile_sim
 from realtouch.faults.comparisons import GELSIGHT_MINI
 from realtouch.faults.rules import RULES
+from realtouch.faults.seen import count_markers
+from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
-from tests.realtouch.factories import RoundTruth
+from tests.realtouch.factories import Layout, RoundTruth
 
 SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
 Rows = dict[str, list[dict[str, Any]]]
@@ -81,6 +88,15 @@ def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path:
     assert result.findings == ()
     assert (result.rounds, result.touches) == (rounds, rounds * TOUCHES)
     assert result.decoded >= result.touches
+
+
+@pytest.mark.parametrize("kind", ["single", "seq"])
+def test_a_gel_of_one_colour_has_content_by_its_noise(kind: str, tmp_path: Path) -> None:
+    random = np.random.default_rng(0)
+    truth = recorded()
+    for touch in (touch for each in truth for touch in each.touches):
+        touch.pixels[:] = 110 + random.normal(0, 1.5, touch.pixels.shape)
+    assert found_in(written(tmp_path, kind, truth)) == {}
 
 
 def brighter(truth: Truth) -> None:
@@ -320,48 +336,85 @@ def test_what_is_found_does_not_depend_on_workers(tmp_path: Path) -> None:
     assert results[0].decoded == results[1].decoded
 
 
-def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(tmp_path: Path) -> None:
-    gel = np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3)
-    smooth = np.asarray(Image.fromarray(gel).resize(SIZE, Image.Resampling.BICUBIC)).astype(np.int16)
-    for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
-        truth = recorded()
-        for touch in (touch for each in truth for touch in each.touches):
-            # What the factory adds to its own gel is kept.
-            relief = touch.pixels.astype(np.int16) - factories._gel(SIZE).astype(np.int16)
-            touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., order]
-        found = found_in(written(tmp_path / name, "single", truth))
-        assert list(found) == ["swapped-channels"] * (name == "swapped")
-        assert (
-            realtouch.check(tmp_path / name).findings[:1] == ()
-            or realtouch.check(tmp_path / name).findings[0].count == len(truth) * TOUCHES
-        )
+def brighter_from(first: int, truth: Truth) -> Truth:
+    for touch in (touch for each in truth[first:] for touch in each.touches):
+        touch.pixels[:] = np.clip(touch.pixels * 1.3, 0, 255)
+    return [replace(each, gel_id=1) for each in truth]
+
+
+def test_a_step_between_rounds(tmp_path: Path) -> None:
+    assert found_in(written(tmp_path, "seq", brighter_from(2, recorded()))) == {"exposure-jumps": ["2:0-5"]}
+
+
+def test_rounds_of_one_image_are_compared_with_their_neighbours(tmp_path: Path) -> None:
+    truth = recorded(rounds=16, touches=1)
+    assert found_in(written(tmp_path / "clean", "single", truth)) == {}
+    found = found_in(written(tmp_path / "step", "single", brighter_from(9, truth)))
+    assert found == {"exposure-jumps": ["9:0"]}
+
+
+def test_damaged_rows_do_not_hide_the_others(tmp_path: Path) -> None:
+    truth = recorded()
+    swapped_touches(truth)
+    rows = {"train": factories.single_rows(truth)}
+    folder = factories.write_set(tmp_path, rows, "single", Layout(group_rows=1))
+    file = next((folder / "data").glob("train-*"))
+    column = pq.ParquetFile(file).metadata.row_group(1).column(0)
+    content = bytearray(file.read_bytes())
+    start = column.data_page_offset
+    content[start : start + column.total_compressed_size] = bytes(column.total_compressed_size)
+    file.write_bytes(content)
+    findings = {each.rule: each.touches for each in realtouch.check(folder).findings}
+    assert findings["unreadable-touches"] == ("row 1:0-0",)
+    assert findings["swapped-channels"] == (f"{truth[2].id}:0", f"{truth[2].id}:1")
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_set_wholly_in_another_order_is_known_by_the_colours_of_the_sensor(
+    order: int, tmp_path: Path
+) -> None:
+    gel = Image.fromarray(np.array(GELSIGHT_MINI, np.uint8).reshape(4, 4, 3))
+    smooth = np.asarray(gel.resize(SIZE, Image.Resampling.BICUBIC)).astype(np.float64)
+    truth = recorded()
+    for touch in (touch for each in truth for touch in each.touches):
+        # What the factory adds to its own gel is kept.
+        relief = touch.pixels - factories._gel(SIZE)
+        touch.pixels[:] = np.clip(smooth + relief, 0, 255)[..., ::order]
+    result = realtouch.check(written(tmp_path, "single", truth))
+    found = [(each.rule, each.count) for each in result.findings]
+    assert found == [("swapped-channels", len(truth) * TOUCHES)] * (order == -1)
 
 
 @needs_shared
-def test_sample_images_of_the_published_sets(tmp_path: Path) -> None:
+@pytest.mark.parametrize("size", ["320x240", "64x64"])
+@pytest.mark.parametrize("order", [1, -1])
+def test_sample_images_of_the_published_sets(size: str, order: int, tmp_path: Path) -> None:
+    (file,) = (SHARED / "touches").glob(f"*real*{size}.jpeg")
+    pixels = np.asarray(Image.open(file).convert("RGB")).astype(np.int16)[..., ::order]
     random = np.random.default_rng(0)
-    for size in ("320x240", "64x64"):
-        files = sorted((SHARED / "touches").glob(f"*real*{size}.jpeg"))
-        assert files
-        pixels = np.asarray(Image.open(files[0]).convert("RGB")).astype(np.int16)
-        truth = recorded()
-        for each in truth:
-            for touch in each.touches:
-                noise = random.normal(0, 1.5, pixels.shape)
-                object.__setattr__(touch, "pixels", np.clip(pixels + noise, 0, 255).astype(np.uint8)[None])
-                object.__setattr__(touch, "peak", 0)
-        for name, order in (("usual", slice(None)), ("swapped", slice(None, None, -1))):
-            folder = written(
-                tmp_path / size / name,
-                "single",
-                truth,
-                encode=lambda each: factories.encode_jpeg(each[..., order]),
-            )
-            assert list(found_in(folder)) == ["swapped-channels"] * (name == "swapped")
+
+    def noisy(_pixels: np.ndarray) -> bytes:
+        return factories.encode_jpeg(
+            np.clip(pixels + random.normal(0, 1.5, pixels.shape), 0, 255).astype(np.uint8)
+        )
+
+    folder = written(tmp_path, "single", recorded(rounds=3), encode=noisy)
+    assert list(found_in(folder)) == ["swapped-channels"] * (order == -1)
 
 
-def test_rendered_touches(tmp_path: Path) -> None:
-    """Touches of the bare plate are equal, and black in pictures of depth; neither is a fault."""
+def test_rendered_touches_of_equal_surfaces_are_no_fault(tmp_path: Path) -> None:
+    scenes, touches = tmp_path / "scenes", tmp_path / "touches"
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 1)))
+    starstruck_gen.generate(spec, str(scenes))
+    plan = tactile_sim.TouchPlan(2, 16, seed=3)
+    tactile_sim.generate(str(scenes), tactile_sim.GenerateSpec((64, 64), "depth", plan=plan), touches)
+    assert realtouch.check(touches).findings == ()
+    # A round that is there twice is a duplicate nevertheless.
+    file = next((touches / "data").glob("train-*"))
+    table = pq.read_table(file)
+    pq.write_table(pa.concat_tables([table, table.slice(1, 1)]), tmp_path / "twice.parquet")
+    result = realtouch.check(tmp_path / "twice.parquet")
+    assert [(each.rule, each.count) for each in result.findings] == [("duplicate-pictures", 32)]
 
 
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -386,7 +439,40 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "realtouch import" in capsys.readouterr().err
 
 
+def test_other_formats(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[tuple[str, str]] = []
+
+    def findings(home: store.DataFolder, file: str) -> list[realtouch.Finding]:
+        asked.append((Path(home.address()).name, file))
+        return [realtouch.Finding("dtype", "uint8", "float32", "data/x", next="correct it")] * bool(file)
+
+    monkeypatch.setattr("cli.touch_checks._OXT_FINDINGS", findings)
+    (tmp_path / "task.zip").write_bytes(b"zip")
+    assert call("realtouch", "check", "--format", "oxt", tmp_path / "task.zip") == 1
+    assert "dtype in data/x: uint8; expected float32\n  next: correct it" in capsys.readouterr().err
+    assert call("realtouch", "check", "--format", "oxt", tmp_path) == 0
+    assert asked == [(tmp_path.name, "task.zip"), (tmp_path.name, "")]
+    assert call("realtouch", "check", "--format", "oxt", tmp_path, "--split", "test") == 2
+
+
 def test_each_rule_is_documented() -> None:
-    page = (Path(__file__).parents[2] / "docs" / "howto" / "check.md").read_text()
-    for name in RULES:
-        assert f"`{name}`" in page
+    page = (Path(__file__).parents[2] / "docs" / "howto" / "check.md").read_text(encoding="utf-8")
+    for name, rule in RULES.items():
+        assert f"| `{name}` | {rule.title} | {rule.expected_text(realtouch.CheckLimits())} |\n" in page
+
+
+@pytest.mark.parametrize("size", [(64, 64), (320, 240), (640, 480)])
+@pytest.mark.parametrize("noise", [1, 3, 6])
+def test_markers_are_counted_at_any_size_and_noise_is_none(size: tuple[int, int], noise: int) -> None:
+    random = np.random.default_rng(0)
+    width, height = size
+    gel = factories._gel(size) + random.normal(0, noise, (height, width, 3))
+    assert count_markers(np.clip(gel, 0, 255).astype(np.uint8)) == 0
+    y, x = np.mgrid[0:height, 0:width]
+    rows, columns = (np.arange(7) + 0.5) * height / 7, (np.arange(9) + 0.5) * width / 9
+    away = np.hypot(y - rows[:, None, None, None], x - columns[:, None, None]).min(axis=(0, 1))
+    dots = np.clip(0.016 * width - away + 0.5, 0, 1)
+    marked = np.clip(gel * (1 - 0.6 * dots[..., None]), 0, 255).astype(np.uint8)
+    assert abs((count_markers(marked) or 0) - 63) <= 2
