@@ -12,8 +12,8 @@ from typing import IO, NamedTuple
 from realtouch.exchange.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
 from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 _MOST_LOOKED_AT = 20_000

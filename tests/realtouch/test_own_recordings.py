@@ -14,7 +14,7 @@ from tests.command_line import call
 from tests.realtouch import own_recordings as own
 from tests.realtouch.own_recordings import Session
 
-LEAST_PSNR_DB = 32.0  # of x264 at CRF 12, stored as JPEG of quality 95
+LEAST_PSNR_DB = 30.0  # of x264 at CRF 12 and of FFmpeg at its best quality, stored as JPEG of quality 95
 
 MAKERS = (
     own.mjpeg_avi,
@@ -103,7 +103,9 @@ def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp
     assert len(before) == len(after)
     assert before.labels.tolist() == after.labels.tolist()
     for old, new in zip(before, after, strict=True):
-        if layout == "flat" or not hasattr(old.round, "sensor_video"):
+        if layout == "oxt" and hasattr(old.round, "sensor_video"):  # pixels, which a clip has as JPEG again
+            assert psnr_db(old.clip.frames(), new.clip.frames()) > 40
+        elif layout == "flat" or not hasattr(old.round, "sensor_video"):
             np.testing.assert_array_equal(old.image, new.image)
         else:
             np.testing.assert_array_equal(old.clip.frames(), new.clip.frames())
