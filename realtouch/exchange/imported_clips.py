@@ -67,12 +67,12 @@ def clip_of(
         notes.append("pictures encoded as JPEG")
     step_s = float(np.median(np.diff(time_s))) if item.frames > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    contact = item.contact
-    if contact is None:
-        contact, is_found = contact_by_pictures(pictures, size)
+    jpegs, contact = list(map(as_jpeg, pictures)), item.contact
+    if contact is None:  # by the pictures that are stored, so that a copy has the same
+        contact, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size
-    video = write_avi(list(map(as_jpeg, pictures)), width, height, fps)
+    video = write_avi(jpegs, width, height, fps)
     return ImportedClip(video, np.round(time_s * 1e6).astype(np.int64), contact, tuple(notes))
 
 

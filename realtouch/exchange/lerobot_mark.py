@@ -51,5 +51,6 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
         of_episode += [*POSITION_COLUMNS, *mark.per_touch]
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
     per_frame = dict(name_ours(found, _VECTORS, mark.class_names).per_frame)
-    values |= {each: per_frame.pop(each)[0].tolist() for each in of_episode if each in per_frame}
+    # A slice, as an entry of an array of texts is no array.
+    values |= {each: per_frame.pop(each)[:1].tolist()[0] for each in of_episode if each in per_frame}
     return replace(found, values=values, per_frame=per_frame)
