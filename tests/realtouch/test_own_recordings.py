@@ -110,12 +110,10 @@ def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp
         else:
             np.testing.assert_array_equal(old.clip.frames(), new.clip.frames())
         if old.round.row.has_poses:
-            poses = [getattr(each, "clip" if old.round.row.kind == "seq" else "round") for each in (old, new)]
-            poses = [
-                each.poses if old.round.row.kind == "seq" else each.gel_pose_cell_frame for each in poses
-            ]
+            of_clip = new.round.row.kind == "seq"
+            poses = [each.clip.poses if of_clip else each.gel_pose for each in (old, new)]
             tolerance_m = {"lerobot": 1e-6}.get(layout, 1e-9)  # single precision there
-            np.testing.assert_allclose(poses[0].position_m, poses[1].position_m, atol=tolerance_m)
+            np.testing.assert_allclose(poses[0].translation, poses[1].translation, atol=tolerance_m)
 
 
 def test_each_loads_in_torch(made: tuple[Session, Path]) -> None:
