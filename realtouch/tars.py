@@ -7,7 +7,7 @@ import tarfile
 from collections.abc import Iterator
 from typing import IO, Self
 
-# Name, mode, owner, size, time, checksum and type; no link, the mark of the format, and no prefix of the name.
+# Name, mode, owner, size, time, checksum and type; no link, the mark of the format, no prefix of the name.
 _PLAIN_HEADER = re.compile(
     rb"(?P<name>[^\0]{1,99})\0+(?<=^.{100}).{24}(?P<size>[0-7]{11})\0.{12}(?P<sum>[0-7]{6})\0 0\0{100}"
     rb"ustar(?:\x0000|  \0).{80}\0{155}.{12}",

@@ -51,6 +51,8 @@ def shown(text: object) -> str:
 
 def integer_text(text: str) -> str:
     """Return ``"3"`` for ``"3.0"``: programs write integers so in a column with gaps."""
+    if text.isdecimal() or "." not in text:  # most of them
+        return text
     return _NUMBER.sub(r"\1", text)
 
 

@@ -58,7 +58,7 @@ class _PackImages:
         """Return the files of a shard; an empty shard has none."""
         index = rows.drop_columns([IMAGE])
         if len(rows):
-            return self.pack(shard, index, (each.as_py() for each in rows[IMAGE]))
+            return self.pack(shard, index, _images_of(rows[IMAGE]))
         if self.no_gaps:
             raise IntegrityError(
                 f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
@@ -66,6 +66,13 @@ class _PackImages:
                 next="leave it out (`realtouch select`)",
             )
         return with_files(index, {})
+
+
+def _images_of(column: pa.ChunkedArray) -> Iterator[StoredImage]:
+    """Yield the images of a column; one is copied at a time."""
+    for chunk in column.chunks:
+        for content, path in zip(chunk.field("bytes"), chunk.field("path").to_pylist(), strict=True):
+            yield {"bytes": content.as_py(), "path": path}
 
 
 def plan_flat(

@@ -16,7 +16,7 @@ import pyarrow as pa
 from PIL import Image
 
 from realtouch.exchange.extra_columns import not_kept
-from realtouch.exchange.fields import each_of, label_of, object_of, poses, positions
+from realtouch.exchange.fields import NUMBERED, each_of, label_of, object_of, poses, positions
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.imported_clips import clip_of, clip_poses, clip_position, too_long
 from realtouch.exchange.imported_rows import StoredTouch, extras_in, table_of, touch_schema
@@ -39,6 +39,7 @@ _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
+_PLAIN = frozenset({str, int, type(None)})
 
 NamedTouch = tuple[str, FoundTouch]
 """The name of a round, and a touch of it."""
@@ -164,11 +165,19 @@ class ImportTouches:
                 said.problems.update({singles[place]: error for place, error in problems.items()})
                 out[singles] = found
         numbers = {name: number for number, name in reversed([*enumerate(self.names)])}
+        about_columns = [name for name in (self.columns.label, self.columns.object_id, NUMBERED) if name]
+        seen: dict[tuple[object, ...], tuple[int, int]] = {}
         for number in usable:
             values = items[number].values
+            key = tuple([values.get(name) for name in about_columns])
+            is_key = _PLAIN.issuperset(map(type, key))  # not True, which equals 1, nor lists
             try:
-                said.labels[number] = label_of(values, self.columns.label, numbers)
-                said.objects[number] = object_of(values, self.columns.object_id)
+                if not is_key or key not in seen:
+                    label = label_of(values, self.columns.label, numbers)
+                    about = label, object_of(values, self.columns.object_id)
+                    if is_key:
+                        seen[key] = about
+                said.labels[number], said.objects[number] = seen[key] if is_key else about
             except ItemError as error:
                 said.problems.setdefault(number, error)
         return said

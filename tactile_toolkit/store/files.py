@@ -22,6 +22,7 @@ DRAFT = re.escape(TEMPORARY_PREFIX) + "[0-9a-f]{32}-"
 T = TypeVar("T")
 
 _TRIES = 10
+_BUFFER_BYTES = 1 << 13
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 
@@ -110,7 +111,8 @@ def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
     if below is not None and not Path(os.path.realpath(path)).is_relative_to(os.path.realpath(below)):
         raise IntegrityError(f"{str(path)!r} is a link out of {str(below)!r}; nothing was read from it")
     unwaiting = getattr(os, "O_NONBLOCK", 0)
-    stream = open(path, "rb", opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
+    # Without a size of its buffer, Python asks whether the file is a terminal.
+    stream = open(path, "rb", _BUFFER_BYTES, opener=lambda name, flags: os.open(name, flags | unwaiting))  # noqa: SIM115
     if not stat.S_ISREG(os.fstat(stream.fileno()).st_mode):
         stream.close()
         raise IntegrityError(

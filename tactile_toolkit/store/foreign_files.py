@@ -64,7 +64,8 @@ def size_inside(
     if folder.is_local:
         with suppress(OSError, ValueError):
             found = os.stat(folder.address(path))  # noqa: PTH116
-            size = found.st_size if stat.S_ISREG(found.st_mode) else None
+            if stat.S_ISREG(found.st_mode):
+                size = found.st_size
     else:
         parent, _, base = path.rpartition("/")
         size = (sizes or folder.sizes)(parent).get(base)

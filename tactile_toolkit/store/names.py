@@ -40,8 +40,12 @@ def is_hidden(path: str) -> bool:
     leave in folders and archives (``__MACOSX``, ``@eaDir``, ``Thumbs.db``, ``desktop.ini``, ...). A path that
     leads elsewhere (``../a.png``) is not hidden, but wrong.
     """
-    parts = path.split("/")
-    return any((part[:1] == "." and part not in _STEPS) or part.lower() in _LEFT_BY_SYSTEMS for part in parts)
+    return any(map(_is_hidden_part, path.split("/")))
+
+
+@lru_cache(maxsize=1024)
+def _is_hidden_part(part: str) -> bool:
+    return (part[:1] == "." and part not in _STEPS) or part.lower() in _LEFT_BY_SYSTEMS
 
 
 def problem_of_name(name: object) -> str:

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import io
 import json
 import tarfile
 from pathlib import Path
+from typing import Any
 
 import pytest
+from hypothesis import assume, given, settings, strategies as st
 
 import realtouch
+from realtouch.exchange.webdataset import tar_of
+from realtouch.tars import _Header
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store import Progress
 from tests.command_line import call
@@ -123,3 +128,51 @@ def test_a_tar_with_a_header_that_cannot_be_true(
     assert words in said
     assert len(said.splitlines()) == 1
     assert not (tmp_path / "out").exists()
+
+
+@given(st.lists(st.tuples(st.text("abü/.", min_size=1, max_size=120), st.binary(max_size=1500)), max_size=12))
+@settings(max_examples=40, deadline=None)
+def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]]) -> None:
+    stream = io.BytesIO()
+    fields = [{"number": number, "name": "ü", "third": 1 / 3} for number in range(len(samples))]
+    try:
+        with tarfile.open(fileobj=stream, mode="w", format=tarfile.USTAR_FORMAT) as tar:
+            for (name, content), said in zip(samples, fields, strict=True):
+                text = json.dumps(said, ensure_ascii=False, separators=(",", ":")).encode()
+                for member, each in ((name, content), (f"{name.partition('.')[0]}.json", text)):
+                    header = tarfile.TarInfo(member)
+                    header.size = len(each)
+                    tar.addfile(header, io.BytesIO(each))
+    except ValueError:  # a name that is too long
+        assume(False)
+    made = tar_of((name, content, said) for (name, content), said in zip(samples, fields, strict=True))
+    assert made == stream.getvalue()
+
+
+@given(st.data())
+@settings(max_examples=150, deadline=None)
+def test_headers_of_tars_are_read_as_tarfile_reads_them(data: st.DataObject) -> None:
+    """Also where bytes of them were changed, with a sum that fits."""
+    stream = io.BytesIO()
+    form = data.draw(st.sampled_from([tarfile.USTAR_FORMAT, tarfile.GNU_FORMAT, tarfile.PAX_FORMAT]))
+    with tarfile.open(fileobj=stream, mode="w", format=form) as tar:
+        for name in data.draw(st.lists(st.text("abü.", min_size=1, max_size=120), min_size=1, max_size=3)):
+            header = tarfile.TarInfo(name)
+            header.size = 5
+            tar.addfile(header, io.BytesIO(b"12345"))
+    content = bytearray(stream.getvalue())
+    for _ in range(data.draw(st.integers(0, 3))):
+        place = data.draw(st.integers(0, 511))
+        content[place] = data.draw(st.sampled_from([*b"\0 07x/5", 255, 128]))
+    if data.draw(st.booleans()):
+        content[148:156] = b" " * 8
+        content[148:156] = b"%06o\0 " % sum(content[:512])
+    found: list[Any] = []
+    for header_type in (tarfile.TarInfo, _Header):
+        try:
+            header = header_type.frombuf(bytes(content[:512]), "utf-8", "surrogateescape")
+        except tarfile.HeaderError as error:
+            found.append(type(error))
+        else:
+            found.append((header.name, header.size, header.type, header.isfile()))
+    assert found[0] == found[1] or found[0] is tarfile.InvalidHeaderError
