@@ -92,5 +92,5 @@ def _instants(values: pa.ChunkedArray, what: str) -> pa.ChunkedArray:
         (1, str(values[0].as_py())),
     )
     raise InputError(
-        f"{what} hold {text[:_LONGEST_SHOWN]!r} in row {row:,}; expected numbers, or dates with times (ISO 8601)"
+        f"{what} hold {text[:_LONGEST_SHOWN]!r} in row {row:,}; expected numbers, or times of ISO 8601"
     )
