@@ -19,7 +19,7 @@ from realtouch.avi import write_avi
 from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
-from realtouch.exchange.streams import with_streams
+from realtouch.exchange.streams import STREAM_HEADER, with_streams
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import encode_image
@@ -96,6 +96,8 @@ def test_forces_and_poses_get_the_times_of_the_pictures(ending: str, method: str
     assert first.first_offset_s == pytest.approx(-camera_s[0])
     assert first.last_offset_s == pytest.approx(5.999 - camera_s[-1])
     assert reports[1].largest_gap_s == pytest.approx(np.diff(pose_s).max())
+    assert first.row()[:6] == ("take1", "force", "6,000", "0", "0", "1000")
+    assert len(first.row()) == len(STREAM_HEADER)
 
 
 def test_pictures_in_gaps_have_missing_values(tmp_path: Path) -> None:
@@ -277,6 +279,7 @@ def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path
     )
     rounds = realtouch.load(tmp_path / "out", "train")
     assert not any(record.skipped for record in manifest.shards)
+    assert manifest.spec["options"]["cut"] == ("table" if cut.endswith(".csv") else cut)
     touches = rounds.touches()
     assert len(touches) == {"whole": 2, "contact": 4, "frames": 200}.get(cut, 4)
     for index, touch in enumerate(touches):
