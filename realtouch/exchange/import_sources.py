@@ -130,6 +130,8 @@ class _Cuts:
         if not isinstance(found, Recording):
             return found
         self.done = self._wanted or found.cut or self._format.cut
+        if self.done not in CUTS:
+            self.done = "table"  # what a set says of itself does not depend on paths
         return self.aligner.aligned(found)
 
     def require_recordings(self, home: store.DataFolder) -> None:

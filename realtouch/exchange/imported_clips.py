@@ -10,7 +10,7 @@ import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES, write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory, median_of
-from realtouch.exchange.fields import Fields, each_of, poses, positions
+from realtouch.exchange.fields import Fields, each_of, poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.stored_images import as_jpeg
 from realtouch.touch_options import ImportColumns
@@ -82,6 +82,8 @@ def clip_times_s(item: FoundTouch, columns: ImportColumns) -> Float64 | None:
     Raises ItemError for times that run back, or last longer than any clip does.
     """
     time_s = item.time_s
+    if columns.time and columns.time in item.per_frame:
+        time_s = times_s(item.per_frame[columns.time], columns)
     if time_s is None:
         if columns.time:
             raise ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")

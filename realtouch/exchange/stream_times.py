@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 
 import numpy as np
@@ -15,6 +16,7 @@ TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "st
 """Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
 
 _INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"))
+_NUMBER = re.compile(r"\s*[+-]?[0-9.,]+(?:[eE][+-]?[0-9]+)?\s*")
 _LONGEST_SHOWN = 40
 
 
@@ -85,5 +87,10 @@ def _instants(values: pa.ChunkedArray, what: str) -> pa.ChunkedArray:
             return values.cast(data_type)
         except pa.ArrowException:
             continue
-    shown = str(values[0].as_py())[:_LONGEST_SHOWN]
-    raise InputError(f"{what} are text such as {shown!r}; expected numbers, or dates with times (ISO 8601)")
+    row, text = next(
+        ((row, text) for row, text in enumerate(values.to_pylist(), 1) if not _NUMBER.fullmatch(text)),
+        (1, str(values[0].as_py())),
+    )
+    raise InputError(
+        f"{what} hold {text[:_LONGEST_SHOWN]!r} in row {row:,}; expected numbers, or times of ISO 8601"
+    )

@@ -16,6 +16,20 @@ from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError
 
+STREAM_HEADER = (
+    "recording",
+    "stream",
+    "samples",
+    "duplicates",
+    "pictures without a value",
+    "rate [Hz]",
+    "starts later by [s]",
+    "ends later by [s]",
+    "largest gap [s]",
+    "columns",
+)
+"""Columns of a table of streams, each a row of :class:`StreamReport`."""
+
 _PER_MS = 1e-3
 
 
@@ -54,6 +68,13 @@ class StreamReport:
     first_offset_s: float | None = None
     last_offset_s: float | None = None
     largest_gap_s: float | None = None
+
+    def row(self) -> tuple[str, ...]:
+        """Return the texts of a row below :data:`STREAM_HEADER`."""
+        numbers = (self.rate_hz, self.first_offset_s, self.last_offset_s, self.largest_gap_s)
+        texts = ("" if number is None else f"{number:.4g}" for number in numbers)
+        counts = (f"{count:,}" for count in (self.samples, self.duplicates, self.missing))
+        return (self.recording, self.stream, *counts, *texts, ", ".join(self.columns))
 
 
 def with_streams(

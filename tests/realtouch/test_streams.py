@@ -16,12 +16,14 @@ import realtouch
 from realtouch import ImportColumns
 from realtouch.alignment_options import Alignment
 from realtouch.avi import write_avi
+from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
-from realtouch.exchange.streams import with_streams
+from realtouch.exchange.streams import STREAM_HEADER, with_streams
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import encode_image
+from tests.mutations import mutated, with_other_numbers
 from tests.realtouch.made_recordings import SIZE, MadeRecording
 
 NO_COLUMNS = ImportColumns()
@@ -94,6 +96,8 @@ def test_forces_and_poses_get_the_times_of_the_pictures(ending: str, method: str
     assert first.first_offset_s == pytest.approx(-camera_s[0])
     assert first.last_offset_s == pytest.approx(5.999 - camera_s[-1])
     assert reports[1].largest_gap_s == pytest.approx(np.diff(pose_s).max())
+    assert first.row()[:6] == ("take1", "force", "6,000", "0", "0", "1000")
+    assert len(first.row()) == len(STREAM_HEADER)
 
 
 def test_pictures_in_gaps_have_missing_values(tmp_path: Path) -> None:
@@ -195,7 +199,7 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
         ({"time_s": [0.0, None], "f": [1, 2]}, {}, "missing in row 2"),
         ({"time": [0, 1], "f": [1, 2]}, {}, "integers, whose unit is not known"),
         ({"time": [0.0], "timestamp": [0.0]}, {}, "several columns of times: time, timestamp"),
-        ({"time_s": ["a", "b"], "f": [1, 2]}, {}, "text such as 'a'"),
+        ({"time_s": ["0.5", "b"], "f": [1, 2]}, {}, "hold 'b' in row 2"),
         ({"time_s": ["inf"], "f": [1]}, {}, "not finite in row 1"),
         ({"time_s": pa.array([], pa.float64())}, {}, "has no rows"),
     ],
@@ -275,6 +279,7 @@ def test_streams_become_extra_columns_of_touches(cut: str, takes: Path, tmp_path
     )
     rounds = realtouch.load(tmp_path / "out", "train")
     assert not any(record.skipped for record in manifest.shards)
+    assert manifest.spec["options"]["cut"] == ("table" if cut.endswith(".csv") else cut)
     touches = rounds.touches()
     assert len(touches) == {"whole": 2, "contact": 4, "frames": 200}.get(cut, 4)
     for index, touch in enumerate(touches):
@@ -301,3 +306,28 @@ def test_a_table_beside_a_video_that_does_not_fit_is_its_problem(takes: Path, tm
     late = stream(tmp_path, {"time_s": [100.0, 101.0]}, "late.csv").place
     with pytest.raises(InputError, match="expected a common time"):
         realtouch.import_touches(takes, tmp_path / "two", streams=[late])
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("ending", ["csv", "jsonl", "parquet"])
+def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
+    """2,000 damaged copies of a table, as a stream and as a table of touches."""
+    steps = np.arange(40) / 10
+    columns = {"time_s": steps, "n": range(40), "note": [f"{n} N" for n in range(40)]}
+    columns |= {"start_s": steps, "end_s": steps + 0.2}
+    stream(tmp_path, columns, f"whole.{ending}")
+    whole = (tmp_path / f"whole.{ending}").read_bytes()
+    home, path = store.open_folder(str(tmp_path)), tmp_path / f"table.{ending}"
+    pictures = recording(np.arange(100) / 25)
+    used = refused = 0
+    for seed in range(2000):
+        change = with_other_numbers if seed % 2 and ending != "parquet" else mutated
+        path.write_bytes(change(whole, seed))
+        how = Alignment(method=("nearest", "linear")[seed % 2])
+        try:
+            with_streams(pictures, [open_stream(home, path.name)], how, NO_COLUMNS)
+            list(Cutter(str(path), lambda _: iter(())).touches([pictures]))
+            used += 1
+        except InputError:
+            refused += 1
+    assert min(used, refused) > 20
