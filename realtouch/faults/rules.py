@@ -10,9 +10,9 @@ from realtouch.touch_options import CheckLimits
 WHOLE_ROUND = -1
 """In place of the number of a touch: all touches of a round."""
 
-MIN_RANGE = 3.0
-"""A picture whose pixels differ by less in each channel has no content, levels of 255. JPEG changes a
-constant picture by 1; the noise of a camera alone makes 5 and more, the light of a GelSight Mini 100."""
+MAX_ONE_VALUE = 0.95
+"""A picture has no content if more than this share of its pixels has one value, in each channel. Noise of
+half a level leaves three quarters, that of a camera less than a half."""
 
 MIN_BRIGHTEST = 8.0
 """A picture whose brightest cell is darker is black, levels of 255: above the noise of a covered camera."""
@@ -90,8 +90,8 @@ RULES: dict[str, Rule] = {
     ),
     "empty-pictures": Rule(
         "Empty arrays, and pictures without content",
-        "pictures whose pixels differ by at most {value:.2g} levels, or are black, or no pictures",
-        f"differences of at least {MIN_RANGE:g} levels, and a part of at least {MIN_BRIGHTEST:g} levels",
+        "no pictures, black ones, or {value:.0%} of the pixels with one value",
+        f"at most {MAX_ONE_VALUE:.0%} of pixels with one value, and some above {MIN_BRIGHTEST:g} levels",
         "look at the camera and its cable, and leave these touches out",
     ),
     "frozen-frames": Rule(

@@ -17,7 +17,7 @@ import xxhash
 
 from realtouch.contact_picture import median_in_memory
 from realtouch.faults import motion, seen
-from realtouch.faults.rules import MIN_CHANGE, MIN_RANGE, WHOLE_ROUND, Fault, Spot
+from realtouch.faults.rules import MAX_ONE_VALUE, MIN_CHANGE, WHOLE_ROUND, Fault, Spot
 from realtouch.picture_views import evenly_spaced
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
@@ -25,7 +25,7 @@ from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import TouchClip
 from realtouch.touch_options import CheckLimits
-from tactile_toolkit.array_types import Float32
+from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
 
@@ -79,13 +79,13 @@ class _Seen:
 
     spots: list[Spot]
     cells: list[Float32]
-    ranges: list[float]
+    one_value: list[float]
     digest: bytes
     bare: Sequence[memoryview]
 
     def with_content(self) -> list[int]:
         """Return which of the pictures are neither black nor without content."""
-        return [index for index, value in enumerate(self.ranges) if value >= MIN_RANGE]
+        return [index for index, value in enumerate(self.one_value) if value <= MAX_ONE_VALUE]
 
 
 def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
@@ -105,11 +105,12 @@ def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_r
             section.faults.append(Fault("unreadable-touches", spot, 0.0))
             continue
         if not touches:
-            section.faults.append(Fault("empty-pictures", spot, 0.0))
+            section.faults.append(Fault("empty-pictures", spot, 1.0))
         look = partial(_look_at_touch, section, row, limits=limits, frames=frames, is_rendered=is_rendered)
         found = list(map(look, range(touches)))
-        _check_poses(section, row, [each for each in found if each is not None], limits)
-        pictures += [each for each in found if each is not None]
+        readable = [each for each in found if each is not None]
+        _compare_touches(section, row, readable, limits)
+        pictures += readable
     if not is_rendered:  # nothing lights them
         _check_sequence(section, pictures, limits)
         _look_at_gel(section, pictures)
@@ -131,7 +132,7 @@ def _look_at_touch(
     spot = Spot(row.split, row.number, touch)
     stored = row.stored
     if not _has_bytes(stored, touch):
-        section.faults.append(Fault("empty-pictures", spot, 0.0))
+        section.faults.append(Fault("empty-pictures", spot, 1.0))
         return None
     look: Callable[..., _Seen] = _look_at_image
     if stored.kind == "seq":
@@ -145,9 +146,9 @@ def _look_at_touch(
         section.faults.append(Fault("unreadable-touches", spot, 0.0))
         return None
     section.decoded += len(found.cells)
-    empty = [index for index, value in enumerate(found.ranges) if value < MIN_RANGE]
+    empty = [index for index, value in enumerate(found.one_value) if value > MAX_ONE_VALUE]
     if empty and not is_rendered:
-        value = max(found.ranges[index] for index in empty)
+        value = max(found.one_value)
         section.faults.append(Fault("empty-pictures", found.spots[empty[0]], value))
     else:
         section.spots.append(spot)
@@ -169,8 +170,8 @@ def _has_poses(stored: StoredRound) -> bool:
 def _look_at_image(stored: StoredRound, spot: Spot) -> _Seen:
     encoded = SensorImages(stored).encoded(spot.touch)
     cells = seen.cells_of(encoded)
-    ranges = [seen.content_range(encoded, cells)]
-    return _Seen([spot], [cells], ranges, xxhash.xxh3_128_digest(encoded), [encoded])
+    one_value = [seen.share_of_one_value(encoded, cells)]
+    return _Seen([spot], [cells], one_value, xxhash.xxh3_128_digest(encoded), [encoded])
 
 
 def _look_at_clip(
@@ -182,7 +183,9 @@ def _look_at_clip(
     digests = list(map(xxhash.xxh3_128_digest, encoded))
     chosen = evenly_spaced(len(clip), frames)
     cells = [seen.cells_of(encoded[frame]) for frame in chosen]
-    ranges = [seen.content_range(encoded[frame], each) for frame, each in zip(chosen, cells, strict=True)]
+    one_value = [
+        seen.share_of_one_value(encoded[frame], each) for frame, each in zip(chosen, cells, strict=True)
+    ]
     spots = [spot._replace(frame=frame) for frame in chosen]
     time_s = motion.clip_times_s(stored, spot.touch)
     section.faults += motion.time_faults(spot, time_s, limits)
@@ -191,11 +194,11 @@ def _look_at_clip(
         poses = stored.pose_sequences(spot.touch)[0]
         section.faults += motion.clip_jumps(spot, poses, limits)
         section.faults += _still_poses(spots, chosen, cells, poses)
-    if min(ranges) >= MIN_RANGE:  # else they are equal because they are empty
+    if max(one_value) <= MAX_ONE_VALUE:  # else they are equal because they are empty
         same = [one == other for one, other in pairwise(digests)]
         all_spots = [spot._replace(frame=frame) for frame in range(len(clip))]
         section.faults += _frozen(all_spots, same, poses, limits)
-    return _Seen(spots, cells, ranges, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
+    return _Seen(spots, cells, one_value, xxhash.xxh3_128_digest(b"".join(digests)), encoded[:_FIRST_FRAMES])
 
 
 def _frozen(
@@ -229,30 +232,35 @@ def _still_poses(
             yield from (Fault("still-poses", spot, length, spots[inside[0]]) for spot in concerned.values())
 
 
-def _check_poses(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
+def _compare_touches(section: Section, row: PlacedRow, found: Sequence[_Seen], limits: CheckLimits) -> None:
     """Compare the poses of the touches of a round, and those of images with the images."""
-    stored = row.stored
-    if not _has_poses(stored) or not found:
-        return
-    spots = [each.spots[0]._replace(frame=0) for each in found]
-    try:
-        if stored.kind == "seq":
-            poses = [stored.pose_sequences(spot.touch)[0].position_m for spot in spots]
-            position_m = np.array([np.median(each, axis=0) for each in poses], np.float64)
+    stored, spots = row.stored, [each.spots[0]._replace(frame=0) for each in found]
+    poses = None
+    if found and _has_poses(stored):
+        try:
+            poses, position_m = _poses_of_touches(stored, [spot.touch for spot in spots])
             section.faults += motion.far_touches(spots, position_m, limits)
-            return
-        chosen = stored.poses()[[spot.touch for spot in spots]]
-    except IntegrityError:
-        whole = Spot(row.split, row.number, WHOLE_ROUND)
-        section.faults.append(Fault("unreadable-touches", whole, 0.0))
+        except IntegrityError:
+            whole = Spot(row.split, row.number, WHOLE_ROUND)
+            section.faults.append(Fault("unreadable-touches", whole, 0.0))
+    if stored.kind == "seq":
         return
-    section.faults += motion.far_touches(spots, np.asarray(chosen.position_m, np.float64), limits)
-    cells = [each.cells[0] for each in found]
-    section.faults += _still_poses(spots, range(len(spots)), cells, chosen)
+    if poses is not None:
+        cells = [each.cells[0] for each in found]
+        section.faults += _still_poses(spots, range(len(spots)), cells, poses)
     digest_of = dict(zip(section.spots, section.digests, strict=True))
     digests = [digest_of.get(spot, b"") for spot in spots]
     same = [one == other != b"" for one, other in pairwise(digests)]
-    section.faults += _frozen(spots, same, chosen, limits)
+    section.faults += _frozen(spots, same, poses, limits)
+
+
+def _poses_of_touches(stored: StoredRound, touches: Sequence[int]) -> tuple[Poses | None, Float64]:
+    """Return the poses of images, and where each touch was, shape (T, 3), metres: the middle of its clip."""
+    if stored.kind == "single":
+        poses = stored.poses()[touches]
+        return poses, np.asarray(poses.position_m, np.float64)
+    clips = [stored.pose_sequences(touch)[0].position_m for touch in touches]
+    return None, np.array([np.median(each, axis=0) for each in clips], np.float64)
 
 
 def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLimits) -> None:
@@ -271,7 +279,7 @@ def _check_sequence(section: Section, pictures: Sequence[_Seen], limits: CheckLi
 
 def _look_at_gel(section: Section, pictures: Sequence[_Seen]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
-    pictures = [each for each in pictures if each.ranges[0] >= MIN_RANGE]
+    pictures = [each for each in pictures if each.one_value[0] <= MAX_ONE_VALUE]
     if not pictures:
         return
     section.gel = np.median([each.cells[0] for each in pictures], axis=0).astype(np.float32)

@@ -11,7 +11,6 @@ from realtouch.faults.rules import (
     MAX_UNEVENNESS,
     MIN_BRIGHTEST,
     MIN_DOTS,
-    MIN_RANGE,
     MOST_SPECKS,
     NOISE_FACTOR,
 )
@@ -21,6 +20,8 @@ from tactile_toolkit.touch import decode_image, decode_small
 ROWS, COLUMNS = 12, 16
 """Cells of a picture whose averages are compared: 16 x 16 mm of a GelSight Mini in cells of 1.2 mm."""
 
+_UNEVEN = 3.0  # levels; by up to 2 the cells of a constant JPEG differ
+_BLOCK_PX = 16  # of JPEG
 _PATCHES = 4  # a side of the coarse pattern that colours are recognised by
 _SAME_WAY = 10  # percent of the cells that may change the other way
 # A dot is darker than what is around it by levels, by a share of its brightness, and by deviations.
@@ -43,17 +44,21 @@ def cells_of(encoded: bytes | memoryview) -> Float32:
     return means
 
 
-def content_range(encoded: bytes | memoryview, cells: Float32) -> float:
-    """Return by how many levels a picture differs, in the channel with most; 0 if it is black.
+def share_of_one_value(encoded: bytes | memoryview, cells: Float32) -> float:
+    """Return which share of the pixels has one value, in the channel with least; 1 if the picture is black.
 
-    By its cells where that is enough, else by its pixels: a gel without any pattern of light has noise.
+    Pictures whose cells differ are not looked at: their share is 0. A gel without any pattern of light has
+    noise. JPEG makes the lower and the right edge of a constant picture uneven, so that they do not count.
     """
     if float(cells.max()) < MIN_BRIGHTEST:
+        return 1.0
+    if float(np.ptp(cells, axis=(0, 1)).max()) > _UNEVEN:
         return 0.0
-    found = float(np.ptp(cells, axis=(0, 1)).max())
-    if found < MIN_RANGE:
-        return float(np.ptp(decode_image(encoded), axis=(0, 1)).max())
-    return found
+    pixels = decode_image(encoded)
+    if min(pixels.shape[:2]) > 2 * _BLOCK_PX:
+        pixels = pixels[:-_BLOCK_PX, :-_BLOCK_PX]
+    inner = pixels.reshape(-1, 3)
+    return float((inner == np.median(inner, axis=0)).mean(axis=0).min())
 
 
 def brightness_steps(cells: Float32) -> Float64:

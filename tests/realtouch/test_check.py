@@ -269,11 +269,6 @@ def far_touch(rows: Rows) -> None:
     position[2] = position[2] * 1000.0  # in millimetres
 
 
-def without_poses(rows: Rows) -> None:
-    for row in (*rows["train"], *rows["test"]):
-        row["gel_pose_cell_frame.position"] = [[0.0, 0.0, float(touch)] for touch in range(TOUCHES)]
-
-
 @pytest.mark.parametrize(
     ("edit", "found"),
     [
@@ -285,6 +280,17 @@ def without_poses(rows: Rows) -> None:
 )
 def test_faults_of_images(edit: Callable[[Rows], None], found: object, tmp_path: Path) -> None:
     assert found_in(written(tmp_path, "single", recorded(), edit)) == found
+
+
+def test_sets_without_poses_objects_and_gels(tmp_path: Path) -> None:
+    truth = recorded()
+    swapped_touches(truth)
+    rows = factories.single_rows(truth)
+    one_frozen({"train": rows})
+    absent = ("gel_pose_cell_frame.position", "gel_pose_cell_frame.quaternion", "object_id", "info.gel_id")
+    folder = factories.write_set(tmp_path, {"train": rows}, "single", Layout(leave_out=absent))
+    findings = {each.rule: each.count for each in realtouch.check(folder).findings}
+    assert findings == {"frozen-frames": 3, "swapped-channels": 2}
 
 
 def gap(rows: Rows) -> None:
