@@ -26,6 +26,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
+CONTACT = "in_contact"
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 
@@ -43,7 +44,8 @@ def only_split(source: Source, choices: Choices, what: str) -> str:
 class Episodes:
     """Step of the export: the frames of the episodes of a row, numbered within each.
 
-    With ``number`` float64, poses and times keep their precision.
+    With ``number`` float64, poses and times keep their precision. With ``has_contact``, frames between the
+    first and last contact of a clip are marked.
     """
 
     fps: int
@@ -51,6 +53,7 @@ class Episodes:
     names: tuple[str, ...]
     extras: tuple[ExtraColumn, ...] = ()
     number: pa.DataType = field(default_factory=pa.float32)
+    has_contact: bool = False
 
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
@@ -82,6 +85,8 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
+        if self.has_contact:
+            wanted[CONTACT] = (pa.bool_(), ("touch_start_time_rel",))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
         return pa.schema([*schema_of(source, wanted), *extras])
 
@@ -133,6 +138,10 @@ class Episodes:
             times_s = row.stamps_s(touch)
             if times_s is not None:
                 columns[TIME] = times_s[0]
+            if self.has_contact and row.has("touch_start_time_rel"):
+                window = clip.contact_window
+                frames = np.arange(len(clip))
+                columns[CONTACT] = (frames >= window.start) & (frames < window.stop)
             yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:

@@ -19,7 +19,7 @@ import pyarrow as pa
 
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Source
-from realtouch.exchange.episodes import ACTION, STATE, TIME, Episodes, only_split
+from realtouch.exchange.episodes import ACTION, CONTACT, STATE, TIME, Episodes, only_split
 from realtouch.exchange.replay import (
     ATTRIBUTES,
     CHUNK_BYTES,
@@ -49,7 +49,10 @@ _STAND_INS = "what_stands_for"
 _BLACK = "black pictures: there was no camera"
 _OF_GEL = "the pose of the gel in the frame of the cell"
 _NO_POSE = "zeros: no pose is known"
-_ARRAYS = {STATE: EXACT_POSE, ACTION: POSITION, "label": "label", "object_id": "object_id"}
+_ARRAYS = {
+    **{STATE: EXACT_POSE, ACTION: POSITION, CONTACT: CONTACT},
+    **{name: name for name in ("label", "object_id")},
+}
 _DECIMALS = 12  # of rotation vectors, in whose last bits processors differ; EXACT_POSE has all digits
 
 
@@ -60,7 +63,7 @@ def plan_oxt(
     step = Episodes.of(source, only_split(source, choices, "group of Open-X-Tactile"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
     write = _WriteOxt(step.size, step.names, step.extras, step.fps)
-    step = replace(step, number=pa.float64())
+    step = replace(step, number=pa.float64(), has_contact=True)
     return Conversion(source, "export", options, step, choices, extra_dirs=(FOLDER,), write_files=write)
 
 

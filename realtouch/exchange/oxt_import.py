@@ -7,6 +7,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
+from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.oxt import (
     COLUMNS,
     EXACT_POSE,
@@ -71,7 +74,10 @@ def find_oxt(home: store.DataFolder, columns: ImportColumns, table: str | None) 
         ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
     of_episode = {*_OUR_VALUES, *texts(stated, PER_CLIP)}
     for recording, name in zip(episodes_of(whole, ends, ids, of_episode), rounds, strict=True):
-        yield replace(recording, round=name)
+        columns_left = dict(recording.per_frame)
+        held = np.flatnonzero(columns_left.pop(CONTACT, ()))
+        contact = (int(held[0]), int(held[-1])) if len(held) else None
+        yield replace(recording, round=name, per_frame=columns_left, contact=contact)
 
 
 def _sensors(group: ZarrGroup, names: Iterable[str]) -> dict[str, tuple[str, int]]:

@@ -48,6 +48,8 @@ class Recording:
         Round of its clips, if that is not ``name``; pictures of a recording are always a round of their own.
     cut : str
         How it becomes touches by default, if the source states that; see :data:`CUTS`.
+    contact : tuple of int or None
+        First and last picture that show contact, of a recording of one touch.
     left_out : tuple of str
         What the source says of the recording that is not imported, each with its shape or the reason.
     """
@@ -65,6 +67,7 @@ class Recording:
     problem: ItemError | None = None
     round: str = ""
     cut: str = ""
+    contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
 
     def clip(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
@@ -131,4 +134,4 @@ def touches_of(recording: Recording, cut: str) -> Iterator[FoundTouch]:
     elif cut == "frames":
         yield from recording.images()
     else:
-        yield recording.bounded(0, recording.frames, recording.name)
+        yield recording.bounded(0, recording.frames, recording.name, recording.contact)

@@ -136,6 +136,7 @@ def test_what_is_written_comes_back(source: Path, tmp_path: Path) -> None:
         if isinstance(old.round, realtouch.TouchSeqRound):
             np.testing.assert_array_equal(old.clip.poses.position_m, new.clip.poses.position_m)
             np.testing.assert_array_equal(old.clip.poses.quaternion, new.clip.poses.quaternion)
+            assert old.clip.contact_window == new.clip.contact_window
             np.testing.assert_allclose(old.clip.timestamps_s, new.clip.timestamps_s, rtol=0, atol=1e-6)
             error = old.clip.frames().astype(float) - new.clip.frames()
             assert np.abs(error).mean() < 3
