@@ -73,6 +73,7 @@ def made(request: Any, tmp_path: Path) -> tuple[Session, Path]:
     return session, tmp_path / "out"
 
 
+@pytest.mark.one_at_a_desk
 def test_a_recording_becomes_a_set_that_equals_it(made: tuple[Session, Path], tmp_path: Path) -> None:
     session, out = made
     touches = realtouch.load(out, "train").touches()
@@ -93,6 +94,7 @@ def test_a_recording_becomes_a_set_that_equals_it(made: tuple[Session, Path], tm
         assert call("realtouch", command, out, *written) == 0
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize("layout", BY_EXPORT)
 def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp_path: Path) -> None:
     _, out = made
@@ -118,6 +120,7 @@ def test_it_goes_out_and_comes_back(made: tuple[Session, Path], layout: str, tmp
             np.testing.assert_allclose(poses[0].translation, poses[1].translation, atol=tolerance_m)
 
 
+@pytest.mark.one_at_a_desk
 def test_each_loads_in_torch(made: tuple[Session, Path]) -> None:
     pytest.importorskip("torch", reason="torch (extra `torch`) is not installed")
     from realtouch.touch_tensors import TouchTensors
