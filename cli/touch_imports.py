@@ -12,7 +12,7 @@ from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
 from realtouch.alignment_options import Alignment
 from realtouch.kind import KIND
-from realtouch.touch_options import IMPORT_LAYOUTS, ImportColumns
+from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, STREAM_HEADER, STREAMS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
@@ -103,6 +103,8 @@ def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None
     names = dict.fromkeys(name for touch in found.first for name in touch)
     rows = [(name, *(touch.get(name, "") for touch in found.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
+    if found.streams:
+        sink.table(STREAM_HEADER, found.streams)
     if found.left_out:
         sink.table(("left out because of", "touches", "the first"), found.left_out)
 
@@ -115,8 +117,13 @@ def _print_imported(
         sink.info(f"the images were converted without loss: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
+    if STREAMS in manifest.spec:
+        sink.table(STREAM_HEADER, manifest.spec[STREAMS])
     print_left_out(sink, manifest)
-    fields = store.add_up(list(manifest.statistics().values())).get(realtouch.NOT_IMPORTED, {})
+    counted = store.add_up(list(manifest.statistics().values()))
+    for note, count in counted.get(CLIPS, {}).items():
+        sink.info(f"{with_count(count, 'clips')}: {note}")
+    fields = counted.get(realtouch.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")

@@ -32,6 +32,26 @@ IMPORT_LAYOUTS = (
 )
 """Formats of recordings, each a module of ``realtouch.exchange``."""
 
+STREAM_HEADER = (
+    "recording",
+    "stream",
+    "samples",
+    "duplicates",
+    "pictures without a value",
+    "rate [Hz]",
+    "starts later by [s]",
+    "ends later by [s]",
+    "largest gap [s]",
+    "columns",
+)
+"""Columns of a table of streams, each a row of :class:`StreamReport`."""
+
+STREAMS = "streams"
+"""Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
+
+CLIPS = "clips"
+"""Key of the statistics of an import: how clips were made, with the number of clips."""
+
 T = TypeVar("T", str, tuple[str, ...])
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")

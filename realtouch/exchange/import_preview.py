@@ -48,6 +48,8 @@ class ImportPreview:
         Column of the source, what it becomes, and the unit in which it is read.
     first : sequence of mapping
         The first touches as they would be stored, without pictures.
+    streams : sequence of tuple of str
+        How streams of other rates fit, rows below :data:`STREAM_HEADER`.
     left_out : sequence of tuple
         Reason, number of touches, and the message of the first.
     """
@@ -62,6 +64,7 @@ class ImportPreview:
     pictures: str
     columns: Sequence[tuple[str, str, str]]
     first: Sequence[Mapping[str, str]]
+    streams: Sequence[tuple[str, ...]]
     left_out: Sequence[tuple[str, int, str]]
 
 
@@ -111,6 +114,7 @@ def preview_import(
         _pictures_in_words(found, touches),
         _uses(found),
         first,
+        [report.row() for report in found.streams],
         [(reason, len(each), each[0]) for reason, each in messages.items()],
     )
 

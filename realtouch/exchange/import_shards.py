@@ -21,7 +21,7 @@ from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.imported_clips import clip_of, clip_poses, clip_position, too_long
 from realtouch.exchange.imported_rows import StoredTouch, extras_in, table_of, touch_schema
 from realtouch.exchange.stored_images import require_intact
-from realtouch.touch_options import ImportColumns
+from realtouch.touch_options import CLIPS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError, ItemError
@@ -32,8 +32,6 @@ __all__ = ["CLIPS", "NOT_IMPORTED", "ImportTouches", "NamedTouch", "touch_schema
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
-CLIPS = "clips"
-"""Key of the statistics of an import: how clips were made where the source does not say, and how many."""
 
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)

@@ -19,7 +19,7 @@ from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_sc
 from realtouch.exchange.import_sources import FoundSource, Reading, find_source
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
-from realtouch.touch_options import ImportColumns
+from realtouch.touch_options import STREAMS, ImportColumns
 from tactile_toolkit import catalog, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
@@ -28,6 +28,7 @@ from tactile_toolkit.touch import CLASS_NAMES
 CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
 
+_MOST_STREAMS = 200  # that are listed
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
 _SHARD_BYTES = 256 << 20
@@ -162,6 +163,8 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
     }
     if found.cut:
         spec["options"]["cut"] = found.cut
+    if found.streams:
+        spec[STREAMS] = [report.row() for report in found.streams[:_MOST_STREAMS]]
     conversion = IMPORTS[found.layout].describe(items)
     if conversion:
         spec["options"][CONVERSION] = conversion

@@ -16,20 +16,6 @@ from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError
 
-STREAM_HEADER = (
-    "recording",
-    "stream",
-    "samples",
-    "duplicates",
-    "pictures without a value",
-    "rate [Hz]",
-    "starts later by [s]",
-    "ends later by [s]",
-    "largest gap [s]",
-    "columns",
-)
-"""Columns of a table of streams, each a row of :class:`StreamReport`."""
-
 _PER_MS = 1e-3
 
 

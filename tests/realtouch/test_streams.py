@@ -19,7 +19,8 @@ from realtouch.avi import write_avi
 from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
-from realtouch.exchange.streams import STREAM_HEADER, with_streams
+from realtouch.exchange.streams import with_streams
+from realtouch.touch_options import STREAM_HEADER
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import encode_image
