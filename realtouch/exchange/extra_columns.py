@@ -92,7 +92,7 @@ def extra_types(items: Sequence[FoundTouch], columns: ImportColumns) -> dict[str
             types[f"{EXTRA_PREFIX['frame']}{name}"] = pa.list_(entry)
         else:
             types[f"{EXTRA_PREFIX['touch']}{name}"] = entry
-    if columns.time and not items[0].frames:
+    if columns.time and not items[0].frames and items[0].time_s is None:
         name = f"{EXTRA_PREFIX['touch']}{TIME_S}"
         if name in types:
             raise InputError(

@@ -62,7 +62,8 @@ class FoundTouch:
     per_frame : mapping
         What is said of each picture of a clip: arrays with an entry a picture.
     time_s : ndarray of float64, shape (frames,), or None
-        Time of each picture of a clip, seconds; rises.
+        Time of each picture of a clip, seconds; rises. Of an image of a recording, what ``values`` has as
+        ``time_s``.
     contact : tuple of int or None
         First and last picture of a clip that show contact, if that is known.
     """

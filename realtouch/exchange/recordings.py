@@ -15,6 +15,7 @@ from tactile_toolkit.errors import ItemError
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
 
+_TIME = "time_s"
 _SHORTER = "cut it into touches, by `--cut contact` or a table of times (`--cut TABLE`)"
 
 
@@ -118,12 +119,21 @@ class Recording:
         for frame in range(self.frames):
             # A slice, as an entry of an array of texts is no array.
             each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
-            if self.time_s is not None:
-                each.setdefault("time_s", float(self.time_s[frame]))
+            time_s = None
+            if self.time_s is not None and _TIME not in each:
+                time_s = self.time_s[frame : frame + 1]
+                each[_TIME] = float(time_s[0])
             values = {"round_id": self.name, **self.values, **each}
-            name, start = f"{stem}_{frame:06d}.png", self.first + frame
             yield FoundTouch(
-                name, self.home, self.path, start, self.frame_bytes, values, self.problem, part=self.part
+                f"{stem}_{frame:06d}.png",
+                self.home,
+                self.path,
+                self.first + frame,
+                self.frame_bytes,
+                values,
+                self.problem,
+                part=self.part,
+                time_s=time_s,
             )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,13 +17,15 @@ import realtouch
 from realtouch import ImportColumns
 from realtouch.alignment_options import Alignment
 from realtouch.avi import write_avi
+from realtouch.exchange.aligner import Aligner
 from realtouch.exchange.cuts import Cutter
+from realtouch.exchange.extra_columns import extra_arrays, extra_types
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
 from realtouch.exchange.streams import with_streams
 from realtouch.touch_options import STREAM_HEADER
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.mutations import mutated, with_other_numbers
 from tests.realtouch.made_recordings import SIZE, MadeRecording
@@ -332,3 +335,44 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
         except InputError:
             refused += 1
     assert min(used, refused) > 20
+
+
+@pytest.mark.parametrize("cut", ["whole", "frames"])
+def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(
+    cut: str, takes: Path, tmp_path: Path
+) -> None:
+    """Videos have their own times, and so have streams without that column."""
+    columns = {"clock": np.arange(4001.0), "other": np.arange(4001) + 0.5}
+    for number in (1, 2):
+        stream(takes, columns, f"take{number}_other.parquet", time="")
+    how = ImportColumns(time="clock", time_unit="ms")
+    realtouch.import_touches(takes, tmp_path / "out", columns=how, cut=cut)
+    touches = realtouch.load(tmp_path / "out", "train").touches()
+    other = np.concatenate([np.atleast_1d(touch.extra["other"]) for touch in touches])
+    np.testing.assert_array_equal(other, np.tile(np.arange(100) * 40 + 0.5, 2))
+    if cut == "frames":
+        np.testing.assert_allclose(
+            [touch.extra["time_s"] for touch in touches], np.tile(np.arange(100) / 25, 2)
+        )
+
+
+def test_recordings_have_the_times_that_a_column_states(tmp_path: Path) -> None:
+    aligner = Aligner([], None, ImportColumns(time="clock_ms"))
+    given = recording(None, 3, per_frame={"clock_ms": np.array([0, 40, 80])})
+    given = replace(given, home=str(tmp_path))
+    np.testing.assert_array_equal(aligner.aligned(given).time_s, [0, 0.04, 0.08])
+    broken = replace(given, per_frame={"clock_ms": np.array([0, np.nan, 80])})
+    assert "expected finite numbers" in str(aligner.aligned(broken).problem)
+    assert aligner.aligned(replace(given, problem=ItemError("video", "cut short"))).time_s is None
+
+
+def test_frames_have_the_times_that_a_column_of_the_recording_states(tmp_path: Path) -> None:
+    aligner = Aligner([], None, ImportColumns(time="clock_ms"))
+    given = recording(None, 4, per_frame={"clock_ms": np.arange(4) * 40, "f": np.arange(4.0)})
+    given = aligner.aligned(replace(given, home=str(tmp_path)))
+    found = list(Cutter("frames", lambda _: iter(())).touches([given]))
+    assert [each.values["time_s"] for each in found] == [0, 0.04, 0.08, 0.12]
+    types = extra_types(found, ImportColumns(time="clock_ms"))
+    assert list(types) == ["extra.f", "extra.time_s"]
+    (times,) = list(extra_arrays(found, ImportColumns(time="clock_ms"), types))[1:]
+    assert times.to_pylist() == [0, 0.04, 0.08, 0.12]
