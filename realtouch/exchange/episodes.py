@@ -27,6 +27,7 @@ from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 CONTACT = "in_contact"
+"""Column that marks the frames from the first to the last contact of a clip."""
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 
@@ -44,8 +45,7 @@ def only_split(source: Source, choices: Choices, what: str) -> str:
 class Episodes:
     """Step of the export: the frames of the episodes of a row, numbered within each.
 
-    With ``number`` float64, poses and times keep their precision. With ``has_contact``, frames between the
-    first and last contact of a clip are marked.
+    With ``number`` float64, poses keep their precision.
     """
 
     fps: int
@@ -53,7 +53,6 @@ class Episodes:
     names: tuple[str, ...]
     extras: tuple[ExtraColumn, ...] = ()
     number: pa.DataType = field(default_factory=pa.float32)
-    has_contact: bool = False
 
     @classmethod
     def of(cls, source: Source, split: str) -> Episodes:
@@ -80,13 +79,12 @@ class Episodes:
             STATE: (pa.list_(self.number, 7), tuple(_POSES.values())),
             ACTION: (pa.list_(self.number, 2), ("pos_in_cell",)),
             TIME: (pa.float64(), ("time_stamp_rel_seq",)),
+            CONTACT: (pa.bool_(), ("touch_start_time_rel",)),
             "label": (pa.int64(), ("id",)),
             "object_id": (pa.int64(), ("object_id",)),
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
-        if self.has_contact:
-            wanted[CONTACT] = (pa.bool_(), ("touch_start_time_rel",))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
         return pa.schema([*schema_of(source, wanted), *extras])
 
@@ -138,9 +136,8 @@ class Episodes:
             times_s = row.stamps_s(touch)
             if times_s is not None:
                 columns[TIME] = times_s[0]
-            if self.has_contact and row.has("touch_start_time_rel"):
-                window = clip.contact_window
-                frames = np.arange(len(clip))
+            if row.has("touch_start_time_rel"):
+                frames, window = np.arange(len(clip)), clip.contact_window
                 columns[CONTACT] = (frames >= window.start) & (frames < window.stop)
             yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
 

@@ -18,7 +18,7 @@ import numpy as np
 from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.found_touches import FoundTouch, natural_order, open_source, source_of, visible_files
 from realtouch.exchange.hdf5_arrays import H5Dataset, in_words, is_inside, open_file
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, encoded_pictures
+from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
 from realtouch.touch_options import ImportColumns
@@ -149,9 +149,9 @@ def open_pictures(item: FoundTouch) -> PictureArray:
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:
     """Return what is done to the pictures of a file; empty if they are taken as they are."""
-    return open_pictures(items[0]).described()
+    return described_pictures(items, open_pictures)
 
 
 def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield the pixels of each picture of some items as PNG, in order."""
+    """Yield each picture of some items in order, images as PNG, those of clips as JPEG."""
     return encoded_pictures(items, open_pictures)

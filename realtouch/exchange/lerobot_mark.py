@@ -9,7 +9,7 @@ import msgspec
 
 from realtouch.exchange.episodes import ACTION, STATE, TIME
 from realtouch.exchange.recordings import Recording
-from realtouch.exchange.zarr_recordings import name_ours
+from realtouch.exchange.zarr_recordings import name_ours, with_contact
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 
@@ -50,6 +50,7 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
             name = touch_id(round_id, touch)
         of_episode += [*POSITION_COLUMNS, *mark.per_touch]
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
+    found = with_contact(found)
     per_frame = dict(name_ours(found, _VECTORS, mark.class_names).per_frame)
     # A slice, as an entry of an array of texts is no array.
     values |= {each: per_frame.pop(each)[:1].tolist()[0] for each in of_episode if each in per_frame}

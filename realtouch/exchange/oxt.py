@@ -63,7 +63,7 @@ def plan_oxt(
     step = Episodes.of(source, only_split(source, choices, "group of Open-X-Tactile"))
     options = {**options, "image_size": [step.size[1], step.size[0]]}
     write = _WriteOxt(step.size, step.names, step.extras, step.fps)
-    step = replace(step, number=pa.float64(), has_contact=True)
+    step = replace(step, number=pa.float64())
     return Conversion(source, "export", options, step, choices, extra_dirs=(FOLDER,), write_files=write)
 
 

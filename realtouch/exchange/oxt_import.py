@@ -7,9 +7,6 @@ from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-
-from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.oxt import (
     COLUMNS,
     EXACT_POSE,
@@ -34,6 +31,7 @@ from realtouch.exchange.zarr_recordings import (
     of_episodes,
     texts,
     whole_recording,
+    with_contact,
 )
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
@@ -74,10 +72,7 @@ def find_oxt(home: store.DataFolder, columns: ImportColumns, table: str | None) 
         ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
     of_episode = {*_OUR_VALUES, *texts(stated, PER_CLIP)}
     for recording, name in zip(episodes_of(whole, ends, ids, of_episode), rounds, strict=True):
-        columns_left = dict(recording.per_frame)
-        held = np.flatnonzero(columns_left.pop(CONTACT, ()))
-        contact = (int(held[0]), int(held[-1])) if len(held) else None
-        yield replace(recording, round=name, per_frame=columns_left, contact=contact)
+        yield replace(with_contact(recording), round=name)
 
 
 def _sensors(group: ZarrGroup, names: Iterable[str]) -> dict[str, tuple[str, int]]:

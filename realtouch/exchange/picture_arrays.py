@@ -7,7 +7,7 @@ what 8 bits hold without loss is converted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -135,7 +135,7 @@ class PictureArray:
         if self.array.dtype != np.uint8:
             top = self.divisor * _MOST_LEVEL
             words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MOST_LEVEL}")
-        return ", ".join(words)
+        return ", ".join([*words, "without loss"] if words else words)
 
     def _lossless(self) -> float:
         """Return what all values are multiples of; InputError if 8 bits would lose some."""
@@ -168,7 +168,10 @@ def _fits(levels: Floating, tolerance: float) -> bool:
 def encoded_pictures(
     items: Iterable[FoundTouch], opened: Callable[[FoundTouch], PictureArray]
 ) -> Iterator[bytes]:
-    """Yield the pixels of each picture of some items as PNG, in order; a chunk is unpacked once."""
+    """Yield each picture of some items in order, images as PNG, those of clips as JPEG.
+
+    A chunk is unpacked once.
+    """
     shown, held, chunk = ("", "", ""), range(0), np.zeros(0, np.uint8)
     for item in items:
         if shown != (item.home, item.path, item.part):
@@ -178,7 +181,19 @@ def encoded_pictures(
                 first = number - number % pictures.array.step
                 held = range(first, min(first + pictures.array.step, len(pictures)))
                 chunk = pictures.pixels(held.start, held.stop)
-            yield encode_image(chunk[number - held.start], "png")
+            pixels = chunk[number - held.start]
+            if not item.frames:
+                yield encode_image(pixels, "png")
+            else:
+                yield encode_image(pixels if pixels.ndim == 3 else pixels[..., None].repeat(3, axis=2))
+
+
+def described_pictures(items: Sequence[FoundTouch], opened: Callable[[FoundTouch], PictureArray]) -> str:
+    """Return what is done to the pictures of some items; empty if they are taken as they are."""
+    words = [opened(items[0]).described()]
+    if items[0].frames:
+        words.append("pictures of clips encoded as JPEG of quality 95")
+    return "; ".join(filter(None, words))
 
 
 def columns_of(

@@ -10,9 +10,10 @@ from itertools import pairwise
 
 import numpy as np
 
+from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.found_touches import FoundTouch, source_of
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, encoded_pictures
+from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_arrays import ZarrGroup
 from realtouch.touch_options import ImportColumns
@@ -98,11 +99,11 @@ def open_pictures(item: FoundTouch) -> PictureArray:
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:
     """Return what is done to the pictures of a group; empty if they are taken as they are."""
-    return open_pictures(items[0]).described()
+    return described_pictures(items, open_pictures)
 
 
 def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield the pixels of each picture of some items as PNG, in order."""
+    """Yield each picture of some items in order, images as PNG, those of clips as JPEG."""
     return encoded_pictures(items, open_pictures)
 
 
@@ -186,3 +187,10 @@ def name_ours(
         known = np.array([*class_names, ""])
         per_frame[f"{NUMBERED}_name"] = known[np.where((label >= 0) & (label < len(class_names)), label, -1)]
     return replace(whole, per_frame=per_frame)
+
+
+def with_contact(found: Recording) -> Recording:
+    """Return a clip that this toolkit wrote with its first and last picture of contact, if it states them."""
+    per_frame = dict(found.per_frame)
+    held = np.flatnonzero(per_frame.pop(CONTACT, ())).tolist()
+    return replace(found, per_frame=per_frame, contact=(held[0], held[-1]) if held else None)

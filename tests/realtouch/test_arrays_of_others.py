@@ -104,7 +104,11 @@ def test_pictures_of_any_lossless_type_become_the_same_pixels(
     )
     assert call("realtouch", *words, "--out", tmp_path / "out") == 0
     told = capsys.readouterr().err
-    assert ("converted without loss" in told, said in told) == (bool(said), True)
+    assert ("were converted: " in told, "without loss" in told, said in told) == (
+        bool(said),
+        bool(said),
+        True,
+    )
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert np.array_equal(np.stack([touch.image for touch in touches]), pixels)
 

@@ -350,5 +350,6 @@ def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) 
     assert features.pop("timestamp") == {"dtype": "float32", "shape": [1], "names": None}
     if "seq" in source.name:
         assert features.pop("time_s") == {"dtype": "float64", "shape": [1], "names": None}
+        assert features.pop("in_contact") == {"dtype": "bool", "shape": [1], "names": None}
     for name, feature in features.items():
         assert feature == {"dtype": "int64", "shape": [1], "names": None}, name
