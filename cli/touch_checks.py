@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -55,11 +55,7 @@ def check(
     if layout is not None:
         if split is not None or drawn is not None:
             raise InputError("--split and --pictures are for sets of touches, not for --format oxt")
-        path = local_place(name)
-        home, file = path, ""
-        if path.is_file():
-            home, file = path.parent, path.name
-        _report(sink, name, _OXT_FINDINGS(store.open_folder(str(home)), file), {})
+        _report(sink, name, _oxt_findings(local_place(name)), {})
         return
     place = opening.open(sink, name)
     with sink.progress("checking", "rounds") as update:
@@ -71,22 +67,30 @@ def check(
         folder = store.open_folder(str(drawn.absolute()))
         written = pictures.write_pictures(folder, result.pictures().pictures)
         made = [str(drawn / each.file) for each in written]
-    counts = {"rounds": result.rounds, "touches": result.touches, "decoded": result.decoded}
     sink.line(
         f"{name}: {with_count(result.rounds, 'rounds')}, {with_count(result.touches, 'touches')}; "
         f"all stored pictures were compared, {result.decoded:,} decoded"
     )
+    for path in made:
+        sink.line(f"drawn: {path}")
+    counts = {"rounds": result.rounds, "touches": result.touches, "decoded": result.decoded}
     _report(sink, name, result.findings, {**counts, "pictures": made})
 
 
+def _oxt_findings(path: Path) -> Sequence[realtouch.Finding]:
+    """Check a folder, or a zip in one."""
+    if not path.exists():
+        raise InputError(f"{str(path)!r} does not exist; expected a folder or a zip", next="check the path")
+    if path.is_file():
+        return _OXT_FINDINGS(store.open_folder(str(path.parent)), path.name)
+    return _OXT_FINDINGS(store.open_folder(str(path)), "")
+
+
 def _report(
-    sink: Sink,
-    name: str,
-    findings: tuple[realtouch.Finding, ...] | list[realtouch.Finding],
-    more: dict[str, object],
+    sink: Sink, name: str, findings: Sequence[realtouch.Finding], counts: Mapping[str, object]
 ) -> None:
     """Print findings; exit code 1 if there are any."""
-    sink.document({"name": name, "ok": not findings, **more, "findings": list(map(asdict, findings))})
+    sink.document({"name": name, "ok": not findings, **counts, "findings": list(map(asdict, findings))})
     for each in findings:
         sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
         named = ", ".join(each.touches)
@@ -95,8 +99,6 @@ def _report(
         if each.count:
             sink.warn(f"  {with_count(each.count, 'touches')}: {named}")
         sink.warn(f"  next: {each.next}")
-    for path in more.get("pictures", ()):  # type: ignore[attr-defined]
-        sink.line(f"drawn: {path}")
     if findings:
         sink.line(f"{with_count(len(findings), 'findings')} in {name}")
         raise typer.Exit(EXIT_FAILED)

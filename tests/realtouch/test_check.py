@@ -460,7 +460,8 @@ def test_other_formats(
     assert "dtype in data/x: uint8; expected float32\n  next: correct it" in capsys.readouterr().err
     assert call("realtouch", "check", "--format", "oxt", tmp_path) == 0
     assert asked == [(tmp_path.name, "task.zip"), (tmp_path.name, "")]
-    assert call("realtouch", "check", "--format", "oxt", tmp_path, "--split", "test") == 2
+    for wrong in ((tmp_path, "--split", "test"), (tmp_path / "absent",)):
+        assert call("realtouch", "check", "--format", "oxt", *wrong) == 2
 
 
 def test_each_rule_is_documented() -> None:
