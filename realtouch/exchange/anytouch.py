@@ -1,8 +1,7 @@
 """The list files of AnyTouch 2, as Touch and Go has them: ``FOLDER/0000000012.jpg,LABEL,BACKGROUND``.
 
 Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their numbers have ten digits;
-``train_bg.txt`` and ``test_bg.txt`` have a line for each image, and the label -1 leaves one out. Images of a
-set without classes are all of one class here, 0.
+``train_bg.txt`` and ``test_bg.txt`` have a line for each image, and the label -1 leaves one out.
 """
 
 from __future__ import annotations
@@ -28,7 +27,6 @@ from realtouch.exchange.stored_images import StoredImage, as_jpeg, background_of
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch import CLASS_NAMES
 
 _FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
@@ -38,10 +36,10 @@ _LEFT_OUT = "-1"
 
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
-    if read.class_names(index.schema, CLASS_NAMES) and (index["label"].to_numpy() < 0).any():
+    if (index["label"].to_numpy() < 0).any():
         raise InputError(
             "touches without a class; in this format the label -1 leaves an image out",
-            next="choose those of known classes with `realtouch select --labels`",
+            next="choose those of known classes with `realtouch select --labels`, or another format",
         )
     files: dict[str, bytes] = {}
     paths: list[str] = []
@@ -65,7 +63,7 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
         path = f"{_FOLDER}/{record.shard.split}{_LIST_END}"
         for image, label in zip(*(column.to_pylist() for column in table.columns), strict=True):
             _, _, name, _, base = image.split("/")
-            lines.setdefault(path, []).append(f"{name}/{base},{max(label, 0)},{_BACKGROUND}\n")
+            lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
     # The index has the checksums of the images; in the manifest they would take too much space.
     return write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
 

@@ -19,7 +19,7 @@ KINDS = ("single", "seq")
 LABELS = (None, -1)
 """Without the column, and with the value that imports give to touches of no class."""
 
-EXPORTS = ("flat", "webdataset", "lerobot", "replay", "fota", "sparsh", "anytouch")
+EXPORTS = ("flat", "webdataset", "lerobot", "replay", "oxt", "fota", "sparsh")
 _TRAIN = ["--split", "train"]
 COMMANDS: dict[str, list[str]] = {
     "load": ["load", "SET", *_TRAIN],
@@ -110,10 +110,9 @@ def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
     assert not (tmp_path / "out").exists()
 
 
-def test_anytouch_leaves_out_no_image_of_a_set_without_classes(sets: Any, tmp_path: Path) -> None:
-    realtouch.export(sets("single", -1), tmp_path, "anytouch", split="train")
-    lines = (tmp_path / "anytouch/train_bg.txt").read_text().splitlines()
-    assert [line.split(",")[1] for line in lines] == ["0"] * 5
+def test_anytouch_has_no_place_for_touches_without_a_class(sets: Any, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="touches without a class; .* or another format"):
+        realtouch.export(sets("single", -1), tmp_path / "out", "anytouch", split="train")
 
 
 def test_contact_of_a_round_that_does_not_fit_in_memory(sets: Any, monkeypatch: Any) -> None:
