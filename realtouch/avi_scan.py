@@ -102,18 +102,20 @@ class _Scan:
 
     def chunks(self) -> Iterator[tuple[bytes, int, int]]:
         """Yield name, start and size of each chunk with content, in the order of the file."""
-        position, pictures_seen = 0, 0
+        position, pictures_seen, riff_end = 0, 0, self.end
         while position + _CHUNK.size <= self.end:
             name, size, kind = self._header(position)
             start = position + _CHUNK.size
             if name in _OPENED_LISTS:
                 if size == 0 or start + size > self.end:
                     self.is_cut = True
+                if name == b"RIFF":
+                    riff_end = start + size
                 if kind not in _PASSED_LISTS:
                     position = start + 4
                     continue
             elif not _is_name(name) or start + size > self.end:
-                if self.is_cut:
+                if self.is_cut or position >= riff_end:  # what follows the file is padding
                     return
                 raise ItemError(
                     "damaged",

@@ -362,7 +362,7 @@ class _Coded:
             for number in numbers:
                 reader.go_to(int(self.packets.shown[number]), self.packets)
                 packet = reader.packet()
-                yield _missing(number) if packet is None else kept_jpeg(bytes(packet), number)
+                yield _missing() if packet is None else kept_jpeg(bytes(packet))
             return
         for run in rising(numbers):
             for key, group in groupby(run, key=self.packets.key_of):
@@ -379,13 +379,13 @@ class _Coded:
         last = int(places.max())
         run = _Run(reader, packets, damage_from, damage_from, last)
         is_late = run.is_late(packets.first_shown(key))
-        for number, place in zip(numbers, places.tolist(), strict=True):
+        for place in places.tolist():
             frame = run.picture(place)
             if starts and (frame is None or is_late):
                 run = _Run(reader, packets, int(packets.keys[starts.pop()]), damage_from, last)
                 frame = run.picture(place)
             if frame is None:
-                yield _missing(number)
+                yield _missing()
             else:
                 yield encode_image(reader.pixels(frame), self.kind, JPEG_QUALITY)
 
@@ -403,9 +403,9 @@ def rising(numbers: Iterable[int]) -> Iterator[Iterator[int]]:
     return (group for _, group in groupby(numbers, key=run_of))
 
 
-def _missing(number: int) -> ItemError:
-    problem = "cannot be decoded: it, or a picture that it depends on, is damaged or missing"
-    return ItemError("frame", f"picture {number:,} {problem}")
+def _missing() -> ItemError:
+    what = "a picture that cannot be decoded: it, or another that it depends on, is damaged or missing"
+    return ItemError("frame", what)
 
 
 def _untimed() -> ItemError:

@@ -112,7 +112,7 @@ class _Jpegs:
     def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
         for number in numbers:
             stream.seek(int(self.found.starts[number]))
-            yield kept_jpeg(stream.read(min(int(self.found.sizes[number]), MAX_IMAGE_BYTES + 1)), number)
+            yield kept_jpeg(stream.read(min(int(self.found.sizes[number]), MAX_IMAGE_BYTES + 1)))
 
 
 def _video_of_jpegs(stream: IO[bytes], found: AviPictures) -> Video:

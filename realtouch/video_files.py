@@ -195,11 +195,11 @@ class Video:
         return len(self.time_s)
 
 
-def kept_jpeg(jpeg: bytes, number: int) -> bytes | ItemError:
+def kept_jpeg(jpeg: bytes) -> bytes | ItemError:
     """Return a JPEG as it is, or why it cannot be used."""
     if len(jpeg) <= MAX_IMAGE_BYTES:
         return jpeg
-    return ItemError("image", f"picture {number:,} takes more than {MAX_IMAGE_BYTES:,} bytes")
+    return ItemError("image", f"a picture of more than {MAX_IMAGE_BYTES:,} bytes")
 
 
 def require_one_field(jpeg: bytes | ItemError, height: int) -> None:
