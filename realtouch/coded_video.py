@@ -60,14 +60,15 @@ _PACKETS_PASSED = 32  # at most, rather than to seek
 _MOST_READ = 4  # times the size of a file that its packets may take
 _SPARE_BYTES = 1 << 20
 _MOST_BITS = 12
+_BYTES_PER_PIXEL: dict[ImageFormat, float] = {"jpeg": 0.35, "png": 1.5}  # of pictures of cameras, about
 # Bilinear, accurately rounded, bit-exact: the same pixels on every processor.
 _SCALING = 0x2 | 0x40000 | 0x80000
 _UPRIGHT = np.array([1 << 16, 0, 0, 0, 1 << 16, 0, 0, 0, 1 << 30], np.int32)
 _TURN = np.array([0, 1, 3, 4])  # of those; the others move the picture
 
 
-def coded_video(stream: IO[bytes], demuxer: str) -> Video:
-    """Find the pictures of a video by a demuxer."""
+def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
+    """Find the pictures of a video by a demuxer; ``is_cut`` where it is known to end in the middle."""
     reader = _Reader(stream, demuxer)
     packets = reader.read_packets()
     _require_usable(packets)
@@ -76,7 +77,7 @@ def coded_video(stream: IO[bytes], demuxer: str) -> Video:
     times = seconds_of(packets.shown_pts, packets.tick_s)
     if times[-1] > MAX_DURATION_S:
         raise ItemError("length", f"a video of {times[-1]:,.0f} s; the limit is {MAX_DURATION_S:,.0f} s")
-    cut = [CUT_SHORT] * reader.is_cut
+    cut = [CUT_SHORT] * (is_cut or reader.is_cut)
     if source.is_kept:
         require_one_field(next(source.pictures(stream, [0])), packets.size[0])
         return Video(times, packets.total_bytes // len(packets.pts), "".join(cut), source)
@@ -86,7 +87,7 @@ def coded_video(stream: IO[bytes], demuxer: str) -> Video:
         raise ItemError("length", f"{what}; the limit is {MAX_PIXELS_IN_ALL:,} pixels in all")
     stored = "PNG" if source.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
     words = [f"{reader.codec} decoded, stored as {stored}", *words, *cut]
-    return Video(times, height * width // 2, ", ".join(words), source)
+    return Video(times, int(_BYTES_PER_PIXEL[source.kind] * height * width), ", ".join(words), source)
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,13 +189,14 @@ class _Reader:
         """Read all packets; none is decoded."""
         pts, shown, keys, found_at = array("q"), array("q"), array("q"), array("q")
         total_bytes, most_bytes = 0, _MOST_READ * self._size_bytes + _SPARE_BYTES
+        is_partial = False
         with self._ending_early():
             for number, packet in enumerate(self._packets):
                 if number >= MAX_PICTURES:
                     raise ItemError("length", f"more than {MAX_PICTURES:,} pictures; the limit is that")
                 at = cast(int, packet.pts)
                 pts.append(at)
-                total_bytes += packet.size
+                total_bytes, is_partial = total_bytes + packet.size, packet.is_corrupt
                 if total_bytes > most_bytes:
                     raise ItemError(
                         "damaged", f"pictures take more than the {self._size_bytes:,} bytes of the file"
@@ -204,8 +206,7 @@ class _Reader:
                 if packet.is_keyframe:
                     keys.append(number)
                     found_at.append(at if packet.dts is None else min(at, packet.dts))
-        self._next = len(pts)
-        self.is_cut |= self._video.frames > len(pts)
+        self._next, self.is_cut = len(pts), self.is_cut or is_partial
         times = np.frombuffer(pts, np.int64)
         order = np.frombuffer(shown, np.int64)
         context = self._video.codec_context
@@ -263,9 +264,9 @@ class _Reader:
         import av
 
         key = int(np.searchsorted(packets.keys, wanted, "right")) - 1
-        number = int(packets.keys[max(key, 0)])
+        number = int(packets.keys[key])
         at = packets.pts[number]
-        if number:
+        if key > 0:
             with suppress(av.FFmpegError):
                 self._container.seek(int(packets.found_at[key]), stream=self._video)
                 self._packets = self._demuxed()

@@ -16,11 +16,11 @@ from realtouch.coded_video import coded_video
 from realtouch.video_files import (
     CUT_SHORT,
     Video,
+    check_boxes,
     demuxer_of,
     kept_jpeg,
     named_problems,
     read_start,
-    require_bounded_boxes,
     require_one_field,
     seconds_of,
 )
@@ -98,9 +98,7 @@ def _found_video(stream: IO[bytes]) -> Video:
         jpegs = scan_avi(stream)
         if jpegs is not None:
             return _video_of_jpegs(stream, jpegs)
-    if demuxer == "mov":
-        require_bounded_boxes(stream)
-    return coded_video(stream, demuxer)
+    return coded_video(stream, demuxer, is_cut=demuxer == "mov" and check_boxes(stream))
 
 
 @dataclass(frozen=True, eq=False)

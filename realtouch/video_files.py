@@ -105,14 +105,17 @@ def require_picture_size(width: int, height: int) -> None:
         )
 
 
-def require_bounded_boxes(stream: IO[bytes]) -> None:
-    """Raise ItemError if the boxes of an MP4 or MOV state more samples than a video may have.
+def check_boxes(stream: IO[bytes]) -> bool:
+    """Return whether an MP4 or MOV ends in the middle.
 
-    A demuxer makes room for all samples that a file of a few bytes states.
+    Raises ItemError if its boxes state more samples than a video may have: a demuxer makes room for all that
+    a file of a few bytes states.
     """
     counts = Counter[bytes]()
-    kind, is_pcm = b"", False
-    for name, start, size in _boxes(stream):
+    kind, is_pcm, is_cut = b"", False, False
+    end = stream.seek(0, 2)
+    for name, start, size in _boxes(stream, end):
+        is_cut |= start + size > end
         stream.seek(start)
         if name == b"cmov":
             raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
@@ -132,6 +135,7 @@ def require_bounded_boxes(stream: IO[bytes]) -> None:
                 f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
             )
             raise ItemError("length", f"{what}; the limit is {_MOST_SAMPLES:,} samples")
+    return is_cut
 
 
 def _handler(box: bytes, before: bytes, is_pcm: bool) -> bytes:
@@ -144,9 +148,9 @@ def _handler(box: bytes, before: bytes, is_pcm: bool) -> bytes:
     return kind
 
 
-def _boxes(stream: IO[bytes]) -> Iterator[tuple[bytes, int, int]]:
+def _boxes(stream: IO[bytes], end: int) -> Iterator[tuple[bytes, int, int]]:
     """Yield name, start and size of the content of each box; ItemError for more than a video has."""
-    position, end = 0, stream.seek(0, 2)
+    position = 0
     for _ in range(_MOST_BOXES):
         stream.seek(position)
         header = stream.read(16)
