@@ -7,7 +7,7 @@ import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import groupby
 from operator import attrgetter
@@ -139,9 +139,12 @@ ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
 def common_size(items: Sequence[FoundTouch], read: ReadContents, sizes_seen: int) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
-    All are looked at only where some, spread over all, differ: to read each twice takes long.
+    All are looked at only where some, spread over all, differ: to read each twice takes long. Of a clip, only
+    the first picture is.
     """
     usable = [item for item in items if item.problem is None]
+    if any(item.frames for item in usable):
+        usable = [replace(item, frames=1) for item in usable]
     sizes = _sizes(usable[:: max(1, len(usable) // sizes_seen)], read)
     if len(sizes) != 1:
         sizes = _sizes(usable, read)
