@@ -95,7 +95,7 @@ class _File:
         pictures = PictureArray.of(inside.pop(image)())
         wanted = {NUMBERED, *columns.found_in(inside).names()}
         per_frame, left_out = columns_of(inside, len(pictures), wanted)
-        left_out += [each for each in self.left_out if each.startswith(group)]
+        left_out += [each.removeprefix(group) for each in self.left_out if each.startswith(group)]
         values: dict[str, object] = {}
         for each in dict.fromkeys(("", group)):
             left_out += _add_attributes(self.groups[each], values)
