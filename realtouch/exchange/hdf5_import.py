@@ -99,10 +99,8 @@ class _File:
             left_out += _add_attributes(self.groups[each], values)
         name = "/".join(filter(None, (self.prefix, group.strip("/")))) or self.path.rpartition(".")[0]
         part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
-        whole = Recording(
-            name, self.home.address(), self.path, part, 0, len(pictures), size, values, per_frame
-        )
-        whole = replace(whole, left_out=tuple(left_out))
+        about = (part, 0, len(pictures), size, values, per_frame)
+        whole = Recording(name, self.home.address(), self.path, *about, left_out=tuple(left_out))
         constant = of_episodes(whole, columns).intersection(wanted)
         return next(episodes_of(whole, np.array([len(pictures)]), [name], constant))
 
