@@ -38,7 +38,8 @@ class FoundSource:
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
     recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
-    say how streams of other rates fit to the recordings.
+    say how streams of other rates fit to the recordings. ``left_out`` names what recordings have besides what
+    was read.
     """
 
     home: store.DataFolder
@@ -49,6 +50,7 @@ class FoundSource:
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
+    left_out: Sequence[str] = ()
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -69,7 +71,8 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
     completed, aligned = columns.found_in(_known(items)), cuts.aligner.reports
-    return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures, aligned)
+    of_cuts = (cuts.done, cuts.pictures, aligned, tuple(cuts.left_out))
+    return FoundSource(home, layout, format_.by, items, completed, *of_cuts)
 
 
 def _found(
@@ -102,11 +105,13 @@ class _Cuts:
     """Cuts recordings as the user says, or each as its source or format states.
 
     ``done`` is how that was done; empty for a source without recordings. ``pictures`` show it: PNG by name.
+    ``left_out`` are the keys of what recordings have besides what was read.
     """
 
     def __init__(self, reading: Reading, layout: str) -> None:
         self.done = ""
         self.pictures: Mapping[str, bytes] = {}
+        self.left_out: dict[str, None] = {}
         self._wanted, self._format = reading.cut, IMPORTS[layout]
         self._columns = reading.columns or ImportColumns()
         others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
@@ -130,6 +135,7 @@ class _Cuts:
         if not isinstance(found, Recording):
             return found
         self.done = self._wanted or found.cut or self._format.cut
+        self.left_out |= dict.fromkeys(found.left_out)
         if self.done not in CUTS:
             self.done = "table"  # what a set says of itself does not depend on paths
         return self.aligner.aligned(found)
