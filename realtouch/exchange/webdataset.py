@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
@@ -12,6 +13,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import pyarrow as pa
 
 from realtouch.convert.conversion import Made, with_files
@@ -192,6 +194,9 @@ def _sample(
 
 def _fields(content: bytes) -> dict[str, Any]:
     try:
+        # Five times as fast; `json` reads more: NaN, numbers out of range, marks of the byte order.
+        with suppress(msgspec.MsgspecError, UnicodeDecodeError):
+            return dict(msgspec.json.decode(content))
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
         raise ItemError(
