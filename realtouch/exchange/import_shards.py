@@ -93,6 +93,7 @@ class ImportTouches:
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
+    @store.without_collecting()
     def __call__(self, shard: store.ShardName, touches: Sequence[NamedTouch]) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()

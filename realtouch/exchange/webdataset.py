@@ -91,16 +91,19 @@ def find_webdataset(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
-    for folder, name in _tars(home):
-        seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
-        for key, members in groupby(_members(folder, name), key=attrgetter("key")):
-            item = _sample(folder, name, key, list(members), columns)
-            if key in seen:
-                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample of this tar")
-                item = replace(item, problem=problem)
-            seen.add(key)
-            known |= dict.fromkeys(item.values)
-            yield item
+    with store.without_collecting():
+        for folder, name in _tars(home):
+            seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
+            for key, members in groupby(_members(folder, name), key=attrgetter("key")):
+                item = _sample(folder, name, key, list(members), columns)
+                if key in seen:
+                    problem = ItemError(
+                        "duplicate", f"the key {key!r} stands in an earlier sample of this tar"
+                    )
+                    item = replace(item, problem=problem)
+                seen.add(key)
+                known |= dict.fromkeys(item.values)
+                yield item
     if known:
         require_columns(list(known), columns.found_in(known).names(), home.address())
 
