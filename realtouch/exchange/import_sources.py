@@ -71,10 +71,15 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
-    if any(item.problem is None for item in items):
+    # The time may be that of a stream, of which only what was aligned is left.
+    missing = set(replace(columns, time=None).names())
+    for item in items:
+        if not missing:
+            break
+        missing.difference_update(item.values, item.per_frame)
+    if missing and any(item.problem is None for item in items):
         names = dict.fromkeys(name for item in items for name in (*item.values, *item.per_frame) if name)
-        # The time may be that of a stream, of which only what was aligned is left.
-        require_columns(list(names), replace(columns, time=None).names(), home.address())
+        require_columns(list(names), sorted(missing), home.address())
     completed = columns.found_in(_known(items), rotvec=IMPORTS[layout].rotvec)
     items = [said_of_whole(item, completed) for item in items]
     of_cuts = (cuts.done, cuts.pictures, cuts.aligner.reports, tuple(cuts.left_out))
