@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
@@ -96,21 +97,21 @@ class ForeignParquet:
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
         """Yield the encoded picture in each of some rows; those that stand in order are read once."""
-        group, start, batches, held = -1, 0, iter(()), pa.table({name: []})
+        group, start, held = -1, 0, list[bytes | None]()
+        batches: Iterator[pa.Table] = iter(())
         for row in rows:
-            wanted = int(np.searchsorted(self._starts, row, side="right")) - 1
             if not 0 <= row < len(self):
                 yield ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
                 continue
-            if wanted != group or row < start:
-                group, start, held = wanted, self._starts[wanted], held.slice(0, 0)
-                batches = self._tables(group, [name])
-            while row >= start + len(held):
-                start, held = start + len(held), next(batches)
-            image = held[name][row - start].as_py()
-            if isinstance(image, dict):
-                image = image["bytes"]
-            yield image or ItemError("missing", f"row {row:,} of {name!r} holds no bytes; expected a picture")
+            if not start <= row < start + len(held):
+                wanted = bisect_right(self._starts, row) - 1
+                if wanted != group or row < start:
+                    group, start, held = wanted, self._starts[wanted], []
+                    batches = self._tables(group, [name])
+                while row >= start + len(held):
+                    start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
+            missing = f"row {row:,} of {name!r} holds no bytes; expected a picture"
+            yield held[row - start] or ItemError("missing", missing)
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
@@ -147,6 +148,14 @@ def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
         _Chunk(of.path_in_schema, of.total_uncompressed_size, of.num_values, of.physical_type == _TEXT)
         for of in found
     ]
+
+
+def _picture_bytes(pictures: pa.Array) -> list[bytes | None]:
+    """Return the bytes of each picture; None for a missing one."""
+    if pa.types.is_struct(pictures.type):
+        pictures = pictures.flatten()[pictures.type.get_field_index("bytes")]
+    found: list[bytes | None] = pictures.to_pylist()
+    return found
 
 
 def _of_columns(chunks: Sequence[_Chunk], names: Sequence[str]) -> list[_Chunk]:
