@@ -18,7 +18,7 @@ import realtouch
 from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
 from realtouch.exchange.recordings import Recording, touches_of
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import FPS
 from tests.realtouch.images_of_others import spoiled
@@ -165,7 +165,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
         ("image", cut_file("episode_000000.parquet"), "is damaged"),
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
-        ("image", change_column("timestamp", lambda rows: pa.array([0.0, 1, None, 2, 3])), "expected seconds"),
+        ("image", change_column("timestamp", lambda rows: pa.array([0.0, None, 1, 2, 3])), "seconds as floats"),
         ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
         ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
@@ -180,7 +180,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         (
             "video",
             change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
-            "not shown at the times",
+            "not at the times of its frames",
         ),
     ],
 )
