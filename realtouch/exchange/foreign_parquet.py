@@ -12,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.found_touches import FoundTouch
+from realtouch.exchange.parquet_pages import require_bounded_pages
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable
@@ -44,6 +45,8 @@ class _Chunk(NamedTuple):
     size_bytes: int
     values: int
     is_text: bool
+    start: int
+    stored_bytes: int
 
 
 class ForeignParquet:
@@ -55,6 +58,7 @@ class ForeignParquet:
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.size_bytes = store.size_inside(home, path)
+        self._home, self._path = home, path
         self.place = home.address(path)
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
@@ -125,12 +129,18 @@ class ForeignParquet:
                 require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
+    def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
+        with _named_values(self.place), store.open_inside(self._home, self._path) as stream:
+            for each in chunks:
+                require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
+
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield the rows of a row group, few at a time; IntegrityError if it holds fewer than stated."""
         chunks = _of_columns(self._chunks[group], names)
         largest = max((1, *(each.size_bytes for each in chunks if each.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
+        self._require_bounded_pages(chunks)
         with store.named_damage(self.place):
             # Without threads of Arrow: shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
@@ -145,7 +155,14 @@ def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
     """Return what the footer states of the columns of a row group; of a struct or list, of what it holds."""
     found = map(group.column, range(group.num_columns))
     return [
-        _Chunk(of.path_in_schema, of.total_uncompressed_size, of.num_values, of.physical_type == _TEXT)
+        _Chunk(
+            of.path_in_schema,
+            of.total_uncompressed_size,
+            of.num_values,
+            of.physical_type == _TEXT,
+            min(of.data_page_offset, of.dictionary_page_offset or of.data_page_offset),
+            of.total_compressed_size,
+        )
         for of in found
     ]
 
