@@ -152,7 +152,7 @@ def _boxes(stream: IO[bytes], end: int) -> Iterator[tuple[bytes, int, int]]:
     """Yield name, start and size of the content of each box; ItemError for more than a video has."""
     position = 0
     for _ in range(_MOST_BOXES):
-        stream.seek(position)
+        stream.seek(min(position, end))  # a box may state more bytes than a file can have
         header = stream.read(16)
         if len(header) < _BOX.size:
             return
