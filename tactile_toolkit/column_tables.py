@@ -31,6 +31,10 @@ _LONGEST_LINE = 4 * _BLOCK_BYTES
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
 _UNKNOWN = pa.array(["NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
+_CODE = r"^[+-]?0([0-9]+$|[xX])"  # 007 is a name, which a number would not give back
+_SWITCHED = pa.array(["0", "1"])
+_LONG_INTEGER = r"^[+-]?[0-9]{16,300}$"
+_EXPONENT = r"[eE]\+?[0-9]{3,}$|^[+-]?[0-9]{301,}"
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 
 
@@ -89,7 +93,8 @@ class ColumnTable:
         for batch in self._batches():
             rows += len(batch)
             for name in batch.schema.names:
-                self._types[name] = self._common(self._types.get(name, pa.null()), batch.column(name), name)
+                known = self._types.get(name, pa.null())
+                self._types[name] = self._common(known, batch.column(name), name, name != column)
             if column in batch.schema.names:  # as numbers, which take less space than text
                 kept.append(pa.table({column: self._typed(batch.column(column), column)}))
         self.names = list(self._types) or self.names
@@ -117,13 +122,13 @@ class ColumnTable:
         found: list[dict[str, Any]] = self.rows(np.arange(rows)).to_pylist()
         return found
 
-    def _common(self, known: pa.DataType, values: pa.ChunkedArray, name: str) -> pa.DataType:
+    def _common(self, known: pa.DataType, values: pa.ChunkedArray, name: str, is_exact: bool) -> pa.DataType:
         """Return the type of a column, given that of earlier rows."""
         found = values.type
         if self._is_text:
             if pa.types.is_string(known):
                 return known
-            found = _type_of_text(values, known)
+            found = _type_of_text(values, known, is_exact)
         elif pa.types.is_dictionary(found):
             found = found.value_type
         try:
@@ -145,6 +150,8 @@ class ColumnTable:
         """Return values of a column with the type that is known of it."""
         if pa.types.is_string(values.type) and not pa.types.is_string(self._types[name]):
             values = _without_words(values)
+        if pa.types.is_null(self._types[name]):
+            return pa.chunked_array([pa.nulls(len(values))])
         return values.cast(self._types[name])
 
 
@@ -159,8 +166,11 @@ def _checked_names(names: Sequence[str], path: str) -> list[str]:
     return found
 
 
-def _type_of_text(values: pa.ChunkedArray, known: pa.DataType) -> pa.DataType:
-    """Return the type of texts: numbers or switches if all are, nothing if all are empty."""
+def _type_of_text(values: pa.ChunkedArray, known: pa.DataType, is_exact: bool) -> pa.DataType:
+    """Return the type of texts: numbers or switches if all are, nothing if all are empty.
+
+    With ``is_exact``, text that a number would not give back stays text.
+    """
     words = _without_words(values)
     if words.null_count == len(words):
         return pa.null()
@@ -170,8 +180,21 @@ def _type_of_text(values: pa.ChunkedArray, known: pa.DataType) -> pa.DataType:
             words.cast(data_type)
         except pa.ArrowException:
             continue
-        return data_type
+        return pa.string() if is_exact and _is_changed(words, data_type) else data_type
     return pa.string()
+
+
+def _is_changed(words: pa.ChunkedArray, data_type: pa.DataType) -> bool:
+    """Return whether values of a type would not give texts back: codes, long integers, numbers too large."""
+    if pc.any(pc.match_substring_regex(words, _CODE)).as_py():
+        return True
+    if pa.types.is_boolean(data_type):
+        return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
+    if pa.types.is_integer(data_type):
+        return False
+    long = words.filter(pc.match_substring_regex(words, _LONG_INTEGER)).to_pylist()
+    large = words.filter(pc.match_substring_regex(words, _EXPONENT)).cast(pa.float64())
+    return any(int(float(word)) != int(word) for word in long) or bool(pc.any(pc.is_inf(large)).as_py())
 
 
 def _without_words(values: pa.ChunkedArray) -> pa.ChunkedArray:

@@ -5,6 +5,7 @@ A touch has one value of each, or one for each picture of its clip. Missing valu
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import chain
@@ -37,7 +38,8 @@ _FLOAT = re.compile(
     r"\s*[+-]?(?:[0-9]+(?:\.[0-9]*|,[0-9]+)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*\Z|\s*[+-]?(?:nan|inf)\s*\Z",
     re.IGNORECASE,
 )
-_LEADING_ZERO = re.compile(r"\s*[+-]?0[0-9]")
+_LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
+_MOST_DIGITS = 300  # of an integer that may be a float
 _INT64 = np.iinfo(np.int64)
 _LISTS = (list, tuple, np.ndarray)
 
@@ -154,11 +156,16 @@ def _names_in(items: Iterable[FoundTouch]) -> dict[str, None]:
     return names
 
 
-def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> dict[str, int]:
-    """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
+def kept_sources(columns: ImportColumns, types: Iterable[str]) -> dict[str, str]:
+    """Return the fields that are kept in some extra columns of a data set, with their names there."""
     sources = dict(columns.extra)
     names = (_name_of(column)[0] for column in types)
-    kept = used_names(columns) | {sources.get(name, name) for name in names}
+    return {sources.get(name, name): name for name in names}
+
+
+def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterable[str]) -> dict[str, int]:
+    """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
+    kept = used_names(columns) | kept_sources(columns, types).keys()
     counts: dict[str, int] = {}
     for name in _names_in(items):
         if name not in kept:
@@ -196,7 +203,7 @@ def value_type(values: Iterable[object]) -> pa.DataType | None:
         return pa.bool_()
     if kinds == {int} and all(_INT64.min <= value <= _INT64.max for value in given):
         return pa.int64()
-    if float in kinds and kinds <= {int, float}:
+    if float in kinds and kinds <= {int, float} and all(map(_is_exact, given)):
         return pa.float64()
     return _text_type(given, kinds == {str})
 
@@ -223,13 +230,27 @@ def _text_type(values: Sequence[Any], may_be_numbers: bool) -> pa.DataType | Non
     if may_be_numbers and all(map(_INTEGER.match, words)):
         if all(_INT64.min <= int(word) <= _INT64.max for word in words):
             return pa.int64()
-    elif may_be_numbers and all(map(_FLOAT.match, words)) and not any(map(_LEADING_ZERO.match, words)):
+    elif may_be_numbers and all(map(_FLOAT.match, words)) and not any(map(_is_code, words)):
         return pa.float64()
     try:
         "".join(words).encode()
     except UnicodeEncodeError:
         return None
     return pa.string()
+
+
+def _is_code(word: str) -> bool:
+    """Return whether a number would not give a text back: one with leading zeros, too long or too large."""
+    if _LEADING_ZERO.match(word):
+        return True
+    if word.lstrip("+-").isdecimal():
+        return len(word) > _MOST_DIGITS or not _is_exact(int(word))
+    return math.isinf(number_of(word)) and word[-1].isdecimal()
+
+
+def _is_exact(value: float) -> bool:
+    """Return whether a number is that of a float."""
+    return not isinstance(value, int) or (abs(value) < 10**_MOST_DIGITS and int(float(value)) == value)
 
 
 def _is_missing(value: object) -> bool:

@@ -18,7 +18,7 @@ from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.text_tables import table_lines
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
@@ -136,28 +136,36 @@ ReadContents = Callable[[Iterable[FoundTouch]], Iterator[bytes | ItemError]]
 """Yields the bytes of the image of each item, in order, or why it cannot be read."""
 
 
-def common_size(items: Sequence[FoundTouch], read: ReadContents, sizes_seen: int) -> tuple[int, int] | None:
+def common_size(
+    items: Sequence[FoundTouch], read: ReadContents, is_one_a_file: bool = False
+) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
-    All are looked at only where some, spread over all, differ: to read each twice takes long. Of a clip, only
-    the first picture is.
+    Only the first picture of a file is looked at if the format has one size in each. All are looked at only
+    where some, spread over all, differ: to read each twice takes long.
     """
     usable = [item for item in items if item.problem is None]
-    if any(item.frames for item in usable):
-        usable = [replace(item, frames=1) for item in usable]
-    sizes = _sizes(usable[:: max(1, len(usable) // sizes_seen)], read)
+    counts = Counter[object]()
+    if is_one_a_file:
+        for item in usable:
+            counts[item.file, item.part] += max(1, item.frames)
+        firsts = {(item.file, item.part): item for item in reversed(usable)}
+        usable = [replace(item, frames=0) for item in reversed(firsts.values())]
+    sizes = _sizes(usable[:: max(1, len(usable) // _SIZES_SEEN)], read, counts)
     if len(sizes) != 1:
-        sizes = _sizes(usable, read)
+        sizes = _sizes(usable, read, counts)
     return next((size for size, _ in sizes.most_common(1)), None)
 
 
-def _sizes(items: Iterable[FoundTouch], read: ReadContents) -> Counter[tuple[int, int]]:
-    """Count the sizes of images; those that are not intact do not count."""
+def _sizes(
+    items: Sequence[FoundTouch], read: ReadContents, counts: Mapping[object, int]
+) -> Counter[tuple[int, int]]:
+    """Count the sizes of images, each as often as its file; those that are not intact do not count."""
     sizes = Counter[tuple[int, int]]()
-    for content in read(items):
+    for content, item in zip(read(items), items, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[require_intact(content)] += 1
+                sizes[require_intact(content)] += counts.get((item.file, item.part), 1)
     return sizes
 
 
@@ -216,6 +224,19 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
         raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
+def column_table(folder: store.DataFolder, name: str) -> ColumnTable:
+    """Return a table that is read in passes; IntegrityError if it is another one in a later pass."""
+    place, version = folder.address(name), folder.version(name)
+
+    def opened() -> IO[bytes]:
+        if folder.version(name) != version:
+            problem = "was replaced or changed while it was read"
+            raise IntegrityError(f"{place!r} {problem}", next="run the same command again")
+        return open_source(folder, name)
+
+    return ColumnTable(place, opened)
+
+
 def natural_order(path: str) -> list[tuple[int, str]]:
     """Return a key by which ``demo_2`` stands before ``demo_10``."""
     return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
@@ -224,7 +245,7 @@ def natural_order(path: str) -> list[tuple[int, str]]:
 def read_table(folder: store.DataFolder, name: str) -> tuple[list[str], list[dict[str, Any]]]:
     """Return the columns and lines of a table; those of text are text. InputError if it cannot be read."""
     if name.lower().endswith(TYPED_ENDINGS):
-        table = ColumnTable(folder.address(name), partial(open_source, folder, name))
+        table = column_table(folder, name)
         lines = table.lines(_MOST_LINES)
         return table.names, lines
     with open_source(folder, name) as stream:
@@ -252,24 +273,24 @@ class ImportFormat:
 
     ``find`` takes a folder, the columns and the path of a table, and yields touches, or recordings to cut.
     ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
-    recordings become touches by default. ``sizes_seen`` is from how many touches the size of all follows, if
-    these agree. ``describe`` states how pictures are converted; empty if they are taken as they are. With
-    ``rotvec`` the format has rotation vectors in poses of six numbers.
+    recordings become touches by default. ``is_one_a_file`` says that pictures of a file have one size.
+    ``describe`` states how pictures are converted; empty if they are taken as they are. With ``rotvec`` the
+    format has rotation vectors in poses of six numbers.
     """
 
     find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[Any]]
     contents: ReadContents = contents_of
     cut: str = "frames"
-    sizes_seen: int = _SIZES_SEEN
+    is_one_a_file: bool = False
     describe: Callable[[Sequence[FoundTouch]], str] = lambda _touches: ""
     rotvec: bool = False
 
 
 def _recordings(layout: str, cut: str = "frames", *, rotvec: bool = False) -> ImportFormat:
-    """Return a format of recordings, whose pictures are of one size."""
+    """Return a format of recordings, each file of which has pictures of one size."""
     module = f"realtouch.exchange.{layout}_import"
     reader, describe = lazy(f"{module}:encoded_frames"), lazy(f"{module}:describe_conversion")
-    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, 1, describe, rotvec)
+    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, True, describe, rotvec)
 
 
 IMPORTS: dict[str, ImportFormat] = {

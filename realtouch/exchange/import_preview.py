@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from typing import Any
@@ -12,8 +12,10 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
+from realtouch.exchange.extra_columns import kept_sources
 from realtouch.exchange.found_touches import IMPORTS
 from realtouch.exchange.import_sources import FoundSource, Reading, find_source
+from realtouch.exchange.imported_rows import extras_in
 from realtouch.exchange.importing import Arranged, arranged
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
@@ -112,7 +114,7 @@ def preview_import(
         usable,
         touches.work.names,
         _pictures_in_words(found, touches),
-        _uses(found),
+        _uses(found, extras_in(touches.work.schema)),
         first,
         [report.row() for report in found.streams],
         [(reason, len(each), each[0]) for reason, each in messages.items()],
@@ -153,8 +155,8 @@ def _pictures_in_words(found: FoundSource, touches: Arranged) -> str:
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
-def _uses(found: FoundSource) -> list[tuple[str, str, str]]:
-    """Return each column of the source, what it becomes, and its unit."""
+def _uses(found: FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+    """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = found.columns
     roles = {
         columns.label: "label",
@@ -166,6 +168,9 @@ def _uses(found: FoundSource) -> list[tuple[str, str, str]]:
     roles |= dict.fromkeys(columns.pose or (), "pose of the gel")
     if columns.image is not None:
         roles[columns.image] = "picture"
+    if columns.time is not None:
+        roles[columns.time] = "time"
+    roles = {**{source: f"extra {name!r}" for source, name in kept_sources(columns, extras).items()}, **roles}
     names = Counter(name for item in found.items for name in (*item.values, *item.per_frame))
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []
@@ -173,5 +178,5 @@ def _uses(found: FoundSource) -> list[tuple[str, str, str]]:
         unit = stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
-        uses.append((printable(name), roles.get(name, f"extra {name!r}"), unit))
+        uses.append((printable(name), roles.get(name, "left out"), unit))
     return [*uses, *((printable(each), "left out", "") for each in found.left_out)]

@@ -10,6 +10,7 @@ from realtouch.exchange.aligner import Aligner
 from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.exporting import require_layout
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch, require_columns
+from realtouch.exchange.import_shards import version_of
 from realtouch.exchange.imported_clips import said_of_whole
 from realtouch.exchange.recognised import Recognised, recognised
 from realtouch.exchange.recordings import CUTS, Recording, touches_of
@@ -40,7 +41,8 @@ class FoundSource:
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
     recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
     say how streams of other rates fit to the recordings. ``left_out`` names what recordings have besides what
-    was read.
+    was read. ``versions`` are those of files that hold several
+    pictures, by folder and path, when they were found.
     """
 
     home: store.DataFolder
@@ -52,6 +54,7 @@ class FoundSource:
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
     left_out: Sequence[str] = ()
+    versions: Mapping[tuple[str, str], tuple[object, ...] | None] = field(default_factory=dict)
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -82,7 +85,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         require_columns(list(names), sorted(missing), home.address())
     completed = columns.found_in(_known(items), rotvec=IMPORTS[layout].rotvec)
     items = [said_of_whole(item, completed) for item in items]
-    of_cuts = (cuts.done, cuts.pictures, cuts.aligner.reports, tuple(cuts.left_out))
+    of_cuts = (cuts.done, cuts.pictures, cuts.aligner.reports, tuple(cuts.left_out), cuts.versions)
     return FoundSource(home, layout, format_.by, items, completed, *of_cuts)
 
 
@@ -117,12 +120,15 @@ class _Cuts:
 
     ``done`` is how that was done; empty for a source without recordings. ``pictures`` show it: PNG by name.
     ``left_out`` are the keys of what recordings have besides what was read.
+    ``versions`` are noted before any picture is looked at, as a file may be replaced later.
     """
 
     def __init__(self, reading: Reading, layout: str) -> None:
         self.done = ""
         self.pictures: Mapping[str, bytes] = {}
         self.left_out: dict[str, None] = {}
+        self.versions: dict[tuple[str, str], tuple[object, ...] | None] = {}
+        self._last: tuple[str, str] | None = None
         self._wanted, self._format = reading.cut, IMPORTS[layout]
         self._columns = reading.columns or ImportColumns()
         others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
@@ -143,6 +149,10 @@ class _Cuts:
 
     def _noted(self, found: FoundTouch | Recording) -> FoundTouch | Recording:
         """Return what was found, a recording with its streams."""
+        file, is_recording = (found.home, found.path), isinstance(found, Recording)
+        if found.problem is None and (is_recording or file == self._last) and file not in self.versions:
+            self.versions[file] = version_of(file)
+        self._last = file
         if not isinstance(found, Recording):
             return found
         self.done = self._wanted or found.cut or self._format.cut

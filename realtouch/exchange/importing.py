@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import re
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
@@ -15,7 +14,7 @@ from realtouch.alignment_options import Alignment
 from realtouch.convert.conversion import write_changed
 from realtouch.exchange.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch, common_size
-from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema, version_of
+from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_schema
 from realtouch.exchange.import_sources import FoundSource, Reading, find_source
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
@@ -131,14 +130,12 @@ def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> A
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
-    rounds = {
-        each: _in_pieces(of_split, most_bytes) for each, of_split in _rounds(items, columns, split).items()
-    }
-    size = common_size(items, read.contents, read.sizes_seen)
-    held = Counter(item.file for item in items)
-    versions = {file: version_of(file) for file, count in held.items() if count > 1 or items[0].frames}
+    whole = _rounds(items, columns, split)
+    taken = {name for of_split in whole.values() for name in of_split}
+    rounds = {each: _in_pieces(of_split, most_bytes, taken) for each, of_split in whole.items()}
+    size = common_size(items, read.contents, read.is_one_a_file)
     schema = touch_schema(columns, names, items)
-    return Arranged(rounds, ImportTouches(found.layout, columns, names, size, schema, versions))
+    return Arranged(rounds, ImportTouches(found.layout, columns, names, size, schema, found.versions))
 
 
 def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
@@ -288,8 +285,13 @@ def _rounds(
     return found
 
 
-def _in_pieces(rounds: Mapping[str, list[FoundTouch]], most_bytes: int) -> dict[str, list[FoundTouch]]:
-    """Divide rounds that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``."""
+def _in_pieces(
+    rounds: Mapping[str, list[FoundTouch]], most_bytes: int, taken: set[str]
+) -> dict[str, list[FoundTouch]]:
+    """Divide rounds that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``.
+
+    ``taken`` are names that other rounds have, or get here.
+    """
     found: dict[str, list[FoundTouch]] = {}
     for name, items in rounds.items():
         pieces: list[list[FoundTouch]] = [[]]
@@ -300,6 +302,10 @@ def _in_pieces(rounds: Mapping[str, list[FoundTouch]], most_bytes: int) -> dict[
                 size_bytes = 0
             pieces[-1].append(item)
             size_bytes += item.size
-        names = [name] if len(pieces) == 1 else [f"{name}-{number}" for number in range(len(pieces))]
+        names = [name]
+        while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
+            name = f"{name}-"
+            names = [f"{name}{number}" for number in range(len(pieces))]
+        taken.update(names)
         found |= dict(zip(names, pieces, strict=True))
     return found

@@ -40,7 +40,8 @@ class Mark(msgspec.Struct, frozen=True):
 
 def as_ours(found: Recording, mark: Mark) -> Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
-    columns = {mark.own_name(name): column for name, column in found.per_frame.items()}
+    every = found.per_frame
+    columns = {name: column for name, column in every.items() if name not in mark.extra}
     values, time_s = dict(found.values), columns.pop(TIME, found.time_s)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
@@ -52,7 +53,9 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
         of_episode += [*POSITION_COLUMNS, *mark.per_touch]
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
     found = with_contact(found)
-    per_frame = dict(name_ours(found, _VECTORS, mark.class_names).per_frame)
+    ours = name_ours(found, _VECTORS, mark.class_names).per_frame
+    # Later, as a further column may have the name of one of ours.
+    per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
     # A slice, as an entry of an array of texts is no array.
     values |= {each: per_frame.pop(each)[:1].tolist()[0] for each in of_episode if each in per_frame}
     return replace(found, values=values, per_frame=per_frame)

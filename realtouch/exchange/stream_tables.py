@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.found_touches import open_source
+from realtouch.exchange.found_touches import column_table
 from realtouch.exchange.stream_times import seconds, time_column
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
@@ -97,7 +96,7 @@ def open_stream(
         or have no known unit.
     """
     place = folder.address(name)
-    table = ColumnTable(place, partial(open_source, folder, name))
+    table = column_table(folder, name)
     column = time_column(table.names, time, place)
     rows, found = table.scan(column)
     if not rows:

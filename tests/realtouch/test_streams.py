@@ -174,7 +174,7 @@ def test_duplicates_keep_the_first_and_are_counted(tmp_path: Path) -> None:
 def test_names_that_are_taken_get_that_of_their_stream(tmp_path: Path) -> None:
     given = [
         stream(tmp_path, {"time_s": [0.0], "seq": [number], "f": [1.0]}, f"take1.{name}.csv")
-        for number, name in enumerate(("force", "pose", "pose"))
+        for number, name in enumerate(("force", "pose", "pose.pose"))
     ]
     found, reports = with_streams(recording(np.zeros(1), values={"f": 0}), given, Alignment(), NO_COLUMNS)
     assert list(found.per_frame) == ["seq", "force.f", "pose.seq", "pose.f", "pose.pose.seq", "pose.pose.f"]

@@ -55,6 +55,30 @@ def test_quoted_lines_empty_names_and_words(monkeypatch: pytest.MonkeyPatch) -> 
     assert found["code"] == ["007", "1e3", "x"]
 
 
+EXACT = {
+    "code": ["007", "8"],
+    "hexadecimal": ["0x1F", "1"],
+    "long": ["9007199254740993", "0.5"],
+    "large": ["1e400", "1"],
+    "switch": ["true", "1"],
+}
+
+
+def test_text_that_a_number_would_not_give_back_stays_text() -> None:
+    rows = [",".join(EXACT), *(",".join(row) for row in zip(*EXACT.values(), strict=True))]
+    assert read(table("\n".join(rows))) == EXACT
+    _, times = table("t\n007\n008\n").scan("t")
+    assert times.to_pylist() == [7, 8]  # fixed width, as loggers write it
+
+
+def test_a_column_without_a_value_has_none() -> None:
+    assert read(table("n,empty,words\n1,,NA\n2,,nan\n")) == {
+        "n": [1, 2],
+        "empty": [None] * 2,
+        "words": [None] * 2,
+    }
+
+
 @pytest.mark.parametrize("block_bytes", [50, 1 << 20])
 def test_json_lines(block_bytes: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", block_bytes)

@@ -1,0 +1,132 @@
+"""Sources that change while they are imported, and what a run and its preview must agree on."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import realtouch
+from realtouch.exchange import aligner, importing
+from tactile_toolkit.errors import IntegrityError
+from tests.realtouch.images_of_others import picture
+
+pytest.importorskip("av", reason="needs PyAV, of the extra test")
+from tests.realtouch.videos_of_others import write_video
+
+
+def table(path: Path, names: Sequence[str], rows: Iterable[Sequence[object]]) -> Path:
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(names)
+        writer.writerows(rows)
+    return path
+
+
+def images(folder: Path, rows: Sequence[Sequence[object]], names: Sequence[str]) -> Path:
+    """Write an image for each row of a table."""
+    folder.mkdir()
+    for number in range(len(rows)):
+        (folder / f"{number}.png").write_bytes(picture(number))
+    table(folder / "touches.csv", ["file", *names], [[f"{n}.png", *row] for n, row in enumerate(rows)])
+    return folder
+
+
+def video(path: Path, count: int = 30) -> None:
+    write_video(path, "mjpeg", count, "yuvj420p")
+
+
+def change_after(monkeypatch: pytest.MonkeyPatch, module: Any, name: str, change: Any) -> None:
+    """Let something happen whenever a function has ended."""
+    whole = getattr(module, name)
+
+    def changed(*given: Any, **more: Any) -> Any:
+        found = whole(*given, **more)
+        change()
+        return found
+
+    monkeypatch.setattr(module, name, changed)
+
+
+@pytest.mark.parametrize("cut", ["whole", "frames", "contact"])
+def test_a_video_that_is_replaced_once_it_was_found(
+    cut: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    video(source / "a.avi")
+    change_after(monkeypatch, importing, "find_source", lambda: video(source / "a.avi", 50))
+    with pytest.raises(IntegrityError, match="was replaced or changed while it was imported"):
+        realtouch.import_touches(source, tmp_path / "out", cut=cut)
+    assert not list((tmp_path / "out").rglob("*.parquet"))
+
+
+def test_a_stream_that_changes_between_its_times_and_its_values(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    video(source / "a.avi")
+    stream = table(source / "a.force.csv", ["time_s", "f"], [(n / 100, n) for n in range(100)])
+    later = [(n / 100, -n) for n in range(120)]
+    change_after(monkeypatch, aligner, "open_stream", lambda: table(stream, ["time_s", "f"], later))
+    with pytest.raises(IntegrityError, match=r"a\.force\.csv' was replaced or changed while it was read"):
+        realtouch.import_touches(source, tmp_path / "out")
+
+
+def test_rounds_that_are_divided_take_no_names_of_others(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rounds = ["a", "a", "a", "a-0", "a-1", "b"]
+    source = images(tmp_path / "source", [(each,) for each in rounds], ["round_id"])
+    monkeypatch.setattr(importing, "_SHARD_BYTES", 1)
+    realtouch.import_touches(source, tmp_path / "out")
+    found = [touch.round.id for touch in realtouch.load(tmp_path / "out", "train").touches()]
+    assert len(found) == len(set(found)) == len(rounds)
+    assert {"a-0", "a-1", "b"} <= {*found}
+
+
+@pytest.mark.parametrize("cut", ["whole", "frames"])
+def test_the_size_of_videos_is_that_of_most_pictures(cut: str, tmp_path: Path) -> None:
+    from tests.realtouch import videos_of_others
+
+    source = tmp_path / "source"
+    source.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(videos_of_others, "WIDTH", 32)
+        video(source / "a.avi", 5)
+    for name in "bc":
+        video(source / f"{name}.avi", 5)
+    manifest = realtouch.import_touches(source, tmp_path / "out", cut=cut)
+    left_out = 1 if cut == "whole" else 5
+    assert manifest.spec["options"]["image_size"] == [videos_of_others.WIDTH, videos_of_others.HEIGHT]
+    assert len(realtouch.load(tmp_path / "out", "train").touches()) == 2 * left_out
+
+
+def test_a_preview_says_of_each_column_what_becomes_of_it(tmp_path: Path) -> None:
+    said = {"label": "mug", "id": 1, "touch": 2, "N" * 300: 3, "empty": "", "force_n": 4, "old": 5, "t_ms": 6}
+    source = images(tmp_path / "source", [list(said.values())] * 2, list(said))
+    columns = realtouch.ImportColumns(extra=(("new", "old"),), time="t_ms")
+    uses = {name: use for name, use, _ in realtouch.preview_import(source, columns=columns).columns}
+    realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    extra = realtouch.load(tmp_path / "out", "train").touches()[0].extra
+    kept = {use.removeprefix("extra ").strip("'") for use in uses.values() if use.startswith("extra ")}
+    assert kept | {"time_s"} == {*extra} == {"force_n", "new", "time_s"}
+    assert {name for name, use in uses.items() if use == "left out"} == {"id", "touch", "N" * 300, "empty"}
+    assert (uses["label"], uses["t_ms"], uses["file"]) == ("label", "time", "picture")
+
+
+def test_a_table_that_names_a_video_outside_leaves_that_line_out(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    source.mkdir()
+    for place in (source / "a.avi", tmp_path / "b.avi"):
+        video(place, 5)
+    table(source / "about.csv", ["file", "label"], [("a.avi", "mug"), ("../b.avi", "fork")])
+    realtouch.import_touches(source, tmp_path / "out")
+    touches = realtouch.load(tmp_path / "out", "train").touches()
+    assert [touch.round.id for touch in touches] == ["a"]
+    assert np.asarray(touches.labels).tolist() == [1]
