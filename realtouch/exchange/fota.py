@@ -57,4 +57,7 @@ def find_fota(home: store.DataFolder, columns: ImportColumns, table: str | None)
     """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
     split = home.address().rstrip("/").rpartition("/")[2]
     for item in find_webdataset(home, columns, table):
-        yield replace(item, values={"split": split, **item.values})
+        values: dict[str, object] = {"split": split, **item.values}
+        if values.keys() >= {*POSE_COLUMNS, *FOTA_POSE_COLUMNS}:  # of our exports: one pose, in two units
+            values = {name: value for name, value in values.items() if name not in FOTA_POSE_COLUMNS}
+        yield replace(item, values=values)

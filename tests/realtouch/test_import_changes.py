@@ -130,3 +130,21 @@ def test_a_table_that_names_a_video_outside_leaves_that_line_out(tmp_path: Path)
     touches = realtouch.load(tmp_path / "out", "train").touches()
     assert [touch.round.id for touch in touches] == ["a"]
     assert np.asarray(touches.labels).tolist() == [1]
+
+
+POSE = {"x_m": 0.01, "y_m": 0.02, "z_m": 0.001, "qx": 0, "qy": 0, "qz": 0, "qw": 1}
+
+
+@pytest.mark.parametrize("layout", ["lerobot", "oxt", "fota", "sparsh", "webdataset", "flat"])
+def test_extra_columns_called_like_those_of_a_format_come_back(layout: str, tmp_path: Path) -> None:
+    said = {
+        name: f"{name} of the user" for name in ("observation.state", "action", "in_contact", "index", "a/b")
+    }
+    rows = [["mug", *POSE.values(), *said.values()]] * 2
+    source = images(tmp_path / "source", rows, ["label", *POSE, *said])
+    realtouch.import_touches(source, tmp_path / "set", columns=realtouch.ImportColumns(pose=tuple(POSE)))
+    realtouch.export(tmp_path / "set", tmp_path / "there", layout, split="train")
+    realtouch.import_touches(tmp_path / "there", tmp_path / "back")
+    touch = realtouch.load(tmp_path / "back", "train").touches()[1]
+    assert {name: touch.extra[name] for name in touch.extra if name != "time_s"} == said
+    np.testing.assert_allclose(touch.gel_pose.translation, [0.01, 0.02, 0.001], atol=1e-8)
