@@ -175,10 +175,10 @@ def _text_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
 
 
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
-    lines = io.BufferedReader(stream)  # type: ignore[type-var] # files of stores have no `readline` with a limit
-    while block := lines.read(_BLOCK_BYTES) + lines.readline(_BLOCK_BYTES):
-        reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
-        yield from pa.json.read_json(pa.BufferReader(block), reading).to_batches()
+    with io.BufferedReader(stream) as lines:  # type: ignore[type-var] # files of stores have no such `readline`
+        while block := lines.read(_BLOCK_BYTES) + lines.readline(_BLOCK_BYTES):
+            reading = pa.json.ReadOptions(use_threads=False, block_size=len(block) + 1)
+            yield from pa.json.read_json(pa.BufferReader(block), reading).to_batches()
 
 
 def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:

@@ -114,7 +114,7 @@ def preview_import(
         _pictures_in_words(found, touches),
         _uses(found),
         first,
-        [report.row() for report in found.streams],
+        list(found.streams),
         [(reason, len(each), each[0]) for reason, each in messages.items()],
     )
 
