@@ -197,11 +197,11 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
             {},
             r"from 0\.200000 s in row 2 to 0\.100000 s in row 3",
         ),
-        ({"time_s": [0.0, None], "f": [1, 2]}, {}, "nan.* from row 2 on; expected finite"),
+        ({"time_s": [0.0, None], "f": [1, 2]}, {}, "nan.* from number 2 on; expected finite"),
         ({"time": [0, 1], "f": [1, 2]}, {}, "integers, whose unit is not known"),
         ({"time": [0.0], "timestamp": [0.0]}, {}, "several columns of times: time, timestamp"),
         ({"time_s": ["0.5", "b"], "f": [1, 2]}, {}, "'b'.*expected finite"),
-        ({"time_s": ["inf"], "f": [1]}, {}, "inf.* from row 1 on; expected finite"),
+        ({"time_s": ["inf"], "f": [1]}, {}, "inf.* from number 1 on; expected finite"),
         ({"time_s": pa.array([], pa.float64())}, {}, "has no rows"),
     ],
 )
