@@ -175,6 +175,8 @@ def _vectors(column: pa.ChunkedArray, what: str) -> AnyArray:
     rows = inside.reshape(-1, *lengths)
     if not column.null_count:
         return rows
-    vectors: AnyArray = np.full((len(column), *lengths), None, rows.dtype if rows.dtype.kind == "f" else object)
+    vectors: AnyArray = np.full(
+        (len(column), *lengths), None, rows.dtype if rows.dtype.kind == "f" else object
+    )
     vectors[column.is_valid().to_numpy()] = rows
     return vectors
