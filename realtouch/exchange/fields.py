@@ -171,8 +171,8 @@ def times_s(values: Sequence[object] | AnyArray, columns: ImportColumns) -> Floa
         times = times[:, 0]
     if times.shape != (len(values),) or not np.isfinite(times).all():
         wrong = int(np.isfinite(times).argmin()) if times.shape == (len(values),) else 0
-        found = f"the times {shown(list(values[wrong : wrong + 4]))} from number {wrong + 1:,} on"
-        raise ItemError("time", f"{found}; expected finite numbers")
+        what = f"the times {shown(list(values[wrong : wrong + 4]))} from number {wrong + 1:,} on"
+        raise ItemError("time", f"{what}; expected finite numbers")
     return times / TIME.divisor(columns.time or "", columns.time_unit)
 
 

@@ -81,8 +81,9 @@ class GelAtRest:
 
     def at(self, number: int) -> UInt8:
         """Return the background of a picture by its number."""
-        levels = [np.interp(number, self._numbers, levels) for levels in self._levels.T]
-        return np.minimum(np.rint(self._base * np.float32(levels)), 255).astype(np.uint8)
+        levels = np.array([np.interp(number, self._numbers, each) for each in self._levels.T], np.float32)
+        found: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
+        return found
 
     def _levels_of(self, pictures: UInt8) -> Float64:
         """Return how bright each channel of n pictures is against the background, (n, 3), smooth in time."""

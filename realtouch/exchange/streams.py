@@ -23,7 +23,7 @@ StreamReport = tuple[str, ...]
 _PER_MS = 1e-3
 _QUATERNION = 4
 _WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, that end in a quaternion
-_NO_CLOCK = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
+_NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
 
 
 def with_streams(
@@ -49,7 +49,7 @@ def with_streams(
     InputError
         Clocks without a common time, rows that are not as many as pictures, or no picture gets a value.
     """
-    reports = []
+    reports: list[StreamReport] = []
     for stream in streams:
         if recording.time_s is None or stream.time_s is None:
             found, facts = _by_row(recording, stream), _NO_CLOCK
