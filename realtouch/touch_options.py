@@ -44,7 +44,7 @@ STREAM_HEADER = (
     "largest gap [s]",
     "columns",
 )
-"""Columns of a table of streams, each a row of :class:`StreamReport`."""
+"""Columns of a table of streams, each a row of ``realtouch.exchange.streams``."""
 
 LEFT_OUT = "left_out"
 """Key of the specification of an import: what recordings have besides what was read."""

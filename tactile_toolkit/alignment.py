@@ -1,21 +1,18 @@
-"""Samples of a stream at other times: the nearest, between two, or on the turn from one to the next.
-
-Only sums, products, quotients and square roots are used, which all processors round alike.
-"""
+"""Samples of a stream at other times: the nearest, between two, or on the turn from one to the next."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
+from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
 
 TIME_TOLERANCE_S = 1e-6
 """Gaps longer than the limit by at most this much are not too long, seconds: rounding of decimal times."""
 
-# After so many halvings an angle is below 1.2e-5 rad, where arc and chord are equal to the last bit.
-_HALVINGS = 17
+_NO_TURN = (0.0, 0.0, 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -28,7 +25,7 @@ class Neighbours:
         Number of the nearest sample, the earlier of two equally near.
     before, after : ndarray of int64, shape (n,)
         The last sample at or before a time and the first at or after it; before the first sample and after
-        the last one, both are that sample.
+        the last one, both are that sample. Of samples of one time, it is the first.
     share : ndarray of float64, shape (n,)
         Where a time lies from ``before`` (0) to ``after`` (1).
     missing : ndarray of bool, shape (n,)
@@ -50,37 +47,20 @@ class Neighbours:
         time_s : ndarray of float64, shape (n,)
             Times, seconds.
         sample_s : ndarray of float64, shape (m,), m >= 1
-            Times of the samples, seconds of the same clock; each is later than the one before.
+            Times of the samples, seconds of the same clock; none is earlier than the one before.
         max_gap_s : float
             A time has no value if its nearest sample is farther away than this, or if it lies between two
             samples that are farther apart, seconds.
         """
-        last = len(sample_s) - 1
-        found = np.searchsorted(sample_s, time_s)
-        after = np.minimum(found, last)
-        before = np.where(sample_s[after] == time_s, after, np.maximum(found - 1, 0))
+        after = np.searchsorted(sample_s, time_s).clip(max=len(sample_s) - 1)
+        last = (np.searchsorted(sample_s, time_s, side="right") - 1).clip(min=0)
+        before = np.searchsorted(sample_s, sample_s[last])
         since, until = np.abs(time_s - sample_s[before]), np.abs(sample_s[after] - time_s)
         gap = sample_s[after] - sample_s[before]
-        share = np.where(gap > 0, since / np.where(gap > 0, gap, 1), 0.0)
+        share = np.divide(since, gap, out=np.zeros(len(gap)), where=gap > 0)
         longest = max_gap_s + TIME_TOLERANCE_S
         missing = (np.minimum(since, until) > longest) | (gap > longest)
         return cls(np.where(since <= until, before, after), before, after, share, missing)
-
-    def samples(self, is_linear: bool = True) -> Int64:
-        """Return the numbers of all samples that are used, rising; only the nearest ones if not linear."""
-        used = [self.nearest, self.before, self.after]
-        return np.unique(np.concatenate(used if is_linear else used[:1]))
-
-    def among(self, samples: Int64) -> Neighbours:
-        """Return the same neighbours, numbered among the samples that are used."""
-        nearest, before, after = (
-            np.searchsorted(samples, each) for each in (self.nearest, self.before, self.after)
-        )
-        return Neighbours(nearest, before, after, self.share, self.missing)
-
-    def picked(self, values: AnyArray) -> AnyArray:
-        """Return the nearest of values, shape (m, ...), for each time, shape (n, ...)."""
-        return values[self.nearest]
 
     def interpolated(self, values: Floating) -> Float64:
         """Return values, shape (m, ...), on a straight line between two samples, shape (n, ...)."""
@@ -95,26 +75,9 @@ class Neighbours:
         The speed of the turn is constant (slerp); the real part may come first or last. Of quaternions of
         another length than one, the length is interpolated, so that a check of lengths still fails.
         """
-        samples = quaternions.astype(np.float64, copy=False)
-        first, second = samples[self.before], samples[self.after]
-        lengths = [np.sqrt(_product(each, each)) for each in (first, second)]
-        with np.errstate(invalid="ignore", divide="ignore"):  # there is no turn from or to zero
-            start, end = (each / length for each, length in zip((first, second), lengths, strict=True))
-        end = np.where(_product(start, end) < 0, -end, end)
-        share = self.share[:, np.newaxis].copy()
-        for _ in range(_HALVINGS):
-            middle = start + end
-            middle /= np.sqrt(_product(middle, middle))
-            is_late = share >= 0.5
-            start, end = np.where(is_late, middle, start), np.where(is_late, end, middle)
-            share = 2 * share - is_late
-        found = start + (end - start) * share
-        length = lengths[0] + (lengths[1] - lengths[0]) * self.share[:, np.newaxis]
-        found *= length / np.sqrt(_product(found, found))
-        return np.where(self.share[:, np.newaxis] == 0, first, found)
-
-
-def _product(first: Float64, second: Float64) -> Float64:
-    """Return the inner product of each of n quaternions, shape (n, 1), added in one order everywhere."""
-    products = first * second
-    return (products[:, 0] + products[:, 1] + products[:, 2] + products[:, 3])[:, np.newaxis]
+        lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
+        lengths[lengths == 0] = np.nan  # which is no turn
+        turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
+        way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
+        found: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
+        return found * self.interpolated(lengths)

@@ -16,7 +16,7 @@ _QUOTED = re.compile(r'"[^"\n]*"')
 _SEPARATORS = (",", ";", "\t")
 # A line before the header, by which spreadsheets state the separator.
 _SEPARATOR_LINE = re.compile(r"sep=([,;\t])\r?\n")
-_UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
+UTF16_MARKS = (b"\xff\xfe", b"\xfe\xff")
 
 
 def table_text(content: bytes, path: str) -> tuple[str, str]:
@@ -25,7 +25,7 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
     The separator is stated by a line ``sep=;`` before the header, or else the most frequent of ``,``, ``;``
     and tab in the header. Raises InputError, which names ``path``, for content that is not text.
     """
-    encoding = "utf-16" if content.startswith(_UTF16_MARKS) else "utf-8-sig"
+    encoding = "utf-16" if content.startswith(UTF16_MARKS) else "utf-8-sig"
     try:
         text = content.decode(encoding)
     except UnicodeDecodeError as error:

@@ -54,7 +54,7 @@ class Aligner:
     ) -> None:
         self.reports: list[StreamReport] = []
         self._how, self._columns = how or Alignment(), columns
-        self._named = [self._open(*source_of(path)) for path in named]
+        self._named = [open_stream(*source_of(path), columns) for path in named]
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
         self._beside = cache(_tables_in)
 
@@ -90,13 +90,10 @@ class Aligner:
         tables = self._beside(recording.home, folder).get(path.stem, ())
         names = (f"{folder}/{name}".lstrip("/") for name in tables)
         return [
-            self._open(home, name, path.stem)
+            open_stream(home, name, self._columns, path.stem)
             for name in names
             if name != recording.path and _address(home.address(name)) not in self._no_streams
         ]
-
-    def _open(self, home: store.DataFolder, name: str, stem: str = "") -> Stream:
-        return open_stream(home, name, self._columns.time, self._columns.time_unit, stem)
 
 
 def _address(path: str) -> str:

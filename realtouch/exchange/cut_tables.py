@@ -2,68 +2,60 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import PurePosixPath
 from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.fields import shown, text_of
+from realtouch.exchange.fields import shown, text_of, times_s
 from realtouch.exchange.found_touches import FoundTouch, path_of, read_table, require_columns, source_of
 from realtouch.exchange.recordings import CUTS, Recording
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.units import PER_SECOND
 from tactile_toolkit.wording import did_you_mean
 
 _RECORDING = ("recording", "file")
-_FRAMES = ("start_frame", "end_frame")
-_UNITS_SHOWN = "start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame"
+_FRAME = "start_frame"
 
 
-@dataclass
 class CutTable:
     """A table of touches: a line for each, which is used once.
 
-    ``start`` and ``end`` name the columns, ``per_second`` is the number of their units in a second, 0 for
-    numbers of pictures.
+    Raises
+    ------
+    InputError
+        There is no table at ``path``, or it does not say when touches start and end.
     """
 
-    place: str
-    lines: Sequence[Mapping[str, Any]] = field(repr=False)
-    start: str
-    end: str
-    per_second: float
-    recording: str | None  # its column
-    _used: dict[int, str] = field(default_factory=dict, repr=False)
-    _first: str | None = None
-    _named: dict[str, list[int]] | None = field(default=None, repr=False)
-
-    @classmethod
-    def read(cls, path: str, time_unit: str | None = None) -> CutTable:
-        """Read a table; InputError if there is none, or if it does not say when touches start and end."""
+    def __init__(self, path: str, time_unit: str | None = None) -> None:
         home, name = source_of(path)
         if not home.exists(name):
             raise InputError(
                 f"no cut {path!r}{did_you_mean(path, CUTS)}; expected {', '.join(CUTS)} or a path of a table"
             )
-        names, lines = read_table(home, name)
-        pairs = {f"start_{unit}": (f"end_{unit}", per_second) for unit, per_second in PER_SECOND.items()}
-        pairs[_FRAMES[0]] = (_FRAMES[1], 0.0)
-        if time_unit is not None:
-            pairs["start"] = ("end", PER_SECOND[time_unit])
-        known = [each for each in pairs if each in names]
-        if len(known) != 1:
-            found = " and ".join(known) or ", ".join(map(str, names)) or "none"
+        self._place = home.address(name)
+        names, self._lines = read_table(home, name)
+        known = [_FRAME, *(f"start_{unit}" for unit in PER_SECOND), *(["start"] if time_unit else [])]
+        starts = [each for each in known if each in names]
+        if len(starts) != 1:
+            found = " and ".join(starts) or ", ".join(map(str, names)) or "none"
             raise InputError(
-                f"{home.address(name)!r} should say once when touches start and end; found columns {found}",
-                next=f"name the columns {_UNITS_SHOWN}",
+                f"{self._place!r} should say once when touches start and end; found columns {found}",
+                next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
-        (end, per_second), (start,) = pairs[known[0]], known
-        recording = next((each for each in _RECORDING if each in names), None)
-        require_columns(names, filter(None, (start, end, recording)), home.address(name))
-        return cls(home.address(name), lines, start, end, per_second, recording)
+        (self._start,) = starts
+        self._end = self._start.replace("start", "end")
+        self._recording = next((each for each in _RECORDING if each in names), None)
+        self._columns = (self._start, self._end, self._recording)
+        require_columns(names, filter(None, self._columns), self._place)
+        self._unit = ImportColumns(time=self._start, time_unit=time_unit if self._start == "start" else None)
+        self._used: dict[int, str] = {}
+        self._named: dict[str, list[int]] = {}
+        for number, line in enumerate(self._lines):
+            self._named.setdefault(path_of(text_of(line, self._recording)), []).append(number)
 
     def touches_of(self, recording: Recording) -> Iterator[FoundTouch]:
         """Yield the touches of a recording in the order of the table.
@@ -71,88 +63,60 @@ class CutTable:
         What cannot be cut is that touch's problem. InputError: the table does not say which of several
         recordings is meant, or means both.
         """
-        if self._first is not None and self.recording is None:
-            raise InputError(
-                f"{self.place!r} does not say which recording is meant; found {self._first!r} and "
-                f"{recording.name!r}",
-                next=f"add a column {_RECORDING[0]!r} with the names of their files",
-            )
-        self._first = recording.name
         numbers = self._lines_of(recording)
         for count, number in enumerate(numbers):
             other = self._used.setdefault(number, recording.name)
             if other != recording.name:
                 raise InputError(
-                    f"{self.place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
-                    next="write whole paths below the source",
+                    f"{self._place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
+                    next=f"write whole paths below the source, in a column {_RECORDING[0]!r}",
                 )
-            yield self._touch(recording, self.lines[number], f"{recording.name}_{count:03d}")
+            name, line = f"{recording.name}_{count:03d}", self._lines[number]
+            try:
+                found = recording.bounded(*self._interval(recording, line), name)
+            except ItemError as error:
+                yield recording.unusable(error, name)
+                continue
+            values = {key: value for key, value in line.items() if key not in self._columns}
+            yield replace(found, values={**found.values, **values})
         if not numbers:
-            yield recording.unusable(ItemError("cut", f"no line of {self.place!r} names it"))
+            yield recording.unusable(ItemError("cut", f"no line of {self._place!r} names it"))
 
     def unused(self) -> Iterator[FoundTouch]:
         """Yield the lines of recordings that were not found, each with this problem."""
-        for number, line in enumerate(self.lines):
+        for number, line in enumerate(self._lines):
             if number not in self._used:
-                meant = shown(text_of(line, self.recording)) or "no recording"
+                meant = shown(text_of(line, self._recording)) or "no recording"
                 problem = ItemError("recording", f"names {meant!r}; expected a recording of the source")
-                yield FoundTouch(f"row {number + 1} of the cuts", self.place, "", 0, 0, dict(line), problem)
+                yield FoundTouch(f"row {number + 1} of the cuts", self._place, "", 0, 0, dict(line), problem)
 
     def _lines_of(self, recording: Recording) -> Sequence[int]:
         """Return the numbers of the lines of a recording; all, if no column names recordings."""
-        if self.recording is None:
-            return range(len(self.lines))
-        if self._named is None:
-            self._named = {}
-            for number, line in enumerate(self.lines):
-                self._named.setdefault(path_of(text_of(line, self.recording)), []).append(number)
+        if self._recording is None:
+            return range(len(self._lines))
         path = PurePosixPath(recording.path)
-        without_ending = recording.path.removesuffix(path.suffix)
-        names = {recording.name, recording.path, path.name, without_ending, path.stem} - {""}
+        whole = recording.path.removesuffix(path.suffix)
+        names = {recording.name, recording.path, path.name, whole, path.stem} - {""}
         return sorted(number for name in names for number in self._named.get(name, ()))
-
-    def _touch(self, recording: Recording, line: Mapping[str, Any], name: str) -> FoundTouch:
-        try:
-            if recording.problem is not None:
-                raise recording.problem
-            if None in line:
-                raise ItemError("columns", "the line has more values than the table has columns")
-            start, stop = self._interval(recording, line)
-        except ItemError as error:
-            return recording.unusable(error, name)
-        used = (self.start, self.end, self.recording)
-        values = {key: value for key, value in line.items() if key not in used}
-        found = recording.bounded(start, stop, name)
-        return replace(found, values={**found.values, **values})
 
     def _interval(self, recording: Recording, line: Mapping[str, Any]) -> tuple[int, int]:
         """Return the first picture of a touch, and the one behind its last; ItemError if there is none."""
-        times, unit = np.arange(recording.frames, dtype=np.float64), "picture "
-        if self.per_second:
-            unit = ""
-            if recording.time_s is None:
-                raise ItemError("times", "the recording has no times", next="state start_frame and end_frame")
-            times = recording.time_s
-        first, last = (self._number(line, name) for name in (self.start, self.end))
+        if recording.problem is not None:
+            raise recording.problem
+        if None in line:
+            raise ItemError("columns", "the line has more values than the table has columns")
+        times = recording.time_s
+        if self._start == _FRAME:
+            times = np.arange(recording.frames, dtype=np.float64)
+        if times is None:
+            raise ItemError("times", "the recording has no times", next="state start_frame and end_frame")
+        first, last = times_s([line.get(self._start), line.get(self._end)], self._unit).tolist()
+        start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
-        if last < first or first < times[0] - tolerance or last > times[-1] + tolerance:
+        if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
             raise ItemError(
                 "interval",
-                f"from {unit}{first:g} to {last:g}; expected a part of the recording, which lasts from "
-                f"{times[0]:g} to {times[-1]:g}",
+                f"{self._start} is {first:g}, {self._end} {last:g}; expected pictures of the recording, "
+                f"which lasts from {times[0]:g} to {times[-1]:g}",
             )
-        start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
-        if start == stop:
-            raise ItemError("interval", f"no picture from {first:g} to {last:g}")
         return start, stop
-
-    def _number(self, line: Mapping[str, Any], name: str) -> float:
-        """Return a time in seconds, or the number of a picture."""
-        found = text_of(line, name)
-        try:
-            number = float(found.replace(",", ".")) / (self.per_second or 1)
-        except ValueError:
-            number = math.nan
-        if not math.isfinite(number):
-            raise ItemError("interval", f"{name} is {shown(found)!r}; expected a number")
-        return number

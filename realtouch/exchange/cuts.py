@@ -48,7 +48,7 @@ class Cutter:
         self._cut, self._contents, self._rule = cut, contents, ContactRule()
         self._table = None
         if cut not in CUTS:
-            self._table = CutTable.read(cut, time_unit)
+            self._table = CutTable(cut, time_unit)
 
     def touches(self, found: Iterable[FoundTouch | Recording]) -> Iterator[FoundTouch]:
         """Yield the touches of a source in order; those that are no part of a recording as they are.

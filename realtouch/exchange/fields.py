@@ -170,7 +170,9 @@ def times_s(values: Sequence[object] | AnyArray, columns: ImportColumns) -> Floa
     if times.ndim == 2 and times.shape[1] == 1:
         times = times[:, 0]
     if times.shape != (len(values),) or not np.isfinite(times).all():
-        raise ItemError("time", f"the times {shown(list(values[:4]))}; expected finite numbers")
+        wrong = int(np.isfinite(times).argmin()) if times.shape == (len(values),) else 0
+        what = f"the times {shown(list(values[wrong : wrong + 4]))} from number {wrong + 1:,} on"
+        raise ItemError("time", f"{what}; expected finite numbers")
     return times / TIME.divisor(columns.time or "", columns.time_unit)
 
 

@@ -11,7 +11,6 @@ from scipy.ndimage import median_filter
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
 from realtouch.exchange.found_touches import ReadContents
 from realtouch.exchange.recordings import Recording
-from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image
@@ -22,7 +21,6 @@ _LEAST_SPREAD = 5
 _LEAST_AT_REST = 3
 _LEVELS_TOGETHER = 9  # of neighbours in time, whose median is the level of the light
 _DARK = 16  # levels of pixels whose ratio is mostly noise
-_STEPS = 512  # of a ratio of levels: half a level of 255
 _PIXEL_STEP = 2
 
 
@@ -50,33 +48,30 @@ class GelAtRest:
     """
 
     def __init__(self, recording: Recording, contents: ReadContents, rule: ContactRule) -> None:
-        numbers = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64))
+        spread = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64)).tolist()
         self.shape: tuple[int, ...] = ()
         found: dict[int, UInt8] = {}
         step = 1
-        spread = pictures_of(recording, (range(number, number + 1) for number in numbers.tolist()), contents)
-        for index, (number, picture) in enumerate(zip(numbers.tolist(), spread, strict=False)):
+        seen = pictures_of(recording, (range(number, number + 1) for number in spread), contents)
+        for index, (number, picture) in enumerate(zip(spread, seen, strict=False)):
             if picture is not None and not self.shape:
                 self.shape, self.window = picture.shape, rule.window(*picture.shape[:2])
                 step = -(-_SPREAD // max(_LEAST_SPREAD, _SPREAD_BYTES // picture[self.window].nbytes))
-            seen = self.seen_of(picture)
-            if seen is not None and (index % step == 0 or not found):
-                found[number] = seen.copy()
+            cropped = self.seen_of(picture)
+            if cropped is not None and (index % step == 0 or not found):
+                found[number] = cropped.copy()
         if not found:
-            raise ItemError("image", f"none of {len(numbers):,} pictures of the recording can be read")
-        pictures, self._last = np.stack(list(found.values())), (np.zeros(0), np.zeros(0, np.uint8))
-        self.base = median_in_memory(pictures)
-        levels = self._levels(pictures)
+            raise ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
+        self._numbers, pictures = list(found), np.stack(list(found.values()))
+        self._base = median_in_memory(pictures)
+        self._levels = self._levels_of(pictures)
         whole = replace(rule, crop=1.0)
-        pairs = zip(pictures, map(self._scaled, levels), strict=True)
-        at_rest = np.array([not rule.holds(contact_score(*pair, whole)) for pair in pairs])
+        scores = (contact_score(*each, whole) for each in zip(pictures, map(self.at, found), strict=True))
+        at_rest = ~np.array(list(map(rule.holds, scores)))
         if at_rest.sum() >= _LEAST_AT_REST:
-            alike = np.rint(pictures[at_rest] / levels[at_rest, np.newaxis, np.newaxis])
-            self.base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
-            levels = self._levels(pictures)
-        times = np.arange(recording.frames, dtype=np.float64)
-        around = Neighbours.of(times, np.array(list(found), np.float64), np.inf)
-        self._level_at = np.rint(around.interpolated(levels) * _STEPS) / _STEPS
+            alike = np.rint(pictures[at_rest] / np.float32(self._levels[at_rest, np.newaxis, np.newaxis]))
+            self._base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
+            self._levels = self._levels_of(pictures)
 
     def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
         """Return the window of a picture; None for one that cannot be read or is of another size."""
@@ -86,22 +81,18 @@ class GelAtRest:
 
     def at(self, number: int) -> UInt8:
         """Return the background of a picture by its number."""
-        levels = self._level_at[number]
-        if not np.array_equal(levels, self._last[0]):
-            self._last = levels, self._scaled(levels)
-        return self._last[1]
+        levels = np.array([np.interp(number, self._numbers, each) for each in self._levels.T], np.float32)
+        found: UInt8 = np.minimum(np.rint(self._base * levels), 255).astype(np.uint8)
+        return found
 
-    def _scaled(self, levels: Float64) -> UInt8:
-        return np.minimum(np.rint(self.base * levels), 255).astype(np.uint8)
-
-    def _levels(self, pictures: UInt8) -> Float64:
+    def _levels_of(self, pictures: UInt8) -> Float64:
         """Return how bright each channel of n pictures is against the background, (n, 3), smooth in time."""
         levels = np.ones((len(pictures), 3))
+        parts, base = (each[..., ::_PIXEL_STEP, ::_PIXEL_STEP, :] for each in (pictures, self._base))
         for channel in range(3):
-            parts = pictures[:, ::_PIXEL_STEP, ::_PIXEL_STEP, channel]
-            base = self.base[::_PIXEL_STEP, ::_PIXEL_STEP, channel]
-            bright = base >= _DARK
+            bright = base[..., channel] >= _DARK
             if bright.any():
-                levels[:, channel] = np.median(parts[:, bright] / base[bright], axis=1)
+                ratios = parts[:, bright, channel] / base[bright, channel].astype(np.float32)
+                levels[:, channel] = np.median(ratios, axis=1)
         smooth: Float64 = median_filter(levels, (_LEVELS_TOGETHER, 1), mode="nearest")
         return smooth

@@ -116,7 +116,7 @@ def preview_import(
         _pictures_in_words(found, touches),
         _uses(found, extras_in(touches.work.schema)),
         first,
-        [report.row() for report in found.streams],
+        list(found.streams),
         [(reason, len(each), each[0]) for reason, each in messages.items()],
     )
 

@@ -163,7 +163,7 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
     if found.cut:
         spec["options"]["cut"] = found.cut
     if found.streams:
-        spec[STREAMS] = [report.row() for report in found.streams[:_MOST_STREAMS]]
+        spec[STREAMS] = list(found.streams[:_MOST_STREAMS])
     if found.left_out:
         spec[LEFT_OUT] = list(map(printable, found.left_out[:_MOST_LEFT_OUT]))
     conversion = IMPORTS[found.layout].describe(items)

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch.exchange.fields import times_s
 from realtouch.exchange.found_touches import column_table
-from realtouch.exchange.stream_times import seconds, time_column
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
-from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS, ColumnTable
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.units import PER_SECOND, stated_unit
+
+TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
+"""Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
 
 _JOINTS = "._"  # between the name of a recording and that of a stream
+_INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"), pa.float64())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,10 +42,9 @@ class Stream:
         Number of rows.
     time_column : str
         Column of times; empty if a row is a picture.
-    time_s : ndarray of float64, shape (m,), or None
-        Times of samples, seconds; each is later than the one before.
-    duplicates : int
-        Rows with the time of the row before, which is kept.
+    time_s : ndarray of float64, shape (rows,), or None
+        Times of samples, seconds; none is earlier than the one before. Of samples of one time, the first
+        counts.
     """
 
     name: str
@@ -47,45 +53,19 @@ class Stream:
     rows: int
     time_column: str = ""
     time_s: Float64 | None = field(default=None, repr=False)
-    duplicates: int = 0
-    _kept: Int64 | None = field(default=None, repr=False)
-
-    def read(self, samples: Int64) -> pa.Table:
-        """Return the rows of some samples, by rising numbers, without their times."""
-        rows = samples if self._kept is None else self._kept[samples]
-        table = self.table.rows(rows)
-        return table.drop_columns([self.time_column]) if self.time_column else table
-
-    def times_of_rows(self) -> Float64:
-        """Return the times of all rows, which of duplicates are equal; there must be times."""
-        assert self.time_s is not None
-        if self._kept is None:
-            return self.time_s
-        return self.time_s[np.searchsorted(self._kept, np.arange(self.rows), side="right") - 1]
-
-    def where(self, column: str) -> str:
-        """Return how a message about a column begins."""
-        return f"{self.place!r}: the column {column!r}"
 
 
-def open_stream(
-    folder: store.DataFolder,
-    name: str,
-    time: str | None = None,
-    time_unit: str | None = None,
-    stem: str = "",
-) -> Stream:
+def open_stream(folder: store.DataFolder, name: str, columns: ImportColumns, stem: str = "") -> Stream:
     """Read the times of a table.
 
     Parameters
     ----------
     folder, name
         Where it is; its format follows from its ending.
-    time : str, optional
-        Column of times; empty if a row is a picture. By default the only column that is called as in
-        :data:`realtouch.exchange.stream_times.TIME_NAMES`.
-    time_unit : "s", "ms", "us" or "ns", optional
-        Unit of a column whose name does not end in one; seconds by default, which integers must state.
+    columns : ImportColumns
+        ``time`` is the column of times, if the table has it; if empty, a row is a picture. Else it is the
+        only column that is called as in :data:`TIME_NAMES`. ``time_unit`` is the unit of one whose name does
+        not end in one; seconds by default, which integers must state.
     stem : str, optional
         Beginning of the file name that is not part of the name of the stream.
 
@@ -97,28 +77,55 @@ def open_stream(
     """
     place = folder.address(name)
     table = column_table(folder, name)
-    column = time_column(table.names, time, place)
-    rows, found = table.scan(column)
+    column = _time_column(table.names, columns.time, place)
+    rows, values = table.scan(column)
     if not rows:
         raise InputError(f"{place!r} has no rows; expected a row for each sample")
-    shown = PurePosixPath(name).stem
-    shown = shown.removeprefix(stem).lstrip(_JOINTS) or shown
+    whole = PurePosixPath(name).stem
+    shown = whole.removeprefix(stem).lstrip(_JOINTS) or whole
     if not column:
         return Stream(shown, place, table, rows)
-    time_s = seconds(found, column, time_unit, place)
-    steps = np.diff(time_s)
-    back = np.flatnonzero(~(steps >= 0))
+    return Stream(shown, place, table, rows, column, _seconds(values, column, columns.time_unit, place))
+
+
+def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
+    if time is not None and (not time or time in names):
+        return time
+    # Only a unit of time is taken off: a column `t_mm` is no time.
+    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in PER_SECOND))}
+    found = [name for name in names if name.lower() in known]
+    if len(found) > 1:
+        words = f"{place!r} has several columns of times: {', '.join(found)}"
+        raise InputError(words, next="name one: `--map time=COLUMN`")
+    return found[0] if found else ""
+
+
+def _seconds(values: pa.ChunkedArray, column: str, given: str | None, place: str) -> Float64:
+    """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
+    what, stated = f"{place!r}: the times {column!r}", stated_unit(column)
+    if pa.types.is_string(values.type):
+        for kind in _INSTANTS:
+            with suppress(pa.ArrowException):
+                values = values.cast(kind)
+                break
+    if pa.types.is_integer(values.type) and not (stated or given):
+        raise InputError(
+            f"{what} are integers, whose unit is not known",
+            next=f"add --time-unit {', '.join(PER_SECOND)}, or end the name of the column in the unit",
+        )
+    try:
+        found = times_s(values.to_numpy(), ImportColumns(time=column, time_unit=None if stated else given))
+    except ItemError as error:
+        raise InputError(f"{what}: {error.what}") from error
+    back = np.flatnonzero(np.diff(found) < 0)
     if len(back):
         row = int(back[0])
         raise InputError(
-            f"{place!r}: the time runs back, from {time_s[row]:.6f} s in row {row + 1:,} to "
-            f"{time_s[row + 1]:.6f} s in row {row + 2:,}; expected times that rise",
+            f"{place!r}: the time runs back, from {found[row]:.6f} s in row {row + 1:,} to "
+            f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that rise",
             next="sort the rows, or divide the table where the clock was set",
         )
-    kept = np.flatnonzero(np.append(True, steps > 0))
-    if len(kept) == rows:
-        return Stream(shown, place, table, rows, column, time_s)
-    return Stream(shown, place, table, rows, column, time_s[kept], rows - len(kept), kept)
+    return found
 
 
 def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
@@ -133,9 +140,8 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for name in sorted(tables):
         whole = PurePosixPath(name).stem
-        ends = [at for at, letter in enumerate(whole) if letter in _JOINTS]
-        fitting = (whole[:end] for end in (len(whole), *reversed(ends)))
-        owner = next((stem for stem in fitting if stem in stems), None)
+        fitting = [end for end in range(len(whole), 0, -1) if whole[end:][:1] in _JOINTS]
+        owner = next((whole[:end] for end in fitting if whole[:end] in stems), None)
         if owner is not None:
             found.setdefault(owner, []).append(name)
     return found

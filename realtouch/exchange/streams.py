@@ -2,65 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
 from realtouch.exchange.recordings import Recording
-from realtouch.exchange.stream_columns import aligned_values, values_of
 from realtouch.exchange.stream_tables import Stream
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError
 
+StreamReport = tuple[str, ...]
+"""How a stream fits to a recording, a row below :data:`STREAM_HEADER`."""
+
 _PER_MS = 1e-3
-
-
-@dataclass(frozen=True, slots=True)
-class StreamReport:
-    """How a stream fits to a recording, as a row of a table; None where a row of the stream is a picture.
-
-    Attributes
-    ----------
-    recording, stream : str
-        Their names.
-    time_column : str
-        Column of the times of the stream; empty if a row is a picture.
-    columns : tuple of str
-        Names that the columns have in the recording.
-    samples, duplicates : int
-        Number of rows, and of those with the time of the row before, which were left out.
-    missing : int
-        Number of pictures without a value.
-    rate_hz : float or None
-        Median rate of the samples.
-    first_offset_s, last_offset_s : float or None
-        How much later the first sample is than the first picture, and the last than the last, seconds.
-    largest_gap_s : float or None
-        Longest time between two samples, seconds.
-    """
-
-    recording: str
-    stream: str
-    time_column: str
-    columns: tuple[str, ...]
-    samples: int
-    duplicates: int
-    missing: int = 0
-    rate_hz: float | None = None
-    first_offset_s: float | None = None
-    last_offset_s: float | None = None
-    largest_gap_s: float | None = None
-
-    def row(self) -> tuple[str, ...]:
-        """Return the texts of a row below :data:`STREAM_HEADER`."""
-        numbers = (self.rate_hz, self.first_offset_s, self.last_offset_s, self.largest_gap_s)
-        texts = ("" if number is None else f"{number:.4g}" for number in numbers)
-        counts = (f"{count:,}" for count in (self.samples, self.duplicates, self.missing))
-        return (self.recording, self.stream, *counts, *texts, ", ".join(self.columns))
+_QUATERNION = 4
+_WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, that end in a quaternion
+_NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
 
 
 def with_streams(
@@ -86,32 +49,28 @@ def with_streams(
     InputError
         Clocks without a common time, rows that are not as many as pictures, or no picture gets a value.
     """
-    reports = []
+    reports: list[StreamReport] = []
     for stream in streams:
         if recording.time_s is None or stream.time_s is None:
-            recording, found, report = _by_row(recording, stream, how)
+            found, facts = _by_row(recording, stream), _NO_CLOCK
+            if stream.time_s is not None:
+                recording = replace(recording, time_s=stream.time_s + how.time_offset_s)
         else:
-            found, report = _by_time(recording, stream, recording.time_s, stream.time_s, how, columns)
+            sample_s = stream.time_s + how.time_offset_s
+            found, facts = _by_time(recording, stream, recording.time_s, sample_s, how, columns)
         added = dict(recording.per_frame)
         for name, values in found.items():
             while name in added or name in recording.values:
                 name = f"{stream.name}.{name}"
             added[name] = values
-        columns_added = tuple(name for name in added if name not in recording.per_frame)
+        names = ", ".join(name for name in added if name not in recording.per_frame)
         recording = replace(recording, per_frame=added)
-        reports.append(replace(report, columns=columns_added))
+        reports.append((recording.name, stream.name, f"{stream.rows:,}", *facts, names))
     return recording, reports
 
 
-def _report(recording: Recording, stream: Stream) -> StreamReport:
-    samples = stream.rows - stream.duplicates
-    return StreamReport(recording.name, stream.name, stream.time_column, (), samples, stream.duplicates)
-
-
-def _by_row(
-    recording: Recording, stream: Stream, how: Alignment
-) -> tuple[Recording, dict[str, AnyArray], StreamReport]:
-    """Take a row for each picture; the recording has the times of the stream, if it had none."""
+def _by_row(recording: Recording, stream: Stream) -> dict[str, AnyArray]:
+    """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
         raise InputError(
@@ -119,48 +78,105 @@ def _by_row(
             f"{recording.frames:,} pictures; expected as many, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
-    table = stream.table.rows(np.arange(stream.rows))
-    if stream.time_s is not None:
-        table = table.drop_columns([stream.time_column])
-        recording = replace(recording, time_s=stream.times_of_rows() + how.time_offset_s)
-    found = {name: values_of(table.column(name), stream.where(name)).plain() for name in table.schema.names}
-    return recording, found, _report(recording, stream)
+    return _arrays(stream.table.rows(np.arange(stream.rows)), stream)
 
 
 def _by_time(
     recording: Recording,
     stream: Stream,
     time_s: Float64,
-    stream_s: Float64,
+    sample_s: Float64,
     how: Alignment,
     columns: ImportColumns,
 ) -> tuple[dict[str, AnyArray], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
-    sample_s, is_linear = stream_s + how.time_offset_s, how.method == "linear"
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
         raise InputError(
             f"{stream.place!r} lasts from {sample_s[0]:.3f} to {sample_s[-1]:.3f} s, the recording "
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
-    steps = np.diff(sample_s) if len(sample_s) > 1 else np.zeros(1)
-    around = Neighbours.of(time_s, sample_s, how.max_gap_ms * _PER_MS)
+    steps, max_gap_s = np.diff(sample_s, prepend=sample_s[0])[1:], how.max_gap_ms * _PER_MS
+    duplicates, steps = int(np.sum(steps == 0)), steps[steps > 0]
+    around = Neighbours.of(time_s, sample_s, max_gap_s)
+    step_s = float(np.median(steps)) if len(steps) else np.inf
     if around.missing.all():
         raise InputError(
-            f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {len(sample_s):,} "
-            f"samples, about {np.median(steps):g} s apart, and the longest gap is {how.max_gap_ms:g} ms",
+            f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
+            f"samples, about {step_s:g} s apart, and the longest gap is {how.max_gap_ms:g} ms",
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
-    samples = around.samples(is_linear)
-    around, table = around.among(samples), stream.read(samples)
-    values = {name: values_of(table.column(name), stream.where(name)) for name in table.schema.names}
-    pose = columns.found_in({*values, *recording.per_frame, *recording.values}).pose or ()
-    report = replace(
-        _report(recording, stream),
-        missing=int(around.missing.sum()),
-        rate_hz=float(1 / np.median(steps)) if steps.any() else None,
-        first_offset_s=float(sample_s[0] - time_s[0]),
-        last_offset_s=float(sample_s[-1] - time_s[-1]),
-        largest_gap_s=float(steps.max()),
+    used = np.unique([around.before, around.after])
+    around, samples = Neighbours.of(time_s, sample_s[used], max_gap_s), stream.table.rows(used)
+    found = _arrays(samples.take(pa.array(around.nearest, mask=around.missing)), stream)
+    if how.method == "linear":
+        pose = columns.found_in({*found, *recording.per_frame, *recording.values}).pose or ()
+        found |= _between(_arrays(samples, stream), around, pose)
+    clocks = (1 / step_s, sample_s[0] - time_s[0], sample_s[-1] - time_s[-1], max(steps, default=0.0))
+    counts = (f"{duplicates:,}", f"{around.missing.sum():,}")
+    return found, (*counts, *(f"{number:.4g}" for number in clocks))
+
+
+def _between(samples: Mapping[str, AnyArray], around: Neighbours, pose: Sequence[str]) -> dict[str, AnyArray]:
+    """Return columns of floats on a line between samples, and a pose with its quaternion on the turn."""
+    found = {
+        name: around.interpolated(values)
+        for name, values in samples.items()
+        if values.dtype.kind == "f" and name not in pose
+    }
+    if pose and samples.keys() >= {*pose}:
+        whole = np.column_stack([samples[name] for name in pose])
+        if whole.shape[1] in _WITH_QUATERNION and whole.dtype.kind in "fiu":
+            numbers = around.interpolated(whole)
+            numbers[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:].astype(np.float64))
+            found |= zip(pose, [numbers] if len(pose) == 1 else numbers.T, strict=True)
+    for values in found.values():
+        values[around.missing] = np.nan
+    return found
+
+
+def _arrays(table: pa.Table, stream: Stream) -> dict[str, AnyArray]:
+    """Return the columns of a stream as numpy has them, without its times; see :func:`_array`."""
+    names = [name for name in table.column_names if name != stream.time_column]
+    return {name: _array(table.column(name), f"{stream.place!r}: the column {name!r}") for name in names}
+
+
+def _array(column: pa.ChunkedArray, what: str) -> AnyArray:
+    """Return a column as an array; InputError, which begins with ``what``, for bytes and objects.
+
+    Numbers and switches keep their type; times and days become text; lists of one length become vectors. A
+    missing value is NaN, or None if it is not a float.
+    """
+    kind = column.type
+    if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind):
+        return _vectors(column, what)
+    if pa.types.is_nested(kind) or pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
+        raise InputError(
+            f"{what} holds values of the type {kind}; expected numbers, text or lists of numbers"
+        )
+    if pa.types.is_decimal(kind) or pa.types.is_null(kind):
+        column = column.cast(pa.float64())
+    elif pa.types.is_temporal(kind):
+        column = column.cast(pa.string())
+    if column.null_count and not pa.types.is_floating(column.type):
+        return np.array(column.to_pylist(), object)
+    found: AnyArray = column.to_numpy()
+    return found
+
+
+def _vectors(column: pa.ChunkedArray, what: str) -> AnyArray:
+    """Return lists of numbers as an array, (m, k)."""
+    present = column.drop_null()
+    lengths = pc.list_value_length(present).unique().sort().to_pylist()
+    inside: AnyArray = pc.list_flatten(present).to_numpy()
+    if len(lengths) != 1 or inside.dtype.kind not in "iufb":
+        found = f"lists of {', '.join(map(str, lengths[:8]))} values of the type {column.type.value_type}"
+        raise InputError(f"{what} holds {found}; expected lists of one number of numbers")
+    rows = inside.reshape(-1, *lengths)
+    if not column.null_count:
+        return rows
+    vectors: AnyArray = np.full(
+        (len(column), *lengths), None, rows.dtype if rows.dtype.kind == "f" else object
     )
-    return aligned_values(values, around, is_linear, pose), report
+    vectors[column.is_valid().to_numpy()] = rows
+    return vectors
