@@ -28,7 +28,13 @@ _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 22  # a line that is longer is an error of Arrow
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
-_TEXT_TYPES = (pa.int64(), pa.float64(), pa.bool_(), pa.string())
+# Types that text may have, given that of earlier rows; else it stays text.
+_TEXT_TYPES: dict[pa.DataType, tuple[pa.DataType, ...]] = {
+    pa.null(): (pa.int64(), pa.float64(), pa.bool_()),
+    pa.int64(): (pa.int64(), pa.float64()),
+    pa.float64(): (pa.float64(),),
+    pa.bool_(): (pa.bool_(),),
+}
 _UNKNOWN = pa.array(["", "NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
 _CODE = r"^[+-]?0([0-9]+$|[xX])"  # 007 is a name, which a number would not give back
 _SWITCHED = pa.array(["0", "1"])
@@ -125,23 +131,29 @@ class ColumnTable:
 
         With ``is_exact``, text that a number would not give back stays text.
         """
-        known = self._types.get(name)
+        known = self._types.get(name, pa.null())
         if self._is_text:
             words = _without_words(values)
-            for kind in _TEXT_TYPES[_TEXT_TYPES.index(known or _TEXT_TYPES[0]) :]:
+            if words.null_count == len(words):
+                return known
+            for kind in _TEXT_TYPES.get(known, ()):
                 with suppress(pa.ArrowException):
                     words.cast(kind)
                     return pa.string() if is_exact and _is_changed(words, kind) else kind
+            return pa.string()
         found = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
-        both = [pa.schema([(name, each)]) for each in (known or pa.null(), found)]
+        both = [pa.schema([(name, each)]) for each in (known, found)]
         return pa.unify_schemas(both, promote_options="permissive").field(0).type
 
     def _typed(self, table: pa.Table) -> pa.Table:
         """Return some rows with the types that columns have in all of them."""
         columns = {}
         for name, values in zip(table.column_names, table.columns, strict=True):
-            is_word = pa.types.is_string(values.type) and not pa.types.is_string(self._types[name])
-            columns[name] = (_without_words(values) if is_word else values).cast(self._types[name])
+            kind = self._types[name]
+            if pa.types.is_null(kind):  # to which text has no cast
+                kind = pa.float64()
+            is_word = pa.types.is_string(values.type) and not pa.types.is_string(kind)
+            columns[name] = (_without_words(values) if is_word else values).cast(kind)
         return pa.table(columns)
 
 
@@ -162,7 +174,7 @@ def _is_changed(words: pa.ChunkedArray, data_type: pa.DataType) -> bool:
         return True
     if pa.types.is_boolean(data_type):
         return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
-    if not pa.types.is_floating(data_type):
+    if pa.types.is_integer(data_type):
         return False
     long = words.filter(pc.match_substring_regex(words, _LONG_INTEGER)).to_pylist()
     large = words.filter(pc.match_substring_regex(words, _EXPONENT)).cast(pa.float64())

@@ -226,9 +226,8 @@ def test_a_recording_without_labels_is_a_set(home: Path, tmp_path: Path) -> None
     flat = realtouch.export(tmp_path / "out", tmp_path / "flat", "flat")
     assert pq.read_table(tmp_path / "flat" / "data")["label_name"].null_count == 4
     assert flat.skipped_reasons() == {}
-    realtouch.export(tmp_path / "out", tmp_path / "anytouch", "anytouch")
-    lines = (tmp_path / "anytouch" / "anytouch" / "train_bg.txt").read_text().splitlines()
-    assert [line.split(",")[1] for line in lines] == ["0"] * 4  # one class, as -1 leaves images out there
+    with pytest.raises(InputError, match="touches without a class"):
+        realtouch.export(tmp_path / "out", tmp_path / "anytouch", "anytouch")
 
 
 @pytest.mark.parametrize("options", [(), ("--map=label=",)])

@@ -140,3 +140,12 @@ def test_types_that_differ_between_blocks_of_json(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
     with pytest.raises(InputError, match="Field a has incompatible types: int64 vs string"):
         table('{"a": 1}\n{"a": "b"}\n', ".jsonl").scan()
+
+
+def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block alone would be of switches, and all rows would be cast to them: blocks end after the numbers."""
+    monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
+    values = ["1"] * 7 + ["true"] * 8
+    assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
+    empty = ["NA"] * 8 + ["true"] * 8
+    assert read(table("\n".join(["a", *empty]) + "\n")) == {"a": [None] * 8 + [True] * 8}
