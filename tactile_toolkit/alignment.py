@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
 
@@ -75,6 +74,8 @@ class Neighbours:
         The speed of the turn is constant (slerp); the real part may come first or last. Of quaternions of
         another length than one, the length is interpolated, so that a check of lengths still fails.
         """
+        from scipy.spatial.transform import Rotation  # takes time and memory, and few need it
+
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         lengths[lengths == 0] = np.nan  # which is no turn
         turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))

@@ -25,7 +25,7 @@ MOST_ROWS = 1 << 25
 
 _MOST_COLUMNS = 1000
 _HEADER_BYTES = 1 << 16
-_BLOCK_BYTES = 1 << 22  # a line that is longer is an error of Arrow
+_BLOCK_BYTES = 1 << 20  # a line that is longer is an error of Arrow
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
 # Types that text may have, given that of earlier rows; else it stays text.
@@ -185,8 +185,10 @@ def _without_words(values: pa.ChunkedArray) -> pa.ChunkedArray:
     """Return texts with null for what stands for no value, and with points for decimal commas."""
     words = pc.utf8_trim_whitespace(values)
     words = pc.if_else(pc.is_in(words, _UNKNOWN), pa.scalar(None, pa.string()), words)
-    is_comma = pc.match_substring_regex(words, _DECIMAL_COMMA)
-    return pc.if_else(is_comma, pc.replace_substring(words, ",", "."), words)
+    if pc.any(pc.match_substring(words, ",")).as_py():
+        is_comma = pc.match_substring_regex(words, _DECIMAL_COMMA)
+        words = pc.if_else(is_comma, pc.replace_substring(words, ",", "."), words)
+    return words
 
 
 def _text_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:

@@ -96,10 +96,9 @@ def _by_time(
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
-    steps, max_gap_s = np.diff(sample_s, prepend=sample_s[0])[1:], how.max_gap_ms * _PER_MS
-    duplicates, steps = int(np.sum(steps == 0)), steps[steps > 0]
+    steps, max_gap_s = np.diff(sample_s), how.max_gap_ms * _PER_MS
     around = Neighbours.of(time_s, sample_s, max_gap_s)
-    step_s = float(np.median(steps)) if len(steps) else np.inf
+    step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
         raise InputError(
             f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
@@ -112,8 +111,8 @@ def _by_time(
     if how.method == "linear":
         pose = columns.found_in({*found, *recording.per_frame, *recording.values}).pose or ()
         found |= _between(_arrays(samples, stream), around, pose)
-    clocks = (1 / step_s, sample_s[0] - time_s[0], sample_s[-1] - time_s[-1], max(steps, default=0.0))
-    counts = (f"{duplicates:,}", f"{around.missing.sum():,}")
+    clocks = (1 / step_s, sample_s[0] - time_s[0], sample_s[-1] - time_s[-1], steps.max(initial=0.0))
+    counts = (f"{np.sum(steps == 0):,}", f"{around.missing.sum():,}")
     return found, (*counts, *(f"{number:.4g}" for number in clocks))
 
 

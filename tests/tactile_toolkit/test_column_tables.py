@@ -143,7 +143,7 @@ def test_types_that_differ_between_blocks_of_json(monkeypatch: pytest.MonkeyPatc
 
 
 def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A block alone would be of switches, and all rows would be cast to them: blocks end after the numbers."""
+    """A block ends between both; each alone would be of a type."""
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 8)
     values = ["1"] * 7 + ["true"] * 8
     assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
