@@ -10,7 +10,7 @@ import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES, write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory, median_of
-from realtouch.exchange.fields import Fields, each_of, poses, positions, times_s
+from realtouch.exchange.fields import NUMBERED, Fields, each_of, poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.stored_images import as_jpeg
 from realtouch.touch_options import ImportColumns
@@ -48,6 +48,27 @@ def too_long(item: FoundTouch) -> ItemError | None:
         f"a clip of {item.frames:,} pictures; the limit is {MAX_CLIP_FRAMES:,} (--cut makes shorter ones)"
     )
     return ItemError("clip", problem)
+
+
+def said_of_whole(item: FoundTouch, columns: ImportColumns) -> FoundTouch:
+    """Return a clip whose label, round, object and split, where each picture has them, are those of the clip.
+
+    It has a problem if they differ between its pictures.
+    """
+    names = {columns.label, columns.round, columns.object_id, columns.split, NUMBERED}
+    of_pictures = [name for name in names if name in item.per_frame and name not in item.values]
+    if not of_pictures:
+        return item
+    values, problem = dict(item.values), item.problem
+    for name in sorted(map(str, of_pictures)):
+        several = item.per_frame[name].tolist()
+        values[name] = several[0] if several else None
+        if any(value != several[0] for value in several) and name != NUMBERED:
+            found = f"{name!r} differs between the pictures of the clip"
+            problem = problem or ItemError(
+                "frames", f"{found}; expected one value (--cut frames has one each)"
+            )
+    return replace(item, values=values, problem=problem)
 
 
 def clip_of(

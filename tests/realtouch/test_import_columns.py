@@ -442,3 +442,34 @@ def test_clips_of_other_pictures_are_jpegs(recordings: Any) -> None:
     (only,), manifest = recordings([recording("a", 2)], {"a": png})
     assert [int(clip.mean().round()) for clip in only.sensor_video[0].frames()] == [10, 90]
     assert manifest.statistics()["train"]["clips"]["pictures encoded as JPEG"] == 1
+
+
+@pytest.mark.parametrize("labels", [["cat"] * 4, ["cat", "cat", "dog", "cat"]])
+def test_a_label_of_each_picture_is_that_of_the_clip(labels: list[str], recordings: Any) -> None:
+    said = {"per_frame": {"class": np.array(labels), "object": np.full(4, 7)}}
+    pictures = {"a": frames_of(4, range(0)), "b": frames_of(4, range(0))}
+    columns = realtouch.ImportColumns(label="class", object_id="object")
+    found = [recording("a", 4, **said), recording("b", 4, values={"class": "cat", "object": 7})]
+    rounds, manifest = recordings(found, pictures, columns)
+    assert (rounds[-1].label, rounds[-1].object_id) == (0, 7)
+    is_one = len(set(labels)) == 1
+    assert len(rounds) == 1 + is_one
+    assert manifest.skipped_reasons() == ({} if is_one else {"frames": 1})
+
+
+def test_a_column_that_no_recording_has_is_refused(recordings: Any) -> None:
+    found = [recording("a", 4, values={"class": "cat"})]
+    for columns in (
+        realtouch.ImportColumns(label="clas"),
+        realtouch.ImportColumns(extra=(("force", "clas"),)),
+    ):
+        with pytest.raises(InputError, match="no column 'clas'; did you mean 'class'"):
+            recordings(found, {"a": frames_of(4, range(0))}, columns)
+
+
+def test_a_format_may_state_rotation_vectors() -> None:
+    columns = realtouch.ImportColumns(pose=("wrist",)).found_in(["wrist"], rotvec=True)
+    assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
+    stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
+    assert (stated.euler, stated.rotvec) == ("xyz", False)
+    assert found_touches.IMPORTS["oxt"].rotvec
