@@ -17,7 +17,7 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.exchange import found_touches
+from realtouch.exchange import found_touches, imported_clips
 from realtouch.exchange.extra_columns import value_type
 from realtouch.exchange.fields import poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch, ImportFormat
@@ -473,3 +473,17 @@ def test_a_format_may_state_rotation_vectors() -> None:
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
     assert found_touches.IMPORTS["oxt"].rotvec
+
+
+@pytest.mark.parametrize("at_once", [None, 1, 4])
+def test_contact_of_a_long_clip_is_found_a_few_pictures_at_a_time(
+    at_once: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if at_once is not None:
+        monkeypatch.setattr(imported_clips, "_BATCH_BYTES", at_once * 12 * 16 * 3)
+    pictures = frames_of(30, range(11, 15))
+    assert imported_clips.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
+    (first, last), is_found = imported_clips.contact_by_pictures(frames_of(30, range(0)), (24, 32))
+    assert (first, last, is_found) == (0, 0, False)
+    with pytest.raises(ItemError, match="cannot be decoded"):
+        imported_clips.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
