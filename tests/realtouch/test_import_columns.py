@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 import realtouch
 from realtouch.exchange import found_touches, imported_clips
-from realtouch.exchange.extra_columns import value_type
+from realtouch.exchange.extra_columns import extra_arrays, extra_types, value_type
 from realtouch.exchange.fields import poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch, ImportFormat
 from realtouch.exchange.recordings import Recording
@@ -487,3 +487,45 @@ def test_contact_of_a_long_clip_is_found_a_few_pictures_at_a_time(
     assert (first, last, is_found) == (0, 0, False)
     with pytest.raises(ItemError, match="cannot be decoded"):
         imported_clips.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
+
+
+_VALUES: tuple[Any, ...] = (
+    st.booleans(),
+    st.integers(-(1 << 63), (1 << 63) - 1),
+    st.floats(allow_nan=False),
+    st.text("ab1,é ", min_size=1).filter(str.strip).map(lambda text: f"t{text}"),
+)
+
+
+@given(st.data())
+@settings(max_examples=80, deadline=None)
+def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
+    """Of touches and of pictures, as JSON and as the text of tables; what is missing stays missing."""
+    kind = data.draw(st.sampled_from(_VALUES))
+    if data.draw(st.booleans()):
+        kind = st.lists(kind, min_size=1, max_size=3)
+    values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
+    columns = realtouch.ImportColumns(extra=(("new", "x"),))
+    touches = [FoundTouch("a", "", "", 0, 0, {"x": value}) for value in values]
+    assert kept(touches, columns) == ("extra.new", values)
+    pictures = [Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": as_objects(values)})]
+    assert kept([pictures[0].clip(0, len(values), "a")], columns) == ("extra_seq.new", [values])
+    if not any(isinstance(value, list) for value in values):
+        words = [FoundTouch("a", "", "", 0, 0, {"x": "" if each is None else str(each)}) for each in values]
+        assert kept(words, columns) == ("extra.new", values)
+
+
+def any_is_known(values: list[Any]) -> bool:
+    return any(value is not None for value in values)
+
+
+def as_objects(values: list[Any]) -> np.ndarray:
+    made = np.empty(len(values), object)
+    made[:] = values
+    return made
+
+
+def kept(items: list[FoundTouch], columns: realtouch.ImportColumns) -> tuple[str, Any]:
+    ((name, data_type),) = extra_types(items, columns).items()
+    (array,) = extra_arrays(items, columns, {name: data_type})
+    return name, array.to_pylist()
