@@ -139,14 +139,23 @@ def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> b
     picture = struct.pack("<IiiHH4sIiiII", 40, width, height, 1, 24, b"MJPG", width * height * 3, 0, 0, 0, 0)
     streams = _chunk(b"LIST", b"strl" + _chunk(b"strh", stream) + _chunk(b"strf", picture))
     header = _chunk(b"LIST", b"hdrl" + _chunk(b"avih", main) + streams)
-    chunks = [_chunk(b"00dc", frame) for frame in frames]
-    offsets = np.cumsum([4, *map(len, chunks)])[:-1]  # from the name of the list, as FFmpeg counts them
+    # All parts are joined once: a long clip should not be in memory several times.
+    paddings = [b"\0" * (len(frame) % 2) for frame in frames]
+    chunk_bytes = [
+        _CHUNK_BYTES + len(frame) + len(rest) for frame, rest in zip(frames, paddings, strict=True)
+    ]
+    offsets = np.cumsum([4, *chunk_bytes])[:-1]  # from the name of the list, as FFmpeg counts them
     entries = [
         struct.pack("<4s3I", b"00dc", 0x10, offset, len(frame))
         for offset, frame in zip(offsets.tolist(), frames, strict=True)
     ]
-    movie = _chunk(b"LIST", b"movi" + b"".join(chunks))
-    return _chunk(b"RIFF", b"AVI " + header + movie + _chunk(b"idx1", b"".join(entries)))
+    index = _chunk(b"idx1", b"".join(entries))
+    movie_bytes = 4 + sum(chunk_bytes)
+    parts = [header, _CHUNK.pack(b"LIST", movie_bytes), b"movi"]
+    for frame, rest in zip(frames, paddings, strict=True):
+        parts += (_CHUNK.pack(b"00dc", len(frame)), frame, rest)
+    size = 4 + len(header) + _CHUNK_BYTES + movie_bytes + len(index)
+    return b"".join([_RIFF.pack(b"RIFF", size, b"AVI "), *parts, index])
 
 
 def _chunk(name: bytes, content: bytes) -> bytes:

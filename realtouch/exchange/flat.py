@@ -155,8 +155,11 @@ class _Touches:
         where = _WHERE[row.kind]
         for each in shown:
             images.append(each.stored)
-            with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+            try:
                 require_intact(images[-1])
+            except ValueError:
+                with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+                    raise
         columns["id"] = [touch_id(name, each.touch) for each in shown]
         stem = stem_of_id(name)
         columns[IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])

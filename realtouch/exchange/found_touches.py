@@ -253,7 +253,8 @@ class ImportFormat:
     ``find`` takes a folder, the columns and the path of a table, and yields touches, or recordings to cut.
     ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
     recordings become touches by default. ``sizes_seen`` is from how many touches the size of all follows, if
-    these agree. ``describe`` states how pictures are converted; empty if they are taken as they are.
+    these agree. ``describe`` states how pictures are converted; empty if they are taken as they are. With
+    ``rotvec`` the format has rotation vectors in poses of six numbers.
     """
 
     find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[Any]]
@@ -261,13 +262,14 @@ class ImportFormat:
     cut: str = "frames"
     sizes_seen: int = _SIZES_SEEN
     describe: Callable[[Sequence[FoundTouch]], str] = lambda _touches: ""
+    rotvec: bool = False
 
 
-def _recordings(layout: str, cut: str = "frames") -> ImportFormat:
+def _recordings(layout: str, cut: str = "frames", *, rotvec: bool = False) -> ImportFormat:
     """Return a format of recordings, whose pictures are of one size."""
     module = f"realtouch.exchange.{layout}_import"
     reader, describe = lazy(f"{module}:encoded_frames"), lazy(f"{module}:describe_conversion")
-    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, 1, describe)
+    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, 1, describe, rotvec)
 
 
 IMPORTS: dict[str, ImportFormat] = {
@@ -278,7 +280,7 @@ IMPORTS: dict[str, ImportFormat] = {
     ),
     "webdataset": ImportFormat(lazy("realtouch.exchange.webdataset:find_webdataset")),
     "lerobot": _recordings("lerobot"),
-    "oxt": _recordings("oxt"),
+    "oxt": _recordings("oxt", rotvec=True),
     "replay": _recordings("replay"),
     "hdf5": _recordings("hdf5"),
     "fota": ImportFormat(lazy("realtouch.exchange.fota:find_fota")),

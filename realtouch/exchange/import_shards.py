@@ -187,7 +187,7 @@ class ImportTouches:
         problem = _problem(item)
         if problem is not None:
             raise problem
-        pictures = list(islice(contents, max(1, item.frames)))
+        pictures = list(islice(contents, item.frames)) if item.frames else [next(contents)]
         size = self.image_size
         for place, picture in enumerate(pictures):
             try:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from realtouch.alignment_options import Alignment
 from realtouch.exchange.aligner import Aligner
 from realtouch.exchange.cuts import Cutter
 from realtouch.exchange.exporting import require_layout
-from realtouch.exchange.found_touches import IMPORTS, FoundTouch
+from realtouch.exchange.found_touches import IMPORTS, FoundTouch, require_columns
+from realtouch.exchange.imported_clips import said_of_whole
 from realtouch.exchange.recognised import Recognised, recognised
 from realtouch.exchange.recordings import CUTS, Recording, touches_of
 from realtouch.exchange.streams import StreamReport
@@ -68,7 +69,13 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
-    completed, aligned = columns.found_in(_known(items)), cuts.aligner.reports
+    if any(item.problem is None for item in items):
+        names = dict.fromkeys(name for item in items for name in (*item.values, *item.per_frame) if name)
+        # The time may be that of a stream, of which only what was aligned is left.
+        require_columns(list(names), replace(columns, time=None).names(), home.address())
+    completed = columns.found_in(_known(items), rotvec=IMPORTS[layout].rotvec)
+    items = [said_of_whole(item, completed) for item in items]
+    aligned = cuts.aligner.reports
     return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures, aligned)
 
 

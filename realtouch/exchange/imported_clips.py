@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
 
 import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES, write_avi
-from realtouch.contact_picture import ContactRule, contact_score, median_in_memory, median_of
-from realtouch.exchange.fields import Fields, each_of, poses, positions, times_s
+from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
+from realtouch.exchange.fields import NUMBERED, Fields, each_of, poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.stored_images import as_jpeg
 from realtouch.touch_options import ImportColumns
@@ -48,6 +47,27 @@ def too_long(item: FoundTouch) -> ItemError | None:
         f"a clip of {item.frames:,} pictures; the limit is {MAX_CLIP_FRAMES:,} (--cut makes shorter ones)"
     )
     return ItemError("clip", problem)
+
+
+def said_of_whole(item: FoundTouch, columns: ImportColumns) -> FoundTouch:
+    """Return a clip whose label, round, object and split, where each picture has them, are those of the clip.
+
+    It has a problem if they differ between its pictures.
+    """
+    names = {columns.label, columns.round, columns.object_id, columns.split, NUMBERED}
+    of_pictures = [name for name in names if name in item.per_frame and name not in item.values]
+    if not of_pictures:
+        return item
+    values, problem = dict(item.values), item.problem
+    for name in sorted(map(str, of_pictures)):
+        several = item.per_frame[name].tolist()
+        values[name] = several[0] if several else None
+        if any(value != several[0] for value in several) and name != NUMBERED:
+            found = f"{name!r} differs between the pictures of the clip"
+            problem = problem or ItemError(
+                "frames", f"{found}; expected one value (--cut frames has one each)"
+            )
+    return replace(item, values=values, problem=problem)
 
 
 def clip_of(
@@ -149,25 +169,31 @@ def contact_by_pictures(
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture, and False.
 
-    A few pictures are decoded at a time. Raises ItemError for a damaged one.
+    The background is the median of the clip: of as many pictures, spread over all of it, as are decoded at a
+    time (291 of 640 x 480), so that a long clip is decoded once. Raises ItemError for a damaged picture.
     """
     rule = rule or ContactRule()
     rows, columns = rule.window(*size)
-    window = 3 * (rows.stop - rows.start) * (columns.stop - columns.start)
-    at_once = max(1, _BATCH_BYTES // window)
+    whole = replace(rule, crop=1.0)
+    at_once = max(1, _BATCH_BYTES // (3 * (rows.stop - rows.start) * (columns.stop - columns.start)))
 
-    def batches() -> Iterator[UInt8]:
-        for start in range(0, len(pictures), at_once):
-            some = pictures[start : start + at_once]
-            yield np.stack([decode_image(each)[rows, columns] for each in some])
+    def decoded(some: Sequence[bytes]) -> UInt8:
+        made = np.empty((len(some), rows.stop - rows.start, columns.stop - columns.start, 3), np.uint8)
+        for number, each in enumerate(some):
+            made[number] = decode_image(each)[rows, columns]  # a view would keep the whole picture
+        return made
 
     try:
-        seen = list(islice(batches(), 2))
-        base = median_in_memory(seen[0]) if len(seen) == 1 else median_of(batches)
-        if len(seen) > 1:
-            seen.clear()
-        whole = replace(rule, crop=1.0)
-        scores = [contact_score(some, base, whole) for some in seen or batches()]
+        seen = decoded(pictures[:: -(-len(pictures) // at_once)])
+        base = median_in_memory(seen)
+        if len(seen) == len(pictures):
+            scores = [contact_score(seen, base, whole)]
+        else:
+            starts = range(0, len(pictures), at_once)
+            del seen
+            scores = [
+                contact_score(decoded(pictures[start : start + at_once]), base, whole) for start in starts
+            ]
     except ValueError as error:
         raise ItemError("image", str(error)) from error
     held = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))

@@ -113,8 +113,12 @@ class LocalFolder(DataFolder):
 
     def open(self, path: str) -> IO[bytes]:
         """Open a file for reading; IntegrityError for what is not a file, such as a pipe or a device."""
-        with readable(self.address(path)):
-            return open_regular(self.address(path))
+        place = self.address(path)
+        try:
+            return open_regular(place)
+        except OSError:
+            with readable(place):  # only then: this runs for each image of an import
+                raise
 
     def read_bytes(self, path: str) -> bytes:
         """Read a whole (small) file; IntegrityError when it is missing or cannot be read."""

@@ -17,8 +17,8 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.exchange import found_touches
-from realtouch.exchange.extra_columns import value_type
+from realtouch.exchange import found_touches, imported_clips
+from realtouch.exchange.extra_columns import extra_arrays, extra_types, value_type
 from realtouch.exchange.fields import poses, positions, times_s
 from realtouch.exchange.found_touches import FoundTouch, ImportFormat
 from realtouch.exchange.recordings import Recording
@@ -442,3 +442,90 @@ def test_clips_of_other_pictures_are_jpegs(recordings: Any) -> None:
     (only,), manifest = recordings([recording("a", 2)], {"a": png})
     assert [int(clip.mean().round()) for clip in only.sensor_video[0].frames()] == [10, 90]
     assert manifest.statistics()["train"]["clips"]["pictures encoded as JPEG"] == 1
+
+
+@pytest.mark.parametrize("labels", [["cat"] * 4, ["cat", "cat", "dog", "cat"]])
+def test_a_label_of_each_picture_is_that_of_the_clip(labels: list[str], recordings: Any) -> None:
+    said = {"per_frame": {"class": np.array(labels), "object": np.full(4, 7)}}
+    pictures = {"a": frames_of(4, range(0)), "b": frames_of(4, range(0))}
+    columns = realtouch.ImportColumns(label="class", object_id="object")
+    found = [recording("a", 4, **said), recording("b", 4, values={"class": "cat", "object": 7})]
+    rounds, manifest = recordings(found, pictures, columns)
+    assert (rounds[-1].label, rounds[-1].object_id) == (0, 7)
+    is_one = len(set(labels)) == 1
+    assert len(rounds) == 1 + is_one
+    assert manifest.skipped_reasons() == ({} if is_one else {"frames": 1})
+
+
+def test_a_column_that_no_recording_has_is_refused(recordings: Any) -> None:
+    found = [recording("a", 4, values={"class": "cat"})]
+    for columns in (
+        realtouch.ImportColumns(label="clas"),
+        realtouch.ImportColumns(extra=(("force", "clas"),)),
+    ):
+        with pytest.raises(InputError, match="no column 'clas'; did you mean 'class'"):
+            recordings(found, {"a": frames_of(4, range(0))}, columns)
+
+
+def test_a_format_may_state_rotation_vectors() -> None:
+    columns = realtouch.ImportColumns(pose=("wrist",)).found_in(["wrist"], rotvec=True)
+    assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
+    stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
+    assert (stated.euler, stated.rotvec) == ("xyz", False)
+    assert found_touches.IMPORTS["oxt"].rotvec
+
+
+@pytest.mark.parametrize("at_once", [None, 1, 4])
+def test_contact_of_a_long_clip_is_found_a_few_pictures_at_a_time(
+    at_once: int | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if at_once is not None:
+        monkeypatch.setattr(imported_clips, "_BATCH_BYTES", at_once * 12 * 16 * 3)
+    pictures = frames_of(30, range(11, 15))
+    assert imported_clips.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
+    (first, last), is_found = imported_clips.contact_by_pictures(frames_of(30, range(0)), (24, 32))
+    assert (first, last, is_found) == (0, 0, False)
+    with pytest.raises(ItemError, match="cannot be decoded"):
+        imported_clips.contact_by_pictures([*pictures, pictures[0][:300]], (24, 32))
+
+
+_VALUES: tuple[Any, ...] = (
+    st.booleans(),
+    st.integers(-(1 << 63), (1 << 63) - 1),
+    st.floats(allow_nan=False),
+    st.text("ab1,é ", min_size=1).filter(str.strip).map(lambda text: f"t{text}"),
+)
+
+
+@given(st.data())
+@settings(max_examples=80, deadline=None)
+def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
+    """Of touches and of pictures, as JSON and as the text of tables; what is missing stays missing."""
+    kind = data.draw(st.sampled_from(_VALUES))
+    if data.draw(st.booleans()):
+        kind = st.lists(kind, min_size=1, max_size=3)
+    values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
+    columns = realtouch.ImportColumns(extra=(("new", "x"),))
+    touches = [FoundTouch("a", "", "", 0, 0, {"x": value}) for value in values]
+    assert kept(touches, columns) == ("extra.new", values)
+    pictures = [Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": as_objects(values)})]
+    assert kept([pictures[0].clip(0, len(values), "a")], columns) == ("extra_seq.new", [values])
+    if not any(isinstance(value, list) for value in values):
+        words = [FoundTouch("a", "", "", 0, 0, {"x": "" if each is None else str(each)}) for each in values]
+        assert kept(words, columns) == ("extra.new", values)
+
+
+def any_is_known(values: list[Any]) -> bool:
+    return any(value is not None for value in values)
+
+
+def as_objects(values: list[Any]) -> np.ndarray:
+    made = np.empty(len(values), object)
+    made[:] = values
+    return made
+
+
+def kept(items: list[FoundTouch], columns: realtouch.ImportColumns) -> tuple[str, Any]:
+    ((name, data_type),) = extra_types(items, columns).items()
+    (array,) = extra_arrays(items, columns, {name: data_type})
+    return name, array.to_pylist()
