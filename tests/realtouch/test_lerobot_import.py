@@ -165,7 +165,11 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ("image", drop_rows, r"holds 4 frames of it; expected 5, as stated"),
         ("image", cut_file("episode_000000.parquet"), "is damaged"),
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
-        ("image", change_column("timestamp", lambda rows: pa.array([0.0, 1, None, 2, 3])), "expected seconds"),
+        (
+            "image",
+            change_column("timestamp", lambda rows: pa.array([0.0, 1, None, 2, 3])),
+            "expected seconds",
+        ),
         ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
         ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
