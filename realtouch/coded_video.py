@@ -68,9 +68,8 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
         words.append(CUT_SHORT)
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
     if count * pixels > _MOST_PIXELS:
-        raise ItemError(
-            "length", f"{count:,} pictures of {pixels:,} pixels; the limit is {_MOST_PIXELS:,} in all"
-        )
+        what = f"{count:,} pictures of {pixels:,} pixels"
+        raise ItemError("length", f"{what}; the limit is {_MOST_PIXELS:,} in all")
     picture_bytes = packets.total_bytes // len(packets.pts)
     if not reader.is_kept:
         stored = "PNG" if reader.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
@@ -88,19 +87,20 @@ class _Packets:
     """What is known of the packets of a stream of pictures, which are numbered in the order of the file.
 
     ``shown`` are those whose pictures are shown, in the order of these, at the times ``shown_pts``; ``keys``
-    those from which decoding can begin.
+    those from which decoding can begin, at ``key_pts``.
     """
 
     pts: Int64
     shown: Int64
     shown_pts: Int64
     keys: Int64
+    key_pts: Int64
     tick_s: Fraction
     total_bytes: int
 
     def key_of(self, number: int) -> int:
         """Return in whose group a picture is: of the last key that is not shown after it."""
-        return max(0, int(np.searchsorted(self.pts[self.keys], self.shown_pts[number], "right")) - 1)
+        return max(0, int(np.searchsorted(self.key_pts, self.shown_pts[number], "right")) - 1)
 
 
 class _Reader:
@@ -183,7 +183,7 @@ class _Reader:
             what = f"{same:,} pictures are shown at the same time as another"
             raise ItemError("time", f"{what}; expected rising times")
         tick_s = Fraction(cast(Fraction, self.video.time_base))
-        return _Packets(times, order, times[order], starts, tick_s, total_bytes), is_cut
+        return _Packets(times, order, times[order], starts, times[starts], tick_s, total_bytes), is_cut
 
     def look_at_first(self, packets: _Packets) -> list[str]:
         """Decode the first picture; return what is done to pictures beyond decoding them.
@@ -207,11 +207,10 @@ class _Reader:
         """Yield the packets from a key on."""
         import av
 
-        place = int(packets.keys[key])
-        at = int(packets.pts[place])
+        place, at = int(packets.keys[key]), int(packets.key_pts[key])
         if key > 1:  # demuxers that seek by another time find the key before
             with suppress(av.FFmpegError):
-                self._container.seek(int(packets.pts[packets.keys[key - 1]]), stream=self.video)
+                self._container.seek(int(packets.key_pts[key - 1]), stream=self.video)
                 rest = self._packets()
                 first = next((each for each in rest if each.is_keyframe and cast(int, each.pts) >= at), None)
                 if first is not None and first.pts == at:
