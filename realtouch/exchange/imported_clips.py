@@ -170,7 +170,7 @@ def contact_by_pictures(
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture, and False.
 
-    The background is the median of the clip: of :data:`_MOST_OF_MEDIAN` of its pictures at most, spread evenly
+    The background is the median of the clip: of 64 of its pictures at most, spread evenly
     over all of it, so that a long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
     rule = rule or ContactRule()
