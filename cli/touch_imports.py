@@ -12,7 +12,7 @@ from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
 from realtouch.alignment_options import Alignment
 from realtouch.kind import KIND
-from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, STREAM_HEADER, STREAMS, ImportColumns
+from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, LEFT_OUT, STREAM_HEADER, STREAMS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
@@ -119,6 +119,8 @@ def _print_imported(
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
     if STREAMS in manifest.spec:
         sink.table(STREAM_HEADER, manifest.spec[STREAMS])
+    if LEFT_OUT in manifest.spec:
+        sink.info(f"not read: {', '.join(manifest.spec[LEFT_OUT])}")
     print_left_out(sink, manifest)
     counted = store.add_up(list(manifest.statistics().values()))
     for note, count in counted.get(CLIPS, {}).items():

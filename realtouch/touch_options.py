@@ -46,6 +46,9 @@ STREAM_HEADER = (
 )
 """Columns of a table of streams, each a row of :class:`StreamReport`."""
 
+LEFT_OUT = "left_out"
+"""Key of the specification of an import: what recordings have besides what was read."""
+
 STREAMS = "streams"
 """Key of the specification of an import: rows of a table of streams, below :data:`STREAM_HEADER`."""
 

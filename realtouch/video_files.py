@@ -102,7 +102,7 @@ def check_boxes(stream: IO[bytes]) -> bool:
     end = stream.seek(0, 2)
     position = 0
     for _ in range(_MOST_BOXES):
-        stream.seek(position)
+        stream.seek(min(position, end))  # a box may state more bytes than a file can have
         header = stream.read(16)
         if len(header) < _BOX.size:
             return position > end

@@ -51,7 +51,7 @@ class ExtraColumn:
     def of_frames(self, row: StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.
 
-        What is missing is NaN, or null of texts. Raises IntegrityError for fewer values than frames, and for
+        What is missing is NaN, or an empty text. Raises IntegrityError for fewer values than frames, and for
         vectors of another length.
         """
         values = row.extra_entries(self.stored)
@@ -67,17 +67,19 @@ class ExtraColumn:
 
     def _packed(self, values: AnyArray) -> pa.Array:
         """Return numbers, texts or vectors as Arrow stores them; ValueError for vectors of another length."""
-        width, leaf = getattr(self.data_type, "list_size", 0), self.data_type
-        if width:
+        width, leaf = getattr(self.data_type, "list_size", 1), self.data_type
+        if width > 1:
             leaf = leaf.value_type
-        if width and not values.shape[1]:  # all of them are missing
+        if 0 in values.shape[1:]:  # all of them are missing
             values = np.full((len(values), width), None)
-        if width not in (0, *values.shape[1:]):
+        if values.ndim > 1 and values.shape[1] != width:
             raise ValueError(f"vectors of {values.shape[1]} values; expected {width}, as in the first touch")
+        if pa.types.is_string(leaf):
+            values = np.array([text or "" for text in values.reshape(-1)], object)
         if pa.types.is_floating(leaf):
             values = values.astype(leaf.to_pandas_dtype())
         flat = pa.array(values.reshape(-1), leaf)
-        return pa.FixedSizeListArray.from_arrays(flat, width) if width else flat
+        return pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
 
 
 def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
@@ -97,8 +99,10 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
         while feature in names:
             feature = f"{feature}_"
         names.add(feature)
-        if width or not depth:
-            found.append(ExtraColumn(stored, feature, pa.list_(leaf, width) if depth else leaf))
+        width = width if depth else 1
+        if width:
+            # Readers of LeRobotDatasets take what is of length 1 for numbers.
+            found.append(ExtraColumn(stored, feature, pa.list_(leaf, width) if width > 1 else leaf))
     return tuple(found)
 
 

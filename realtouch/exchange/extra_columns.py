@@ -121,7 +121,7 @@ def extra_arrays(
         name, is_frame = _name_of(column)
         source = dict(columns.extra).get(name, name)
         if name == TIME_S and columns.time and not is_frame:
-            yield pa.array([_time_s(item, columns) for item in items], data_type)
+            yield pa.array([time_of(item, columns) for item in items], data_type)
         elif not is_frame:
             values = (item.values.get(source) for item in items)
             yield pa.array(list(_converted(values, data_type)), data_type)
@@ -169,11 +169,12 @@ def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterabl
     return {name: count for name, count in counts.items() if count}
 
 
-def _time_s(item: FoundTouch, columns: ImportColumns) -> float:
+def time_of(item: FoundTouch, columns: ImportColumns) -> float | None:
+    """Return the time of an image in seconds; None if it is missing. ItemError if it is no time."""
     value = item.values.get(columns.time or "")
     if value is None and TIME_S in item.values:  # of a picture of a recording, in seconds
         value, columns = item.values[TIME_S], ImportColumns()
-    return float(times_s([value], columns)[0])
+    return None if _is_missing(value) else float(times_s([value], columns)[0])
 
 
 def value_type(values: Iterable[object]) -> pa.DataType | None:

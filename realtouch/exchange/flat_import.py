@@ -50,7 +50,7 @@ def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
 def _picture_column(parquet: ForeignParquet, name: str) -> str:
     """Return the column of pictures: that named, or the only one (InputError)."""
     for stored in MEDIA_COLUMN.values():
-        if stored in parquet.types:
+        if stored in parquet.types and not is_picture(parquet.types[stored]):  # a list, an entry a touch
             raise InputError(
                 f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
                 "which needs no import",

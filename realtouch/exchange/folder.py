@@ -52,15 +52,16 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
     seen: dict[str, int] = {}
     sizes = cache(home.sizes)  # of a store, one look at each folder
     known = set[str]()
-    for number, values in enumerate(lines):
-        name = path_of(str(values[columns.image] or ""))
-        first = seen.setdefault(name, number)
-        problem = None
-        if first != number:
-            problem = ItemError("duplicate", f"the same file as in row {first} of the table")
-        elif None in values:
-            problem = ItemError("columns", "the line has more values than the table has columns")
-        yield found_file(home, name, values, sizes, problem, known)
+    with store.without_collecting():
+        for number, values in enumerate(lines):
+            name = path_of(str(values[columns.image] or ""))
+            first = seen.setdefault(name, number)
+            problem = None
+            if first != number:
+                problem = ItemError("duplicate", f"the same file as in row {first} of the table")
+            elif None in values:
+                problem = ItemError("columns", "the line has more values than the table has columns")
+            yield found_file(home, name, values, sizes, problem, known)
 
 
 def _images(home: store.DataFolder) -> list[str]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
@@ -11,6 +12,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.found_touches import FoundTouch
+from realtouch.exchange.parquet_pages import require_bounded_pages
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable
@@ -43,6 +45,8 @@ class _Chunk(NamedTuple):
     size_bytes: int
     values: int
     is_text: bool
+    start: int
+    stored_bytes: int
 
 
 class ForeignParquet:
@@ -54,6 +58,7 @@ class ForeignParquet:
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
         self.size_bytes = store.size_inside(home, path)
+        self._home, self._path = home, path
         self.place = home.address(path)
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
@@ -96,21 +101,21 @@ class ForeignParquet:
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
         """Yield the encoded picture in each of some rows; those that stand in order are read once."""
-        group, start, batches, held = -1, 0, iter(()), pa.table({name: []})
+        group, start, held = -1, 0, list[bytes | None]()
+        batches: Iterator[pa.Table] = iter(())
         for row in rows:
-            wanted = int(np.searchsorted(self._starts, row, side="right")) - 1
             if not 0 <= row < len(self):
                 yield ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
                 continue
-            if wanted != group or row < start:
-                group, start, held = wanted, self._starts[wanted], held.slice(0, 0)
-                batches = self._tables(group, [name])
-            while row >= start + len(held):
-                start, held = start + len(held), next(batches)
-            image = held[name][row - start].as_py()
-            if isinstance(image, dict):
-                image = image["bytes"]
-            yield image or ItemError("missing", f"row {row:,} of {name!r} holds no bytes; expected a picture")
+            if not start <= row < start + len(held):
+                wanted = bisect_right(self._starts, row) - 1
+                if wanted != group or row < start:
+                    group, start, held = wanted, self._starts[wanted], []
+                    batches = self._tables(group, [name])
+                while row >= start + len(held):
+                    start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
+            missing = f"row {row:,} of {name!r} holds no bytes; expected a picture"
+            yield held[row - start] or ItemError("missing", missing)
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
@@ -124,12 +129,18 @@ class ForeignParquet:
                 require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
+    def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
+        with _named_values(self.place), store.open_inside(self._home, self._path) as stream:
+            for each in chunks:
+                require_bounded_pages(stream, each.start, each.stored_bytes, _BYTES_AT_ONCE)
+
     def _tables(self, group: int, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield the rows of a row group, few at a time; IntegrityError if it holds fewer than stated."""
         chunks = _of_columns(self._chunks[group], names)
         largest = max((1, *(each.size_bytes for each in chunks if each.is_text)))
         rows = min(_ROWS_AT_ONCE, max(1, _BYTES_AT_ONCE // largest))
         missing = self._starts[group + 1] - self._starts[group]
+        self._require_bounded_pages(chunks)
         with store.named_damage(self.place):
             # Without threads of Arrow: shards are imported in parallel.
             for batch in self._file.iter_batches(rows, [group], list(names), use_threads=False):
@@ -144,9 +155,24 @@ def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
     """Return what the footer states of the columns of a row group; of a struct or list, of what it holds."""
     found = map(group.column, range(group.num_columns))
     return [
-        _Chunk(of.path_in_schema, of.total_uncompressed_size, of.num_values, of.physical_type == _TEXT)
+        _Chunk(
+            of.path_in_schema,
+            of.total_uncompressed_size,
+            of.num_values,
+            of.physical_type == _TEXT,
+            min(of.data_page_offset, of.dictionary_page_offset or of.data_page_offset),
+            of.total_compressed_size,
+        )
         for of in found
     ]
+
+
+def _picture_bytes(pictures: pa.Array) -> list[bytes | None]:
+    """Return the bytes of each picture; None for a missing one."""
+    if pa.types.is_struct(pictures.type):
+        pictures = pictures.flatten()[pictures.type.get_field_index("bytes")]
+    found: list[bytes | None] = pictures.to_pylist()
+    return found
 
 
 def _of_columns(chunks: Sequence[_Chunk], names: Sequence[str]) -> list[_Chunk]:

@@ -26,11 +26,9 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 
 _ENDINGS = (".h5", ".hdf5")
-_MOST_OBJECTS = 20_000
+_MOST_OBJECTS, _DEEPEST = 20_000, 16
 _MOST_NUMBERS, _MOST_LETTERS = 256, 1000  # of an attribute
-_SHOWN = 8
-_PICTURE_AXES = 4
-_DEEPEST = 16
+_SHOWN, _PICTURE_AXES = 8, 4
 
 
 def find_hdf5(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
@@ -95,23 +93,14 @@ class _File:
         pictures = PictureArray.of(inside.pop(image)())
         wanted = {NUMBERED, *columns.found_in(inside).names()}
         per_frame, left_out = columns_of(inside, len(pictures), wanted)
-        left_out += [each for each in self.left_out if each.startswith(group)]
+        left_out += [each.removeprefix(group) for each in self.left_out if each.startswith(group)]
         values: dict[str, object] = {}
         for each in dict.fromkeys(("", group)):
             left_out += _add_attributes(self.groups[each], values)
         name = "/".join(filter(None, (self.prefix, group.strip("/")))) or self.path.rpartition(".")[0]
-        whole = Recording(
-            name,
-            self.home.address(),
-            self.path,
-            f"{pictures.divisor!r} {group}{image}",
-            0,
-            len(pictures),
-            math.prod(pictures.shape[1:]),
-            values,
-            per_frame,
-            left_out=tuple(left_out),
-        )
+        part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
+        about = (part, 0, len(pictures), size, values, per_frame)
+        whole = Recording(name, self.home.address(), self.path, *about, left_out=tuple(left_out))
         constant = of_episodes(whole, columns).intersection(wanted)
         return next(episodes_of(whole, np.array([len(pictures)]), [name], constant))
 

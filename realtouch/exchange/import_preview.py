@@ -174,4 +174,4 @@ def _uses(found: FoundSource) -> list[tuple[str, str, str]]:
         if name in lengths:
             unit = unit or columns.length_unit or "m"
         uses.append((printable(name), roles.get(name, f"extra {name!r}"), unit))
-    return uses
+    return [*uses, *((printable(each), "left out", "") for each in found.left_out)]

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.exchange.extra_columns import not_kept
+from realtouch.exchange.extra_columns import not_kept, time_of
 from realtouch.exchange.fields import NUMBERED, each_of, label_of, object_of, poses, positions
 from realtouch.exchange.found_touches import IMPORTS, FoundTouch
 from realtouch.exchange.imported_clips import clip_of, clip_poses, clip_position, too_long
@@ -93,6 +93,7 @@ class ImportTouches:
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
+    @store.without_collecting()
     def __call__(self, shard: store.ShardName, touches: Sequence[NamedTouch]) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
@@ -176,6 +177,8 @@ class ImportTouches:
                     if is_key:
                         seen[key] = about
                 said.labels[number], said.objects[number] = seen[key] if is_key else about
+                if self.columns.time and not items[number].frames:
+                    time_of(items[number], self.columns)
             except ItemError as error:
                 said.problems.setdefault(number, error)
         return said

@@ -39,7 +39,8 @@ class FoundSource:
 
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
     recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
-    say how streams of other rates fit to the recordings.
+    say how streams of other rates fit to the recordings. ``left_out`` names what recordings have besides what
+    was read.
     """
 
     home: store.DataFolder
@@ -50,6 +51,7 @@ class FoundSource:
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
+    left_out: Sequence[str] = ()
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -69,14 +71,19 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not items:
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     cuts.require_recordings(home)
-    if any(item.problem is None for item in items):
+    # The time may be that of a stream, of which only what was aligned is left.
+    missing = set(replace(columns, time=None).names())
+    for item in items:
+        if not missing:
+            break
+        missing.difference_update(item.values, item.per_frame)
+    if missing and any(item.problem is None for item in items):
         names = dict.fromkeys(name for item in items for name in (*item.values, *item.per_frame) if name)
-        # The time may be that of a stream, of which only what was aligned is left.
-        require_columns(list(names), replace(columns, time=None).names(), home.address())
+        require_columns(list(names), sorted(missing), home.address())
     completed = columns.found_in(_known(items), rotvec=IMPORTS[layout].rotvec)
     items = [said_of_whole(item, completed) for item in items]
-    aligned = cuts.aligner.reports
-    return FoundSource(home, layout, format_.by, items, completed, cuts.done, cuts.pictures, aligned)
+    of_cuts = (cuts.done, cuts.pictures, cuts.aligner.reports, tuple(cuts.left_out))
+    return FoundSource(home, layout, format_.by, items, completed, *of_cuts)
 
 
 def _found(
@@ -109,11 +116,13 @@ class _Cuts:
     """Cuts recordings as the user says, or each as its source or format states.
 
     ``done`` is how that was done; empty for a source without recordings. ``pictures`` show it: PNG by name.
+    ``left_out`` are the keys of what recordings have besides what was read.
     """
 
     def __init__(self, reading: Reading, layout: str) -> None:
         self.done = ""
         self.pictures: Mapping[str, bytes] = {}
+        self.left_out: dict[str, None] = {}
         self._wanted, self._format = reading.cut, IMPORTS[layout]
         self._columns = reading.columns or ImportColumns()
         others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
@@ -137,6 +146,7 @@ class _Cuts:
         if not isinstance(found, Recording):
             return found
         self.done = self._wanted or found.cut or self._format.cut
+        self.left_out |= dict.fromkeys(found.left_out)
         if self.done not in CUTS:
             self.done = "table"  # what a set says of itself does not depend on paths
         return self.aligner.aligned(found)

@@ -23,6 +23,7 @@ FRAMES_PER_SECOND = 25.0
 _RATES = (1e-3, 1e4)  # what the header of an AVI can state
 _LONGEST_S = 1e6
 _MOST_OF_MEDIAN = 64  # pictures
+_BATCH_BYTES = 64 << 20  # of large ones fewer
 _SCORED_AT_ONCE = 4  # more do not stay in the cache of a processor
 _SAME_M = 1e-9
 
@@ -170,18 +171,23 @@ def contact_by_pictures(
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture, and False.
 
-    The background is the median of the clip: of 64 of its pictures at most, spread evenly
-    over all of it, so that a long clip takes little time and memory. Raises ItemError for a damaged picture.
+    The background is the median of the clip: of 64 of its pictures at most, spread evenly over all of it, so
+    that a long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
     rule = rule or ContactRule()
     rows, columns = rule.window(*size)
     whole = replace(rule, crop=1.0)
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    most = min(_MOST_OF_MEDIAN, max(1, _BATCH_BYTES // (3 * height * width)))
 
     def decoded(some: Sequence[bytes]) -> UInt8:
-        return np.stack([decode_image(each)[rows, columns] for each in some])
+        made = np.empty((len(some), height, width, 3), np.uint8)
+        for number, each in enumerate(some):
+            made[number] = decode_image(each)[rows, columns]  # a view would keep the whole picture
+        return made
 
     try:
-        base = median_in_memory(decoded(pictures[:: -(-len(pictures) // _MOST_OF_MEDIAN)]))
+        base = median_in_memory(decoded(pictures[:: -(-len(pictures) // most)]))
         scores = [
             contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, whole)
             for start in range(0, len(pictures), _SCORED_AT_ONCE)

@@ -19,15 +19,17 @@ from realtouch.exchange.import_shards import ImportTouches, NamedTouch, touch_sc
 from realtouch.exchange.import_sources import FoundSource, Reading, find_source
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
-from realtouch.touch_options import STREAMS, ImportColumns
+from realtouch.touch_options import LEFT_OUT, STREAMS, ImportColumns
 from tactile_toolkit import catalog, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
+from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import CLASS_NAMES
 
 CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
 
+_MOST_LEFT_OUT = 100
 _MOST_STREAMS = 200  # that are listed
 _TOUCHES_PER_SHARD = 4096
 _TOUCHES_PER_GROUP = 1024
@@ -165,6 +167,8 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
         spec["options"]["cut"] = found.cut
     if found.streams:
         spec[STREAMS] = [report.row() for report in found.streams[:_MOST_STREAMS]]
+    if found.left_out:
+        spec[LEFT_OUT] = list(map(printable, found.left_out[:_MOST_LEFT_OUT]))
     conversion = IMPORTS[found.layout].describe(items)
     if conversion:
         spec["options"][CONVERSION] = conversion

@@ -73,10 +73,8 @@ class _Episodes:
         found = Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
         try:
             found = self._read(found, episode)
-        except ItemError as error:
-            return replace(found, problem=error)
-        except IntegrityError as error:
-            return replace(found, problem=ItemError("file", error.what))
+        except (ItemError, IntegrityError) as error:
+            return replace(found, problem=ItemError(getattr(error, "reason", "file"), error.what))
         return found if self.info.realtouch is None else as_ours(found, self.info.realtouch)
 
     def _read(self, found: Recording, episode: Episode) -> Recording:
@@ -109,8 +107,8 @@ class _Episodes:
 
     def _task(self, per_frame: dict[str, AnyArray]) -> dict[str, str]:
         """Return the task of an episode; if there are several, each frame gets its own."""
-        numbers = per_frame.get("task_index")
-        if numbers is None or numbers.ndim > 1 or self.info.realtouch is not None:
+        numbers = per_frame.get("task_index", np.empty(0))
+        if numbers.dtype.kind not in "iu" or numbers.ndim > 1:
             return {}
         found = [self.tasks.get(number) for number in numbers.tolist()]
         if len({*found}) > 1:
@@ -146,9 +144,6 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
     found = shown_s[first : first + len(wanted_s)]
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
-        raise ItemError(
-            "video",
-            f"the {len(shown_s):,} pictures of its video, until {shown_s[-1]:.3f} s, are not shown at the "
-            f"times of its {len(wanted_s):,} frames, from {wanted_s[0]:.3f} s to {wanted_s[-1]:.3f} s",
-        )
+        shown = f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s"
+        raise ItemError("video", f"{shown}, not at the times of its frames, until {wanted_s[-1]:.3f} s")
     return first

@@ -42,6 +42,7 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     columns = {mark.own_name(name): column for name, column in found.per_frame.items()}
     values, time_s = dict(found.values), columns.pop(TIME, found.time_s)
+    values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
     touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
     if mark.clips:

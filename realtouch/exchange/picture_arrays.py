@@ -201,18 +201,18 @@ def columns_of(
 ) -> tuple[dict[str, AnyArray], list[str]]:
     """Read what is said of each picture: shape (frames,), or (frames, k) of vectors and matrices.
 
-    Takes functions that open arrays by name. Returns what is left out, too: names with shapes, or with the
-    reason if an array cannot be used. InputError if one of those is wanted.
+    Takes functions that open arrays, by name. Returns what is left out, too, with its shape. InputError if
+    one of those is wanted.
     """
     found: dict[str, AnyArray] = {}
     others, size = [], 0
     for name, opened in arrays.items():
         try:
             array = opened()
-        except InputError as error:
+        except InputError:  # which names the place of the source
             if name in wanted:
                 raise
-            others.append(f"{name} ({error.what})")
+            others.append(f"{name} (cannot be read)")
             continue
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:

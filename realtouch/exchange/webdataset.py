@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
@@ -12,6 +13,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import pyarrow as pa
 
 from realtouch.convert.conversion import Made, with_files
@@ -89,16 +91,19 @@ def find_webdataset(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
-    for folder, name in _tars(home):
-        seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
-        for key, members in groupby(_members(folder, name), key=attrgetter("key")):
-            item = _sample(folder, name, key, list(members), columns)
-            if key in seen:
-                problem = ItemError("duplicate", f"the key {key!r} stands in an earlier sample of this tar")
-                item = replace(item, problem=problem)
-            seen.add(key)
-            known |= dict.fromkeys(item.values)
-            yield item
+    with store.without_collecting():
+        for folder, name in _tars(home):
+            seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
+            for key, members in groupby(_members(folder, name), key=attrgetter("key")):
+                item = _sample(folder, name, key, list(members), columns)
+                if key in seen:
+                    problem = ItemError(
+                        "duplicate", f"the key {key!r} stands in an earlier sample of this tar"
+                    )
+                    item = replace(item, problem=problem)
+                seen.add(key)
+                known |= dict.fromkeys(item.values)
+                yield item
     if known:
         require_columns(list(known), columns.found_in(known).names(), home.address())
 
@@ -192,6 +197,9 @@ def _sample(
 
 def _fields(content: bytes) -> dict[str, Any]:
     try:
+        # Five times as fast; `json` reads more: NaN, numbers out of range, marks of the byte order.
+        with suppress(msgspec.MsgspecError, UnicodeDecodeError):
+            return dict(msgspec.json.decode(content))
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
         raise ItemError(

@@ -141,7 +141,7 @@ def episodes_of(
     constant = {
         name: values[starts]
         for name, values in per_frame.items()
-        if name in of_episode and np.array_equal(values, np.repeat(values[starts], lengths, axis=0))
+        if name in of_episode and _is_same(values, np.repeat(values[starts], lengths, axis=0))
     }
     times = next((per_frame[name] for name in TIMES if _rises(per_frame.get(name), starts)), None)
     per_frame = {name: values for name, values in per_frame.items() if name not in constant}
@@ -158,6 +158,10 @@ def episodes_of(
             per_frame={name: each[start:end] for name, each in per_frame.items()},
             time_s=None if times is None else times[start:end].astype(np.float64),
         )
+
+
+def _is_same(values: AnyArray, others: AnyArray) -> bool:
+    return np.array_equal(values, others, equal_nan=values.dtype.kind == "f")
 
 
 def _rises(times: AnyArray | None, starts: Int64) -> bool:

@@ -83,9 +83,8 @@ def choose_rows(
             classes = list(rows.label_names)
             unknown = [label for label in labels if label not in classes]
             if unknown:
-                raise InputError(
-                    f"no class {unknown[0]!r} in split {split!r}; expected one of {', '.join(classes) or 'none: it has no labels'}"
-                )
+                known = ", ".join(classes) or "none: it has no labels"
+                raise InputError(f"no class {unknown[0]!r} in split {split!r}; expected one of {known}")
             wanted &= np.isin(rows.labels, [classes.index(label) for label in labels])
         chosen = np.flatnonzero(wanted)
         if per_class is not None:

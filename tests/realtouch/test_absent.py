@@ -111,7 +111,7 @@ def test_what_needs_an_absent_column_says_so(sets: Any, tmp_path: Path) -> None:
 
 
 def test_anytouch_has_no_place_for_touches_without_a_class(sets: Any, tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="touches without a class; .* or another format"):
+    with pytest.raises(InputError, match=r"touches without a class; .* or another format"):
         realtouch.export(sets("single", -1), tmp_path / "out", "anytouch", split="train")
 
 

@@ -49,14 +49,21 @@ def exported(home: Path, out: Path) -> tuple[pa.Table, dict[str, Any], dict[str,
 
 
 def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_path: Path) -> None:
-    """Numbers, vectors, texts and booleans; what is missing is NaN, or null of texts."""
+    """Numbers, vectors, texts and booleans; what is missing is NaN, or an empty text."""
     random = np.random.default_rng(4)
     force = random.normal(size=(3, 5, 3)).tolist()
     count: list[list[int | None]] = [[1, 2, None, 4, 5]] * 3
     force[1][2] = None
     note = [["a", None, "c", "d", "e"]] * 3
     is_good = [[True, False, True, True, False]] * 3
-    extras = {"force_n": force, "count": count, "note": note, "good/bad": is_good, "none": [[None] * 5] * 3}
+    extras: dict[str, list[Any]] = {
+        "height": [[[1.0]] * 5] * 3,
+        "force_n": force,
+        "count": count,
+        "note": note,
+        "good/bad": is_good,
+        "none": [[None] * 5] * 3,
+    }
     home = with_extras(single_folder, tmp_path / "home", {f"extra.{name}": extras[name] for name in extras})
     frames, features, stats = exported(home, tmp_path / "out")
     expected = np.array([[np.nan] * 3 if each is None else each for touches in force for each in touches])
@@ -64,7 +71,7 @@ def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_p
     assert features[FORCE] == {"dtype": "float64", "shape": [3], "names": None}
     np.testing.assert_array_equal(frames["observation.count"].to_numpy(), [1, 2, np.nan, 4, 5] * 3)
     assert features["observation.count"]["dtype"] == "float64"
-    assert frames["observation.note"].to_pylist() == note[0] * 3
+    assert frames["observation.note"].to_pylist() == ["a", "", "c", "d", "e"] * 3
     assert features["observation.note"]["dtype"] == "string"
     assert frames["observation.good_bad"].to_pylist() == is_good[0] * 3
     assert features["observation.good_bad"]["dtype"] == "bool"
@@ -72,12 +79,13 @@ def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_p
     for statistic, value in (("mean", np.nanmean(expected, 0)), ("max", np.nanmax(expected, 0))):
         np.testing.assert_allclose(stats[FORCE][statistic], value, rtol=1e-12)
     assert stats["observation.good_bad"]["mean"] == [0.6]
+    assert frames["observation.height"].to_pylist() == [1.0] * 15
     episode = pq.read_table(tmp_path / "out" / "lerobot" / "meta" / "episodes").to_pylist()[1]
     np.testing.assert_allclose(episode[f"stats/{FORCE}/min"], np.nanmin(expected[5:10], 0), rtol=1e-12)
     recordings = found(find_lerobot, tmp_path / "out" / "lerobot")
     for number, each in enumerate(recordings):
         np.testing.assert_array_equal(each.per_frame["force_n"], expected[5 * number : 5 * number + 5])
-        assert each.per_frame["note"].tolist() == note[number]
+        assert each.per_frame["note"].tolist() == ["a", "", "c", "d", "e"]
         assert each.per_frame["good/bad"].tolist() == is_good[number]
 
 
@@ -126,16 +134,14 @@ def test_columns_are_arrays_of_groups(
     force = [
         [[[frame, 2.0, 3.0] for frame in range(touch.frames)] for touch in each.touches] for each in truth
     ]
-    note, warmth = [["a", "b", None, "d", "e"]] * 3, [[1.0, 2, 3, 4, 5]] * 3
+    note, warmth = [["a", "b", None, "d", "e"]] * 3, [[1.0, 2, np.nan, 4, 5]] * 3
     columns = {"extra_seq.force_n": force, "extra.temperature": warmth, "extra.note": note}
     realtouch.export(with_extras(seq_folder, tmp_path / "home", columns), tmp_path / "out", layout)
     recordings = found(find, tmp_path / "out" / layout)
     for each, force_n, *both in zip(recordings, chain(*force), chain(*warmth), chain(*note), strict=True):
         np.testing.assert_array_equal(each.per_frame["force_n"], force_n)
         for name, value in zip(("temperature", "note"), both, strict=True):
+            stored = each.values.get(name, each.per_frame.get(name))
             expected = value or ""  # of a text that is missing
-            if name in each.values:
-                assert each.values[name] == expected
-            else:
-                assert each.per_frame[name].tolist() == [expected] * each.frames
+            np.testing.assert_array_equal(stored, np.full(np.shape(stored), expected))
     assert ("temperature" in recordings[0].values) == (layout == "oxt")

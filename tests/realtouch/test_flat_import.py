@@ -210,3 +210,18 @@ def test_a_footer_that_contradicts_itself_does_not_end_the_process(tmp_path: Pat
             except ToolkitError as error:
                 problems.add((look.__name__, "histogram size mismatch, size: 4" in error.what))
     assert problems >= {("<lambda>", True), ("read", True)}
+
+
+def test_a_page_that_states_more_than_it_can_hold_is_damage(tmp_path: Path) -> None:
+    """Arrow makes room for a page before it reads it."""
+    path = write(tmp_path, image=pa.array(JPEGS), force=np.arange(12.0))
+    content = path.read_bytes()
+    start = pq.read_metadata(path).row_group(0).column(1).data_page_offset
+    for stated, words in (
+        (b"\x15\xfe\xff\xff\xff\x0f\x15\x02", "2,147,483,647 bytes"),
+        (b"\x15\x02\x15\xfe\xff\xff\xff\x0f", "stored"),
+    ):
+        header = b"".join((b"\x15\0", stated, b"\0"))
+        path.write_bytes(content[:start] + header + content[start + len(header) :])
+        with pytest.raises(ToolkitError, match=f"a page of .*{words}"):
+            found(tmp_path)

@@ -64,7 +64,10 @@ def test_each_group_with_the_pictures_is_an_episode(tmp_path: Path) -> None:
     names = [each.name for each in recordings(tmp_path)]
     assert names == ["more/data/demo_1", *(f"takes/data/demo_{number}" for number in (0, 2, 10))]
     columns = realtouch.ImportColumns(image="obs/tactile")
-    realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    manifest = realtouch.import_touches(source, tmp_path / "out", columns=columns)
+    assert manifest.spec["left_out"] == ["obs/far (5, 300)"]
+    shown = realtouch.preview_import(source, columns=columns).columns
+    assert ("obs/far (5, 300)", "left out", "") in shown
     touches = realtouch.load(tmp_path / "out", "train").touches()
     np.testing.assert_array_equal(np.stack([each.image for each in touches]), np.concatenate([PICTURES] * 3))
     assert touches.labels.tolist() == [0] * 5 + [2] * 5 + [10] * 5

@@ -525,3 +525,15 @@ def kept(items: list[FoundTouch], columns: realtouch.ImportColumns) -> tuple[str
     ((name, data_type),) = extra_types(items, columns).items()
     (array,) = extra_arrays(items, columns, {name: data_type})
     return name, array.to_pylist()
+
+
+def test_times_of_images_may_be_missing_but_not_wrong(home: Path, tmp_path: Path) -> None:
+    stamps = ("2.5", "", "noon", "4")
+    write_table(
+        home, [{"file": f"pictures/{number}.jpg", "stamp": each} for number, each in enumerate(stamps)]
+    )
+    columns = realtouch.ImportColumns(time="stamp", time_unit="ms")
+    manifest = realtouch.import_touches(home, tmp_path / "out", "folder", columns)
+    assert [(each.id, each.reason) for each in manifest.shards[0].skipped] == [(2, "time")]
+    rows = pq.read_table(tmp_path / "out" / "data")
+    assert rows["extra.time_s"].to_pylist() == [[0.0025], [None], [0.004]]

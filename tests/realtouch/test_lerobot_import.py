@@ -18,7 +18,7 @@ import realtouch
 from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
 from realtouch.exchange.recordings import Recording, touches_of
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import FPS
 from tests.realtouch.images_of_others import spoiled
@@ -167,8 +167,8 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         ("image", remove("episode_000000.parquet"), "the file does not exist"),
         (
             "image",
-            change_column("timestamp", lambda rows: pa.array([0.0, 1, None, 2, 3])),
-            "expected seconds",
+            change_column("timestamp", lambda rows: pa.array([0.0, None, 1, 2, 3])),
+            "seconds as floats",
         ),
         ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
@@ -184,7 +184,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
         (
             "video",
             change_column("timestamp", lambda rows: pa.array(np.arange(5) / 10)),
-            "not shown at the times",
+            "not at the times of its frames",
         ),
     ],
 )
@@ -424,3 +424,23 @@ def test_whatever_a_file_holds_there_is_a_result_or_a_sentence(
                     used += 1
         path.write_bytes(files[path])
     assert used > 100
+
+
+def test_an_export_of_clips_becomes_the_same_set(seq_folder: Path, tmp_path: Path) -> None:
+    realtouch.export(seq_folder, tmp_path / "there", "lerobot", split="train")
+    realtouch.import_touches(tmp_path / "there", tmp_path / "back")
+    before, after = realtouch.load(seq_folder, "train"), realtouch.load(tmp_path / "back", "train")
+    assert after.ids.tolist() == before.ids.tolist()
+    assert (after.label_names, after.labels.tolist()) == (before.label_names, before.labels.tolist())
+    for one, other in zip(before, after, strict=True):
+        assert (one.object_id, one.touch_count) == (other.object_id, other.touch_count)
+        np.testing.assert_array_equal(other.pos_in_cell_m, one.pos_in_cell_m.astype(np.float32))
+        for clip, found_clip in zip(one.sensor_video, other.sensor_video, strict=True):
+            assert [bytes(found_clip.encoded(frame)) for frame in range(len(found_clip))] == [
+                bytes(clip.encoded(frame)) for frame in range(len(clip))
+            ]
+            np.testing.assert_allclose(found_clip.timestamps_s, clip.timestamps_s, atol=1e-6)
+            single = np.float32
+            np.testing.assert_array_equal(found_clip.poses.position_m, clip.poses.position_m.astype(single))
+            np.testing.assert_array_equal(found_clip.poses.quaternion, clip.poses.quaternion.astype(single))
+    assert realtouch.verify(tmp_path / "back").ok

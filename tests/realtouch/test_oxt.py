@@ -224,7 +224,9 @@ def findings(source: Path) -> dict[str, str]:
 
 def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) -> None:
     realtouch.export(source, tmp_path / "out", "oxt", split="train")
-    assert findings(tmp_path / "out" / "oxt" / "touches.zarr.zip") == {}
+    made = tmp_path / "out" / "oxt" / "touches.zarr.zip"
+    assert findings(made) == {}
+    assert call("realtouch", "check", "--format", "oxt", made) == 0
     for name in ("a.zarr", "a.zarr.zip"):
         assert findings(write(tmp_path / name, arrays())) == {}
 
