@@ -1,4 +1,4 @@
-"""The clips of a round; frames are found through the index of the file and decoded one by one.
+"""The clips of a round; frames are found by the headers of the file and decoded one by one.
 
 An AVI of MJPEG frames is a string of JPEGs, which libjpeg decodes.
 """
@@ -58,7 +58,7 @@ class TouchClip(Sequence[UInt8]):
     Raises
     ------
     IntegrityError
-        The clip is not an indexed AVI of JPEGs, cut short, damaged, exceeds the limits or has another length
+        The clip is not an AVI of JPEGs, cut short, damaged, exceeds the limits or has another length
         than the round states; names file, row and touch.
     """
 

@@ -7,27 +7,28 @@ again (:mod:`realtouch.coded_video`).
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from functools import lru_cache
 from typing import IO
 
-from realtouch.avi_scan import AviPictures, scan_avi
+from realtouch.avi import AviPictures
 from realtouch.coded_video import coded_video
 from realtouch.video_files import (
     CUT_SHORT,
+    MAX_PICTURES,
     Video,
     check_boxes,
     demuxer_of,
     kept_jpeg,
     named_problems,
     read_start,
-    require_one_field,
     seconds_of,
 )
 from tactile_toolkit import store
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
+_MOST_HZ = 1_000_000
+_MOST_PERIOD_S = 86_400
 _KEPT_VIDEOS = 8
 
 
@@ -77,7 +78,7 @@ def encoded_pictures(
     """
     video = open_video(folder, path)
     with store.open_inside(folder, path) as stream, named_problems():
-        yield from video.source.pictures(stream, numbers)
+        yield from video.read(stream, numbers)
 
 
 @lru_cache(_KEPT_VIDEOS)
@@ -90,34 +91,38 @@ def _found_video(stream: IO[bytes]) -> Video:
     start = read_start(stream)
     demuxer = demuxer_of(start)
     if not demuxer:
-        found = start[:12].hex(" ") or "nothing"
+        begin = start[:12].hex(" ") or "nothing"
         raise ItemError(
-            "container", f"a file that begins with {found}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
+            "container", f"a file that begins with {begin}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
         )
     if demuxer == "avi":
-        jpegs = scan_avi(stream)
-        if jpegs is not None:
-            return _video_of_jpegs(stream, jpegs)
+        found = _pictures_of(stream)
+        if found.is_jpeg:
+            return _video_of_jpegs(found)
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and check_boxes(stream))
 
 
-@dataclass(frozen=True, eq=False)
-class _Jpegs:
-    """The JPEGs of an AVI, each by its place."""
+def _pictures_of(stream: IO[bytes]) -> AviPictures:
+    def read(position: int, count: int) -> bytes:
+        stream.seek(position)
+        return stream.read(count)
 
-    found: AviPictures
-
-    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
-        for number in numbers:
-            stream.seek(int(self.found.starts[number]))
-            yield kept_jpeg(stream.read(min(int(self.found.sizes[number]), MAX_IMAGE_BYTES + 1)))
+    try:
+        return AviPictures(read, stream.seek(0, 2), MAX_PICTURES)
+    except ValueError as error:
+        raise ItemError("damaged", str(error)) from error
 
 
-def _video_of_jpegs(stream: IO[bytes], found: AviPictures) -> Video:
-    if not len(found.starts):
+def _video_of_jpegs(found: AviPictures) -> Video:
+    if not len(found):
         raise ItemError("length", "an AVI without pictures; expected one or more")
-    source = _Jpegs(found)
-    require_one_field(next(source.pictures(stream, [0])), found.height)
-    conversion = CUT_SHORT * found.is_cut
+    if not 1 / _MOST_HZ <= found.period_s <= _MOST_PERIOD_S:
+        raise ItemError("rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate")
+
+    def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+        for number in numbers:
+            stream.seek(int(found.starts[number]))
+            yield kept_jpeg(stream.read(min(int(found.sizes[number]), MAX_IMAGE_BYTES + 1)))
+
     times = seconds_of(found.slots, found.period_s)
-    return Video(times, int(found.sizes.mean()), conversion, source)
+    return Video(times, int(found.sizes.mean()), CUT_SHORT * found.is_cut, read)

@@ -4,28 +4,21 @@ from __future__ import annotations
 
 import struct
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import IO, Protocol
+from typing import IO
 
 import numpy as np
 
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES, MAX_IMAGE_PIXELS, image_size
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
-
-MAX_PIXELS_IN_ALL = 1 << 40
-"""Most pixels of all pictures of a video: an hour of 4096 x 2160 at 30 Hz."""
-
-MAX_DURATION_S = 1e6
-
-JPEG_QUALITY = 95
 
 CUT_SHORT = "cut short; read up to the last whole picture"
 """What is said of a file that ends in the middle."""
@@ -49,16 +42,18 @@ _IMAGE_BRANDS = (b"avif", b"avis", b"heic", b"heix", b"hevc", b"hevx", b"mif1", 
 _TOP_BOXES = (b"ftyp", b"moov", b"mdat", b"free", b"skip", b"wide", b"pnot", b"uuid", b"styp")
 _TS_PACKETS = ((188, 0), (192, 4))  # bytes of a packet, and where its mark stands in it
 _TS_SEEN = 4
-# Boxes of ISO/IEC 14496-12 that hold others, and those that state how many samples or edits there are, by the
-# byte at which the count stands.
+# Boxes of ISO/IEC 14496-12 that hold others; those that state a count, at which byte, and the largest one.
 _HOLDERS = (b"moov", b"trak", b"mdia", b"minf", b"stbl", b"edts", b"moof", b"traf")
-_COUNTS_AT = {b"stsz": 8, b"stz2": 8, b"trun": 4, b"elst": 4}
+_MOST_SAMPLES = 2 * MAX_PICTURES  # of sound, too
+_COUNTS = {
+    b"stsz": (8, _MOST_SAMPLES),
+    b"stz2": (8, _MOST_SAMPLES),
+    b"trun": (4, _MOST_SAMPLES),
+    b"elst": (4, 32),  # each is followed through all samples
+}
 _RUNS = (b"stts", b"ctts")  # run lengths
 _MOST_RUN_BYTES = 1 << 26
 _MOST_BOXES = 1 << 20
-_MOST_SAMPLES = 2 * MAX_PICTURES  # of sound, too; plain sound has no entry for each
-_MOST_EDITED = 1 << 26  # samples times edits
-_SOUND = b"soun"
 _BOX = struct.Struct(">I4s")
 
 
@@ -97,14 +92,6 @@ def is_video(folder: store.DataFolder, path: str) -> bool:
         return False
 
 
-def require_picture_size(width: int, height: int) -> None:
-    """Raise ItemError for pictures without pixels, or with too many."""
-    if not 0 < width * height <= MAX_IMAGE_PIXELS:
-        raise ItemError(
-            "size", f"pictures of {width:,} x {height:,} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels"
-        )
-
-
 def check_boxes(stream: IO[bytes]) -> bool:
     """Return whether an MP4 or MOV ends in the middle.
 
@@ -112,66 +99,40 @@ def check_boxes(stream: IO[bytes]) -> bool:
     a file of a few bytes states.
     """
     counts = Counter[bytes]()
-    kind, is_pcm, is_cut = b"", False, False
     end = stream.seek(0, 2)
-    for name, start, size in _boxes(stream, end):
-        is_cut |= start + size > end
-        stream.seek(start)
-        if name == b"cmov":
-            raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
-        if name == b"trak":
-            kind, is_pcm = b"", False
-        elif name == b"hdlr":
-            kind = _handler(stream.read(12), kind, is_pcm)
-        elif name in _RUNS:
-            found = stream.read(min(size, _MOST_RUN_BYTES))
-            runs = np.frombuffer(found, ">u4", len(found) // 4)[2:]
-            is_pcm |= name == b"stts" and kind == _SOUND and runs[1:].tolist() == [1]
-            counts[name] += int(runs[::2].sum(dtype=np.uint64)) * (not is_pcm)
-        elif name in _COUNTS_AT and not is_pcm:
-            counts[name] += int.from_bytes(stream.read(_COUNTS_AT[name] + 4)[-4:], "big")
-        if counts[name] > _MOST_SAMPLES or counts[b"elst"] * counts[b"stsz"] > _MOST_EDITED:
-            what = (
-                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
-            )
-            raise ItemError("length", f"{what}; the limit is {_MOST_SAMPLES:,} samples")
-    return is_cut
-
-
-def _handler(box: bytes, before: bytes, is_pcm: bool) -> bytes:
-    """Return what a track holds; ItemError where that changes after it was taken for plain sound."""
-    kind = box[8:]
-    if kind not in (_SOUND, b"vide"):
-        return before
-    if is_pcm and kind != _SOUND:
-        raise ItemError("damaged", "a video with a track of sound that is stated to be pictures as well")
-    return kind
-
-
-def _boxes(stream: IO[bytes], end: int) -> Iterator[tuple[bytes, int, int]]:
-    """Yield name, start and size of the content of each box; ItemError for more than a video has."""
     position = 0
     for _ in range(_MOST_BOXES):
         stream.seek(min(position, end))  # a box may state more bytes than a file can have
         header = stream.read(16)
         if len(header) < _BOX.size:
-            return
+            return position > end
         size, name = _BOX.unpack_from(header)
         start = position + _BOX.size
         if size == 1:
             size, start = int.from_bytes(header[8:], "big"), position + 16
-        elif size == 0:
-            size = end - position
-        yield name, start, max(0, position + size - start)
-        position = start if name in _HOLDERS else max(start, position + size)
+        position = max(start, position + size) if size else end
+        stream.seek(start)
+        at, limit = _COUNTS.get(name, (0, _MOST_SAMPLES))
+        if name == b"cmov":
+            raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
+        if name in _COUNTS:
+            counts[name] += int.from_bytes(stream.read(at + 4)[at:], "big")
+        elif name in _RUNS:
+            found = stream.read(min(position - start, _MOST_RUN_BYTES))
+            counts[name] += int(np.frombuffer(found, ">u4", len(found) // 4)[2::2].sum(dtype=np.uint64))
+        elif name in _HOLDERS:
+            position = start
+        if counts[name] > limit:
+            what = (
+                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
+            )
+            hint = "leave its sound out, or cut it into shorter ones"
+            raise ItemError("length", f"{what}; the limit is {limit:,}", next=hint)
     raise ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
 
 
-class PictureSource(Protocol):
-    """Where the pictures of a video are."""
-
-    def pictures(self, stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
-        """Yield some pictures of the opened file, encoded, or why one cannot be read."""
+ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | ItemError]]
+"""Yields some pictures of the opened file, encoded, or why one cannot be read."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,14 +147,14 @@ class Video:
         About how many bytes an encoded picture takes.
     conversion : str
         What is done to its pictures; empty if they are taken as they are.
-    source : PictureSource
-        Where its pictures are.
+    read : callable
+        Reads its pictures.
     """
 
     time_s: Float64
     picture_bytes: int
     conversion: str
-    source: PictureSource
+    read: ReadPictures
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -204,16 +165,6 @@ def kept_jpeg(jpeg: bytes) -> bytes | ItemError:
     if len(jpeg) <= MAX_IMAGE_BYTES:
         return jpeg
     return ItemError("image", f"a picture of more than {MAX_IMAGE_BYTES:,} bytes")
-
-
-def require_one_field(jpeg: bytes | ItemError, height: int) -> None:
-    """Raise ItemError where a JPEG holds every other line of a picture, and another the rest."""
-    found = 0
-    if isinstance(jpeg, bytes):
-        with suppress(ValueError):  # damaged: it is found when it is read
-            found, _ = image_size(jpeg)
-    if found and 2 * found == height:
-        raise ItemError("fields", f"interlaced pictures: JPEGs of {found} of {height} lines; expected all")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:

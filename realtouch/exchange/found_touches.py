@@ -33,6 +33,7 @@ _HERE = re.compile(r"^(?:\./+)+")
 
 _SIZES_SEEN = 32
 _MOST_LINES = 1 << 21  # of a table of touches
+_NOTHING: Mapping[str, AnyArray] = {}  # one for all touches: there may be many
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
@@ -62,8 +63,8 @@ class FoundTouch:
     per_frame : mapping
         What is said of each picture of a clip: arrays with an entry a picture.
     time_s : ndarray of float64, shape (frames,), or None
-        Time of each picture of a clip, seconds; rises. Of an image of a recording, what ``values`` has as
-        ``time_s``.
+        Time of each picture of a clip, seconds; rises. Of an image of a recording, empty where ``values`` has
+        its time as ``time_s``.
     contact : tuple of int or None
         First and last picture of a clip that show contact, if that is known.
     """
@@ -78,7 +79,7 @@ class FoundTouch:
     number: int = 0
     part: str = ""
     frames: int = 0
-    per_frame: Mapping[str, AnyArray] = field(default_factory=dict, repr=False)
+    per_frame: Mapping[str, AnyArray] = field(default_factory=lambda: _NOTHING, repr=False)
     time_s: Float64 | None = field(default=None, repr=False)
     contact: tuple[int, int] | None = None
 

@@ -22,7 +22,9 @@ FRAMES_PER_SECOND = 25.0
 
 _RATES = (1e-3, 1e4)  # what the header of an AVI can state
 _LONGEST_S = 1e6
-_BATCH_BYTES = 64 << 20
+_MOST_OF_MEDIAN = 64  # pictures
+_BATCH_BYTES = 64 << 20  # of large ones fewer
+_SCORED_AT_ONCE = 4  # more do not stay in the cache of a processor
 _SAME_M = 1e-9
 
 
@@ -169,31 +171,27 @@ def contact_by_pictures(
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture, and False.
 
-    The background is the median of the clip: of as many pictures, spread over all of it, as are decoded at a
-    time (291 of 640 x 480), so that a long clip is decoded once. Raises ItemError for a damaged picture.
+    The background is the median of the clip: of 64 of its pictures at most, spread evenly over all of it, so
+    that a long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
     rule = rule or ContactRule()
     rows, columns = rule.window(*size)
     whole = replace(rule, crop=1.0)
-    at_once = max(1, _BATCH_BYTES // (3 * (rows.stop - rows.start) * (columns.stop - columns.start)))
+    height, width = rows.stop - rows.start, columns.stop - columns.start
+    most = min(_MOST_OF_MEDIAN, max(1, _BATCH_BYTES // (3 * height * width)))
 
     def decoded(some: Sequence[bytes]) -> UInt8:
-        made = np.empty((len(some), rows.stop - rows.start, columns.stop - columns.start, 3), np.uint8)
+        made = np.empty((len(some), height, width, 3), np.uint8)
         for number, each in enumerate(some):
             made[number] = decode_image(each)[rows, columns]  # a view would keep the whole picture
         return made
 
     try:
-        seen = decoded(pictures[:: -(-len(pictures) // at_once)])
-        base = median_in_memory(seen)
-        if len(seen) == len(pictures):
-            scores = [contact_score(seen, base, whole)]
-        else:
-            starts = range(0, len(pictures), at_once)
-            del seen
-            scores = [
-                contact_score(decoded(pictures[start : start + at_once]), base, whole) for start in starts
-            ]
+        base = median_in_memory(decoded(pictures[:: -(-len(pictures) // most)]))
+        scores = [
+            contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, whole)
+            for start in range(0, len(pictures), _SCORED_AT_ONCE)
+        ]
     except ValueError as error:
         raise ItemError("image", str(error)) from error
     held = np.flatnonzero(np.concatenate([rule.holds(score) for score in scores]))

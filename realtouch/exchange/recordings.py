@@ -116,13 +116,13 @@ class Recording:
     def images(self) -> Iterator[FoundTouch]:
         """Yield each picture as a touch; what is said of a picture is said of the touch."""
         stem = self.name.replace("/", "-")
+        no_times = None if self.time_s is None else self.time_s[:0]  # one for all: there may be many pictures
         for frame in range(self.frames):
             # A slice, as an entry of an array of texts is no array.
             each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
             time_s = None
             if self.time_s is not None and _TIME not in each:
-                time_s = self.time_s[frame : frame + 1]
-                each[_TIME] = float(time_s[0])
+                time_s, each[_TIME] = no_times, float(self.time_s[frame])
             values = {"round_id": self.name, **self.values, **each}
             yield FoundTouch(
                 f"{stem}_{frame:06d}.png",

@@ -481,12 +481,8 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert found_touches.IMPORTS["oxt"].rotvec
 
 
-@pytest.mark.parametrize("at_once", [None, 1, 4])
-def test_contact_of_a_long_clip_is_found_a_few_pictures_at_a_time(
-    at_once: int | None, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    if at_once is not None:
-        monkeypatch.setattr(imported_clips, "_BATCH_BYTES", at_once * 12 * 16 * 3)
+def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(imported_clips, "_MOST_OF_MEDIAN", 7)
     pictures = frames_of(30, range(11, 15))
     assert imported_clips.contact_by_pictures(pictures, (24, 32)) == ((11, 14), True)
     (first, last), is_found = imported_clips.contact_by_pictures(frames_of(30, range(0)), (24, 32))
