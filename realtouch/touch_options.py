@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import io
 import os
 import re
 from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 from tactile_toolkit import catalog
-from tactile_toolkit.builtin_values import to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
@@ -55,10 +56,20 @@ STREAMS = "streams"
 CLIPS = "clips"
 """Key of the statistics of an import: how clips were made, with the number of clips."""
 
-T = TypeVar("T", str, tuple[str, ...])
 POSITION_COLUMNS = ("pos_in_cell_x_m", "pos_in_cell_y_m")
 POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "gel_qw")
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
+# Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
+_OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
+    ("label", "label_name"),
+    ("label", "label"),
+    ("round", "round_id"),
+    ("object_id", "object_id"),
+    ("position", POSITION_COLUMNS),
+    ("pose", POSE_COLUMNS),
+    ("pose", FOTA_POSE_COLUMNS),
+    ("split", "split"),
+)
 MAPPED = {
     "image": "image",
     "label": "label",
@@ -75,36 +86,33 @@ Matrix = tuple[tuple[float, ...], ...]
 _OUR_IMAGES = "file"
 _LENGTHS = 3  # of these, the first so many are lengths
 _QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
+# Of positions and poses of so many numbers, which are lengths, and which are angles.
+_PLACES = {
+    2: (range(2), range(0)),
+    _ANGLE_POSE: (range(3), range(3, 6)),
+    _QUATERNION_POSE: (range(3), range(0)),
+    **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
+}
 _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
 _LONGEST_NAME = 100  # letters
 _CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
 _LARGEST_FILE = 1 << 20  # bytes of a file of mappings, or of a frame
 _NO_NUMBERS = re.compile(r"[\[\](){},;]")
-_RIGID = 1e-3  # how far the products of the columns of a rotation may be from those of unit vectors
 
 
 def read_frame(place: str | os.PathLike[str]) -> Matrix:
     """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY; InputError for others."""
     content = _content_of(place)
-    if content.startswith(b"\x93NUMPY"):
-        return _rigid(_npy_rows(content), repr(os.fspath(place)))
-    words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
-    try:
-        numbers = list(map(float, words))
-    except ValueError:
-        numbers = []
-    return _rigid([numbers[start : start + 4] for start in range(0, len(numbers), 4)], repr(os.fspath(place)))
+    values: Any = ()
+    with suppress(ValueError, EOFError, OSError):
+        if content.startswith(b"\x93NUMPY"):
+            import numpy as np
 
-
-def _npy_rows(content: bytes) -> Any:
-    import io
-
-    import numpy as np
-
-    try:
-        return np.load(io.BytesIO(content), allow_pickle=False)
-    except (ValueError, EOFError, OSError):
-        return ()
+            values = np.load(io.BytesIO(content), allow_pickle=False)
+        else:
+            words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
+    return _rigid(values, repr(os.fspath(place)))
 
 
 def _content_of(place: str | os.PathLike[str]) -> bytes:
@@ -121,28 +129,22 @@ def _content_of(place: str | os.PathLike[str]) -> bytes:
 
 def _rigid(values: Any, where: str) -> Matrix:
     """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
-    rows = to_builtin(values, float)
-    is_matrix = (
-        isinstance(rows, tuple | list)
-        and [len(row) for row in rows if isinstance(row, tuple | list)] == [4] * 4
-    )
-    if not is_matrix or len(rows) != 4 or not all(isinstance(each, float) for row in rows for each in row):
+    import numpy as np  # here: few commands name a frame
+
+    from realtouch.poses import are_rigid
+
+    try:
+        matrix = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
         raise InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
-    rotation = [row[:3] for row in rows[:3]]
-    products = [sum(a * b for a, b in zip(one, other, strict=True)) for one in rotation for other in rotation]
-    (a, b, c), (d, e, f), (g, h, i) = rotation
-    volume = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    is_rotation = volume > 0 and all(
-        abs(found - wanted) <= _RIGID
-        for found, wanted in zip(products, (1, 0, 0, 0, 1, 0, 0, 0, 1), strict=True)
-    )
-    is_finite = all(abs(each) < float("inf") for row in rows for each in row)
-    if not is_rotation or not is_finite or tuple(rows[3]) != (0, 0, 0, 1):
+    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
         raise InputError(
             f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
             "and the last row 0 0 0 1"
         )
-    return tuple(map(tuple, rows))
+    return tuple(map(tuple, matrix.tolist()))
 
 
 @dataclass(frozen=True, slots=True)
@@ -361,23 +363,17 @@ class ImportColumns:
 
         ``count`` is the number of values: of positions (2), or of poses.
         """
-        lengths, angles = range(min(count, _LENGTHS)), range(0)
-        if count == _ANGLE_POSE:
-            angles = range(_LENGTHS, count)
-        elif count in _MATRIX_POSES:
-            lengths = range(3, 12, 4)
         found = [1.0] * count
+        lengths, angles = _PLACES[count]
         for quantity, given, places in (
             (LENGTH, self.length_unit, lengths),
             (ANGLE, self.angle_unit, angles),
         ):
             for place in places:
-                if len(names) == count:
-                    found[place] = quantity.divisor(names[place], given)
-                elif names and (stated_unit(names[0]) in quantity.per_unit or quantity is LENGTH):
-                    found[place] = quantity.divisor(names[0], given)
-                else:
-                    found[place] = quantity.divisor("", given)
+                name = names[place % len(names)] if len(names) in (1, count) else ""
+                if quantity is ANGLE and len(names) == 1 and stated_unit(name) not in PER_RADIAN:
+                    name = ""  # it states the unit of its lengths
+                found[place] = quantity.divisor(name, given)
         return tuple(found)
 
     def found_in(self, known: Collection[str], *, rotvec: bool = False) -> ImportColumns:
@@ -385,24 +381,13 @@ class ImportColumns:
 
         With ``rotvec``, the format states that a pose of six numbers holds a rotation vector.
         """
-
-        def ours(chosen: T | None, *several: T) -> T | None:
-            """Return the choice, or the first known column or group of columns."""
-            if chosen is not None:
-                return chosen
-            return next((each for each in several if _columns_in(each) <= {*known}), None)
-
+        found: dict[str, Any] = {}
+        for field, columns in _OURS:
+            names = {columns} if isinstance(columns, str) else {*columns}
+            if getattr(self, field) is None and field not in found and names <= {*known}:
+                found[field] = columns
         is_stated = self.euler is not None or self.quaternion_order is not None
-        return replace(
-            self,
-            label=ours(self.label, "label_name", "label"),
-            round=ours(self.round, "round_id"),
-            object_id=ours(self.object_id, "object_id"),
-            position=ours(self.position, POSITION_COLUMNS),
-            pose=ours(self.pose, POSE_COLUMNS, FOTA_POSE_COLUMNS),
-            split=ours(self.split, "split"),
-            rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated),
-        )
+        return replace(self, **found, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated))
 
     def names(self) -> list[str]:
         """Return the columns that must be there."""
@@ -441,11 +426,6 @@ def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
                     "pose=x,y,z,qx,qy,qz,qw"
                 )
             yield name.strip(), column.strip()
-
-
-def _columns_in(columns: str | tuple[str, ...]) -> set[str]:
-    """Return one column or several as a set."""
-    return {columns} if isinstance(columns, str) else set(columns)
 
 
 @dataclass(frozen=True, slots=True)

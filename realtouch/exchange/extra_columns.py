@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from itertools import chain
 from typing import Any
 
@@ -33,14 +34,11 @@ TIME_S = "time_s"
 _MOST_COLUMNS = 1000
 _MOST_LISTS = 4  # one inside of the other
 _BOOLEANS = {"true": True, "false": False}
-_INTEGER = re.compile(r"\s*[+-]?(?:0|[1-9][0-9]{0,18})\s*\Z")
-_FLOAT = re.compile(
-    r"\s*[+-]?(?:[0-9]+(?:\.[0-9]*|,[0-9]+)?|[.,][0-9]+)(?:[eE][+-]?[0-9]+)?\s*\Z|\s*[+-]?(?:nan|inf)\s*\Z",
-    re.IGNORECASE,
+_INTEGER = re.compile(r"\s*[+-]?(?:0|[1-9][0-9]{0,18})\s*")
+_NUMBER = re.compile(  # without zeros ahead of it, as numbers of parts have
+    r"\s*[+-]?(?:(?:0|[1-9][0-9]*)?(?:[.,][0-9]*)?(?:e[+-]?[0-9]+)?|nan|inf)\s*", re.IGNORECASE
 )
-_LEADING_ZERO = re.compile(r"[+-]?0[0-9]")
-_MOST_DIGITS = 300  # of an integer that may be a float
-_INT64 = np.iinfo(np.int64)
+_MOST_EXACT = 1 << 53  # below which float64 holds every integer
 _LISTS = (list, tuple, np.ndarray)
 
 
@@ -108,9 +106,8 @@ def extra_types(items: Sequence[FoundTouch], columns: ImportColumns) -> dict[str
 def _told_apart(arrays: Iterable[AnyArray]) -> Iterator[object]:
     """Yield entries of arrays that decide their type: one of numbers, whose type is that of all."""
     for array in arrays:
-        if array.dtype.kind in "biuf" and len(array):
-            largest = array.max() if array.dtype.kind == "u" and array.size else array.dtype.type(0)
-            yield largest if array.ndim == 1 else [largest]
+        if array.dtype.kind in "biuf" and array.size:
+            yield array.max() if array.ndim == 1 else [array.max()]
         else:
             yield from array
 
@@ -126,10 +123,10 @@ def extra_arrays(
             yield pa.array([time_of(item, columns) for item in items], data_type)
         elif not is_frame:
             values = (item.values.get(source) for item in items)
-            yield pa.array(list(_converted(values, data_type)), data_type)
+            yield pa.array(_converted(values, data_type), data_type)
         else:
             entry = data_type.value_type
-            yield pa.array([list(_converted(_of_frames(item, source), entry)) for item in items], data_type)
+            yield pa.array([_converted(_of_frames(item, source), entry) for item in items], data_type)
 
 
 def _of_frames(item: FoundTouch, source: str) -> Sequence[object]:
@@ -149,11 +146,7 @@ def _name_of(column: str) -> tuple[str, bool]:
 
 def _names_in(items: Iterable[FoundTouch]) -> dict[str, None]:
     """Return the names of all fields, in order."""
-    names: dict[str, None] = {}
-    for item in items:
-        names.update(dict.fromkeys(item.values))
-        names.update(dict.fromkeys(item.per_frame))
-    return names
+    return dict.fromkeys(name for item in items for name in (*item.values, *item.per_frame))
 
 
 def kept_sources(columns: ImportColumns, types: Iterable[str]) -> dict[str, str]:
@@ -169,8 +162,8 @@ def not_kept(items: Sequence[FoundTouch], columns: ImportColumns, types: Iterabl
     counts: dict[str, int] = {}
     for name in _names_in(items):
         if name not in kept:
-            values = [item.per_frame.get(name, item.values.get(name)) for item in items]
-            count = sum(value is not None and not (isinstance(value, str) and not value) for value in values)
+            values = (item.per_frame.get(name, item.values.get(name)) for item in items)
+            count = sum(_plain(value) is not None for value in values)
             shown = printable(str(name))
             counts[shown] = counts.get(shown, 0) + count
     return {name: count for name, count in counts.items() if count}
@@ -181,31 +174,30 @@ def time_of(item: FoundTouch, columns: ImportColumns) -> float | None:
     value = item.values.get(columns.time or "")
     if value is None and TIME_S in item.values:  # of a picture of a recording, in seconds
         value, columns = item.values[TIME_S], ImportColumns()
-    return None if _is_missing(value) else float(times_s([value], columns)[0])
+    return None if _plain(value) is None else float(times_s([value], columns)[0])
 
 
 def value_type(values: Iterable[object]) -> pa.DataType | None:
     """Return the type of all values that are not missing; None without any, or if they have none."""
-    given: list[Any] = [value for value in values if not _is_missing(value)]
-    kinds = set(map(type, given))
-    if any(issubclass(kind, np.generic) for kind in kinds):
-        given = [value.item() if isinstance(value, np.generic) else value for value in given]
-        kinds = set(map(type, given))
-    if not kinds or kinds & {dict, bytes}:
+    given = [value for value in map(_plain, values) if value is not None]
+    if not given:
         return None
-    if kinds & {*_LISTS}:
-        try:
+    with suppress(ValueError):
+        if any(issubclass(kind, _LISTS) for kind in set(map(type, given))):
             inner = value_type(chain.from_iterable(map(_leaves, given)))
-        except ValueError:
-            return None
-        return None if inner is None or pa.types.is_list(inner) else pa.list_(inner)
-    if kinds == {bool}:
-        return pa.bool_()
-    if kinds == {int} and all(_INT64.min <= value <= _INT64.max for value in given):
-        return pa.int64()
-    if float in kinds and kinds <= {int, float} and all(map(_is_exact, given)):
-        return pa.float64()
-    return _text_type(given, kinds == {str})
+            return None if inner is None or pa.types.is_list(inner) else pa.list_(inner)
+    for data_type, convert in _TYPES.items():
+        with suppress(ValueError, OverflowError):
+            pa.array(list(map(convert, given)), data_type)
+            return data_type
+    return None
+
+
+def _plain(value: Any) -> Any:
+    """Return a number of numpy as one of Python, and None for an empty text."""
+    if isinstance(value, np.generic):
+        value = value.item()
+    return None if isinstance(value, str) and not value.strip() else value
 
 
 def _leaves(value: Any) -> list[Any]:
@@ -222,65 +214,59 @@ def _leaves(value: Any) -> list[Any]:
     return leaves
 
 
-def _text_type(values: Sequence[Any], may_be_numbers: bool) -> pa.DataType | None:
-    """Return the type of text, as tables have it for all values; None for text that is not Unicode."""
-    words = [str(value).strip() for value in values]
-    if may_be_numbers and all(word.lower() in _BOOLEANS for word in words):
-        return pa.bool_()
-    if may_be_numbers and all(map(_INTEGER.match, words)):
-        if all(_INT64.min <= int(word) <= _INT64.max for word in words):
-            return pa.int64()
-    elif may_be_numbers and all(map(_FLOAT.match, words)) and not any(map(_is_code, words)):
-        return pa.float64()
-    try:
-        "".join(words).encode()
-    except UnicodeEncodeError:
-        return None
-    return pa.string()
-
-
-def _is_code(word: str) -> bool:
-    """Return whether a number would not give a text back: one with leading zeros, too long or too large."""
-    if _LEADING_ZERO.match(word):
-        return True
-    if word.lstrip("+-").isdecimal():
-        return len(word) > _MOST_DIGITS or not _is_exact(int(word))
-    return math.isinf(number_of(word)) and word[-1].isdecimal()
-
-
-def _is_exact(value: float) -> bool:
-    """Return whether a number is that of a float."""
-    return not isinstance(value, int) or (abs(value) < 10**_MOST_DIGITS and int(float(value)) == value)
-
-
-def _is_missing(value: object) -> bool:
-    return value is None or (isinstance(value, str) and not value.strip())
-
-
-def _converted(values: Iterable[Any], data_type: pa.DataType) -> Iterator[Any]:
-    """Yield values as those of a type; None for missing ones."""
-    if pa.types.is_list(data_type):
-        entry = data_type.value_type
-        for value in values:
-            if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and not pa.types.is_string(entry):
-                yield value.ravel().astype(entry.to_pandas_dtype(), copy=False)
-            else:
-                yield None if _is_missing(value) else list(_converted(_leaves(value), entry))
-        return
-    convert: Any = str
-    if pa.types.is_boolean(data_type):
-        convert = _boolean
-    elif pa.types.is_integer(data_type):
-        convert = int
-    elif pa.types.is_floating(data_type):
-        convert = _float
-    for value in values:
-        yield None if _is_missing(value) else convert(value)
-
-
-def _float(value: Any) -> float:
-    return number_of(value) if isinstance(value, str) else float(value)
-
-
 def _boolean(value: Any) -> bool:
-    return _BOOLEANS[value.strip().lower()] if isinstance(value, str) else bool(value)
+    found = _BOOLEANS.get(value.strip().lower()) if isinstance(value, str) else value
+    if not isinstance(found, bool):
+        raise ValueError(value)
+    return found
+
+
+def _integer(value: Any) -> int:
+    if type(value) is not int and not (isinstance(value, str) and _INTEGER.fullmatch(value)):
+        raise ValueError(value)
+    return int(value)
+
+
+def _real(value: Any) -> float:
+    """Return a number; ValueError for anything else, and for integers that it would round."""
+    if isinstance(value, str) and _NUMBER.fullmatch(value):
+        number = number_of(value)
+    elif type(value) in (int, float):
+        number = float(value)
+    else:
+        raise ValueError(value)
+    is_whole = type(value) is int or (isinstance(value, str) and value.strip("+- ").isdecimal())
+    if is_whole and abs(number) >= _MOST_EXACT:
+        raise ValueError(value)
+    if math.isinf(number) and isinstance(value, str) and value.strip()[-1].isdecimal():  # such as 1e400
+        raise ValueError(value)
+    return number
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, (dict, bytes, *_LISTS)):
+        raise ValueError(value)
+    return str(value)
+
+
+_TYPES: dict[pa.DataType, Callable[[Any], Any]] = {
+    pa.bool_(): _boolean,
+    pa.int64(): _integer,
+    pa.float64(): _real,
+    pa.string(): _text,
+}
+"""Types of values, each with what converts one to it or raises ValueError: the first that fits all."""
+
+
+def _converted(values: Iterable[Any], data_type: pa.DataType) -> list[Any]:
+    """Return values as those of a type; None for missing ones."""
+    if not pa.types.is_list(data_type):
+        convert = _TYPES[data_type]
+        return [None if value is None else convert(value) for value in map(_plain, values)]
+    entry, found = data_type.value_type, list[Any]()
+    for value in map(_plain, values):
+        if isinstance(value, np.ndarray) and value.dtype.kind in "biuf" and not pa.types.is_string(entry):
+            found.append(value.ravel().astype(entry.to_pandas_dtype(), copy=False))
+        else:
+            found.append(None if value is None else _converted(_leaves(value), entry))
+    return found

@@ -9,7 +9,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from realtouch.poses import bad_pose
+from realtouch.poses import are_rigid, bad_pose
 from realtouch.touch_options import ImportColumns, expected_counts
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError, ItemError
@@ -32,7 +32,6 @@ _LONGEST_INTEGER = 18  # digits
 # The cell is 0.12 m wide. What lies farther from it than that, or three times as high, is in another unit.
 _FARTHEST_M = (0.18, 0.18, 0.36)
 _MOST_TURN = 4 * np.pi  # of a rotation vector; a longer one is in degrees
-_TOLERANCE = 1e-3  # of a matrix, as of the length of a quaternion
 _NO_TILT = 1e-6  # of a frame by which x and y alone can be transformed
 
 
@@ -133,15 +132,8 @@ def poses(values: Fields, columns: ImportColumns) -> Float64:
     Raises ItemError for anything else.
     """
     numbers = _numbers(values, columns, columns.pose or (), columns.pose_sizes, "pose")
-    size = numbers.shape[1]
-    if size == 7:
-        place, turns = numbers[:, :3], numbers[:, 3:]
-        if columns.order == "wxyz":
-            turns = turns[:, [1, 2, 3, 0]]
-    elif size == 6:
-        place, turns = numbers[:, :3], _turned(numbers[:, 3:], columns)
-    else:
-        place, turns = numbers[:, 3:12:4], _quaternions(numbers)
+    read = {6: _turned, 7: _ordered}.get(numbers.shape[1], _of_matrices)
+    place, turns = read(numbers, columns)
     wrong = bad_pose(place, turns)
     if wrong is not None:
         raise ItemError("pose", wrong[1])
@@ -176,36 +168,40 @@ def times_s(values: Sequence[object] | AnyArray, columns: ImportColumns) -> Floa
     return times / TIME.divisor(columns.time or "", columns.time_unit)
 
 
-def _turned(angles: Float64, columns: ImportColumns) -> Float64:
-    """Return the quaternions of Euler angles or of rotation vectors, radians."""
+def _ordered(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+    """Return positions, and quaternions x, y, z, w, of poses of seven numbers."""
+    order = [3 + columns.order.index(axis) for axis in "xyzw"]
+    return numbers[:, :3], numbers[:, order]
+
+
+def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+    """Return the same of six numbers, with Euler angles or rotation vectors in radians."""
     from scipy.spatial.transform import Rotation
 
+    place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return Rotation.from_euler(columns.euler, angles).as_quat()
+        return place, Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
         raise ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
             "(--angle-unit states another unit)",
         )
-    return Rotation.from_rotvec(angles).as_quat()
+    return place, Rotation.from_rotvec(angles).as_quat()
 
 
-def _quaternions(numbers: Float64) -> Float64:
-    """Return the quaternions of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
+def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Float64]:
+    """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
     from scipy.spatial.transform import Rotation
 
     matrices = numbers.reshape(len(numbers), -1, 4)
-    turns = matrices[:, :3, :3]
-    is_unit = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) <= _TOLERANCE
-    is_last = np.abs(matrices[:, 3:] - np.array([0, 0, 0, 1])).max(axis=(1, 2), initial=0) <= _TOLERANCE
-    if not (is_unit & (np.linalg.det(turns) > 0) & is_last).all():
+    if not are_rigid(matrices):
         raise ItemError(
             "pose",
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
         )
-    return Rotation.from_matrix(turns).as_quat()
+    return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
 def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
