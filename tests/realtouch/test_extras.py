@@ -257,7 +257,7 @@ FLAT = {
 }
 
 
-@pytest.mark.parametrize("layout", ["flat", "anytouch", "sparsh", "frames"])
+@pytest.mark.parametrize("layout", ["flat", "sparsh", "frames"])
 def test_tables_of_exports_have_them_as_plain_columns(layout: Any, images: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     if layout == "frames":
