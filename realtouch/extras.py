@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import AnyArray, Bool
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
 
@@ -58,33 +58,27 @@ class Extras(Mapping[str, Any]):
 
 
 def array_with_gaps(array: pa.Array) -> AnyArray:
-    """Return n numbers, texts or vectors of k of them, shape (n,) or (n, k); see :class:`Extras`.
+    """Return n numbers, texts or lists of them as an array with an axis for each level; see :class:`Extras`.
 
-    Raises ValueError for vectors of several lengths.
+    Raises ValueError for lists of several lengths on a level.
     """
+    if isinstance(array, pa.ExtensionArray):
+        array = array.storage
     if not read.list_depth(array.type)[0]:
         return read.numpy_values(array)
-    present = array.is_valid().to_numpy(zero_copy_only=False)
-    flat = read.numpy_values(array.flatten())  # missing vectors have no values
-    width = _vector_length(array, present)
-    vectors = flat.reshape(int(present.sum()), width)
-    if present.all():
+    present = array.drop_null()
+    widths = [getattr(array.type, "list_size", 0)]
+    if len(present):
+        widths = np.unique(present.value_lengths()).tolist()
+    if len(widths) > 1:
+        raise ValueError(f"vectors of {widths[0]} and of {widths[-1]} values; expected one length")
+    inner = array_with_gaps(present.flatten())
+    vectors = inner.reshape(len(present), widths[0], *inner.shape[1:])
+    if len(present) == len(array):
         return vectors
-    if flat.dtype.kind in "iuf":
-        dtype = flat.dtype if flat.dtype.kind == "f" else np.float64
-        values: AnyArray = np.full((len(array), width), np.nan, dtype)
-    else:
-        values = np.full((len(array), width), None, object)
-    values[present] = vectors
+    values: AnyArray = np.full((len(array), *vectors.shape[1:]), None, object)
+    if inner.dtype.kind in "iuf":
+        values = np.full(values.shape, np.nan, inner.dtype if inner.dtype.kind == "f" else np.float64)
+    values[array.is_valid().to_numpy(zero_copy_only=False)] = vectors
     values.setflags(write=False)
     return values
-
-
-def _vector_length(array: pa.Array, present: Bool) -> int:
-    """Return the length of all vectors that are not missing; ValueError if there are several."""
-    if pa.types.is_fixed_size_list(array.type):
-        return int(array.type.list_size)
-    lengths = np.unique(np.diff(read.numpy_values(array.offsets))[present]).tolist()
-    if len(lengths) > 1:
-        raise ValueError(f"vectors of {lengths[0]} and of {lengths[-1]} values; expected one length")
-    return lengths[0] if lengths else 0

@@ -13,6 +13,7 @@ import pyarrow as pa
 
 from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.parquet_pages import require_bounded_pages
+from realtouch.extras import array_with_gaps
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable
@@ -191,26 +192,10 @@ def _named_values(place: str) -> Iterator[None]:
 
 
 def _array(name: str, values: pa.Array) -> AnyArray:
-    """Return an Arrow array as numpy, with an axis for each level of lists."""
-    if isinstance(values, pa.ExtensionArray):
-        values = values.storage
-    if not isinstance(values, (pa.ListArray, pa.FixedSizeListArray)):
-        found: AnyArray = values.to_numpy(zero_copy_only=False)
-        return found
-    present = values.drop_null()
-    widths = np.unique(present.value_lengths()).tolist()
-    if len(widths) > 1:
-        found_lengths = f"lists of {widths[0]} and of {widths[-1]} values"
-        raise ItemError("column", f"{found_lengths} in the column {name!r}; expected one length")
-    inner = _array(name, present.flatten())
-    rows = inner.reshape(len(present), *(widths or [0]), *inner.shape[1:])
-    if len(present) == len(values):
-        return rows
-    whole = np.full((len(values), *rows.shape[1:]), None, object)
-    if rows.dtype.kind in "iuf":
-        whole = np.full(whole.shape, np.nan)
-    whole[values.is_valid().to_numpy(zero_copy_only=False)] = rows
-    return whole
+    try:
+        return array_with_gaps(values)
+    except ValueError as error:
+        raise ItemError("column", f"the column {name!r} has {error}") from error
 
 
 def stored_pictures(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:

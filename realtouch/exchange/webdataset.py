@@ -36,8 +36,6 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 _FOLDER = "webdataset"
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
-_BLANK = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
-_BLANK_SUM = int(_BLANK[148:154], 8) - sum(_BLANK[124:135])  # without the digits of the size
 _WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
 _MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
@@ -49,22 +47,11 @@ def tar_of(samples: Iterable[tuple[str, bytes, Mapping[str, object]]]) -> bytes:
     for name, image, fields in samples:
         for member, content in ((name, image), (f"{name.partition('.')[0]}.json", _json_of(fields))):
             rest = -len(content) % tarfile.BLOCKSIZE
-            parts += (_header(member, len(content)), content, bytes(rest))
+            header = tarfile.TarInfo(member)
+            header.size = len(content)
+            parts += (header.tobuf(tarfile.USTAR_FORMAT), content, bytes(rest))
             size += tarfile.BLOCKSIZE + len(content) + rest
     return b"".join([*parts, bytes(2 * tarfile.BLOCKSIZE + -size % tarfile.RECORDSIZE)])
-
-
-def _header(name: str, size: int) -> bytes:
-    """Return the header of a file as `tarfile` writes it, in a tenth of the time if the name is short."""
-    encoded = name.encode()
-    if len(encoded) > tarfile.LENGTH_NAME:
-        header = tarfile.TarInfo(name)
-        header.size = size
-        return header.tobuf(tarfile.USTAR_FORMAT)
-    digits = b"%011o" % size
-    checksum = b"%06o" % (_BLANK_SUM + sum(encoded) + sum(digits))
-    fields = (encoded.ljust(100, b"\0"), _BLANK[100:124], digits, _BLANK[135:148], checksum, _BLANK[154:])
-    return b"".join(fields)
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:

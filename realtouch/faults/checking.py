@@ -21,7 +21,7 @@ from realtouch.picture_views import fitted
 from realtouch.rounds import TouchSingleRound
 from realtouch.schema import origin_of
 from realtouch.stored_columns import Damage
-from realtouch.stored_round import StoredRound, stored_touch_counts
+from realtouch.stored_round import stored_touch_counts
 from realtouch.touch_dataset import AnyDataset, dataset_of
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit import catalog, pictures, places, read, run
@@ -67,7 +67,7 @@ class CheckResult:
         return not self.findings
 
     def pictures(self) -> pictures.PicturePlan:
-        """Plan a picture of each finding: its first touches, next to those that they are compared with."""
+        """Plan a picture of each finding: its first touches."""
         datasets = {split: dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
@@ -136,7 +136,7 @@ def check(
     by_rule: dict[str, list[Fault]] = defaultdict(list)
     for fault in faults:
         by_rule[fault.rule].append(fault)
-    rounds = {(each.split, each.number): each for section in sections for each in section.rounds}
+    rounds = {each.spot: each for section in sections for each in section.rounds}
     findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in RULES if rule in by_rule)
     decoded = sum(section.decoded for section in sections)
     return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
@@ -175,78 +175,47 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             yield gathered
             gathered, touches = [], 0
         gathered.append(row)
-        touches += _frames_of(row.stored)
+        with suppress(IntegrityError):  # a clip alone has frames enough
+            touches += _FEWEST_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered
 
 
-def _frames_of(stored: StoredRound) -> int:
-    """Return the number of touches of a round; a clip alone has frames enough."""
-    if stored.kind == "seq":
-        return _FEWEST_TOUCHES
-    try:
-        return stored.touch_total()
-    except IntegrityError:
-        return 0
-
-
 def _finding(
-    rule: str, faults: Sequence[Fault], rounds: Mapping[tuple[str, int], RoundSeen], limits: CheckLimits
+    rule: str, faults: Sequence[Fault], rounds: Mapping[Spot, RoundSeen], limits: CheckLimits
 ) -> Finding:
     """Return what a rule found, over all splits."""
+    splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
     total = 0
-    several = len({fault.at.split for fault in faults}) > 1
-    for split, number, touch in sorted({fault.at[:3] for fault in faults}):
-        known = rounds.get((split, number), RoundSeen(split, number, f"row {number}", 1, None, None))
-        named, count = f"{known.name}:{touch}", 1
-        if touch == WHOLE_ROUND:
+    for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
+        whole = spot._replace(touch=WHOLE_ROUND)
+        known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
+        named, count = f"{known.name}:{spot.touch}", 1
+        if spot == whole:
             count = max(known.touches, 1)
             named = f"{known.name}:0-{count - 1}"
-        if several:
-            named = f"{split}/{named}"
-        names.append(named)
+        names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
         total += count
     said = RULES[rule]
+    found = said.found.format(value=max(fault.value for fault in faults))
+    where = " and ".join(splits)
     return Finding(
-        rule,
-        said.found_text(max(fault.value for fault in faults)),
-        said.expected_text(limits),
-        " and ".join(dict.fromkeys(fault.at.split for fault in faults)),
-        tuple(names[:MOST_NAMED]),
-        total,
-        said.next,
+        rule, found, said.expected_text(limits), where, tuple(names[:MOST_NAMED]), total, said.next
     )
 
 
 def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyDataset]) -> UInt8:
-    """Draw the first touches of a finding, each next to what it is compared with."""
-    tiles: list[pictures.Tile | None] = []
-    for fault in faults[:_MOST_DRAWN]:
-        tiles.append(_tile(fault.beside, datasets, None))
-        tiles.append(_tile(fault.at, datasets, pictures.ACCENTS[0]))
+    """Draw the first touches of a finding; those that cannot be read are left out."""
+    tiles: list[pictures.Tile] = []
+    for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:
+        with suppress(IntegrityError, ValueError, IndexError):
+            record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
+            if isinstance(record, TouchSingleRound):
+                pixels = record.sensor_image[touch]
+            else:
+                pixels = record.sensor_video[touch][spot.frame]
+            tiles.append(pictures.Tile(fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}"))
     title = f"{RULES[finding.rule].title}: {finding.found}"
-    lines = (
-        f"expected: {finding.expected}",
-        f"{finding.where}: {with_count(finding.count, 'touches')}, framed; left, what they are compared with",
-    )
+    lines = (f"expected: {finding.expected}", f"{finding.where}: {with_count(finding.count, 'touches')}")
     return pictures.sheet(tiles, 4, title, lines)
-
-
-def _tile(
-    spot: Spot | None, datasets: Mapping[str, AnyDataset], frame: tuple[int, int, int] | None
-) -> pictures.Tile | None:
-    """Return a picture with its name; an empty cell if it cannot be read."""
-    if spot is None:
-        return None
-    with suppress(IntegrityError, ValueError, IndexError):
-        record = datasets[spot.split][spot.row]
-        touch = max(spot.touch, 0)
-        caption = f"{record.id[-_LETTERS:]}:{touch}"
-        if isinstance(record, TouchSingleRound):
-            pixels = record.sensor_image[touch]
-        else:
-            pixels = record.sensor_video[touch][spot.frame]
-            caption = f"{caption}, frame {spot.frame}"
-        return pictures.Tile(fitted(pixels, _TILE_PX), caption, frame)
-    return None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
+from itertools import groupby
 
 import numpy as np
 from scipy import stats
@@ -16,7 +17,6 @@ from realtouch.faults.rules import (
     MIN_RESEMBLANCE,
     MIN_ROUNDS,
     TREND,
-    WHOLE_ROUND,
     Fault,
     Spot,
 )
@@ -49,38 +49,28 @@ def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterato
 
 
 def _equal_pictures(sections: Sequence[Section]) -> Iterator[Fault]:
-    """Yield touches with the same stored pictures, in a split and over splits; frozen ones count once."""
-    frozen = {
-        fault.at
-        for section in sections
-        for fault in section.faults
-        if fault.rule == "frozen-frames" and fault.beside is not None and fault.beside.touch != fault.at.touch
-    }
+    """Yield touches with the same stored pictures, in a split and over splits; frozen images count once."""
+    faults = (fault for section in sections for fault in section.faults)
+    frozen = {fault.at for fault in faults if fault.rule == "frozen-frames"}
     owners: dict[bytes, list[Spot]] = defaultdict(list)
-    for section in sections:
-        for spot, digest in zip(section.spots, section.digests, strict=True):
-            if digest and spot not in frozen:
-                owners[digest].append(spot)
+    for touch in (touch for section in sections for touch in section.touches):
+        if touch.spot not in frozen:
+            owners[touch.digest].append(touch.spot)
     for spots in owners.values():
-        rule = "duplicate-pictures"
-        if len({spot.split for spot in spots}) > 1:
-            rule = "shared-pictures"
+        rule = "shared-pictures" if len({spot.split for spot in spots}) > 1 else "duplicate-pictures"
         if len(spots) > 1:
-            yield from (Fault(rule, spot, len(spots), spots[spot == spots[0]]) for spot in spots)
+            yield from (Fault(rule, spot, len(spots)) for spot in spots)
 
 
 def _shared_objects(sections: Sequence[Section]) -> Iterator[Fault]:
     owners: dict[int, list[Spot]] = defaultdict(list)
     for each in (found for section in sections for found in section.rounds):
         if each.object_id is not None:
-            owners[each.object_id].append(Spot(each.split, each.number, WHOLE_ROUND))
+            owners[each.object_id].append(each.spot)
     for spots in owners.values():
         splits = len({spot.split for spot in spots})
         if splits > 1:
-            others = {spot.split: spot for spot in spots}
-            for spot in spots:
-                beside = next(other for split, other in others.items() if split != spot.split)
-                yield Fault("shared-objects", spot, splits, beside)
+            yield from (Fault("shared-objects", spot, splits) for spot in spots)
 
 
 def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
@@ -88,27 +78,25 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
 
     The colours of a GelSight Mini are known; those of another sensor are compared with most of the set.
     """
-    spots = [spot for section in sections for spot in section.spots]
-    patterns = np.array([pattern for section in sections for pattern in section.patterns], np.float32)
-    if not len(patterns):
+    touches = [touch for section in sections for touch in section.touches]
+    if not touches:
         return
+    patterns = np.array([touch.pattern for touch in touches])
     known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
     reference = _most_common(patterns)
     _, order = _gain(reference[None], known, MIN_KNOWN)
     if order[0]:
         reference = known
     gain, order = _gain(patterns, reference)
-    by_round: dict[tuple[str, int], list[int]] = defaultdict(list)
-    for index, spot in enumerate(spots):
-        by_round[spot.split, spot.row].append(index)
-    usual = next((spots[index] for index in np.flatnonzero(order == 1).tolist()), None)
-    for touches in by_round.values():
+    numbers = range(len(touches))
+    for _, group in groupby(numbers, key=lambda number: touches[number].spot[:2]):
+        of_round = np.array(list(group))
         # Contact hides the colours of a few touches, whose round decides.
-        is_swapped = order[touches] == -1
-        if 2 * is_swapped.sum() > len(touches):
+        is_swapped = order[of_round] == -1
+        if 2 * is_swapped.sum() > len(of_round):
             is_swapped[:] = True
-        for index in np.array(touches)[is_swapped].tolist():
-            yield Fault("swapped-channels", spots[index], float(gain[index]), usual)
+        for number in of_round[is_swapped].tolist():
+            yield Fault("swapped-channels", touches[number].spot, float(gain[number]))
 
 
 def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE) -> tuple[Float64, Int64]:
@@ -127,14 +115,9 @@ def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE)
 def _most_common(patterns: Float32) -> Float32:
     """Return the pattern of most touches, some of which have red and blue exchanged; on a tie, the first."""
     _, order = _gain(patterns, patterns[np.argmax(patterns.any(axis=1))])
-    most = 1
-    if np.count_nonzero(order == -1) > np.count_nonzero(order == 1):
-        most = -1
+    most = -1 if np.count_nonzero(order == -1) > np.count_nonzero(order == 1) else 1
     chosen = patterns[order == most]
-    if not len(chosen):
-        chosen = patterns
-    middle = np.median(chosen, axis=0)
-    return seen.normalised(middle)
+    return seen.normalised(np.median(chosen if len(chosen) else patterns, axis=0))
 
 
 def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
@@ -144,10 +127,8 @@ def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
     if not marked or not plain:
         return
     dots = float(np.median([section.markers for section in marked if section.markers]))
-    few, many = sorted((plain, marked), key=len)
-    beside = Spot(many[0].rounds[0].split, many[0].rounds[0].number, 0)
-    for each in (found for section in few for found in section.rounds):
-        yield Fault("mixed-markers", Spot(each.split, each.number, WHOLE_ROUND), dots, beside)
+    for each in (found for section in min(plain, marked, key=len) for found in section.rounds):
+        yield Fault("mixed-markers", each.spot, dots)
 
 
 def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
@@ -164,11 +145,11 @@ def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
 def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
     """Yield the steps of the bare gel from round to round, and its drift."""
     gels = np.stack([section.gel for section in session if section.gel is not None])
-    rounds = [Spot(each.rounds[0].split, each.rounds[0].number, WHOLE_ROUND) for each in session]
+    rounds = [section.rounds[0].spot for section in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
         # A step inside of a round changes its gel as well, and is named by its touch.
         if not any(_has_step(each) for each in session[index - 1 : index + 1]):
-            yield Fault("exposure-jumps", rounds[index], step, rounds[index - 1])
+            yield Fault("exposure-jumps", rounds[index], step)
     if len(gels) < MIN_ROUNDS:
         return
     levels = gels.mean(axis=(1, 2)).astype(np.float64)  # (n, 3)
@@ -182,7 +163,7 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     # What changes at once is a step, not drift.
     largest = float(np.abs(np.diff(levels[:, channel])).max())
     if trend >= TREND and largest < size / 2:
-        yield from (Fault("gel-drift", spot, size, rounds[0]) for spot in rounds[-third:])
+        yield from (Fault("gel-drift", spot, size) for spot in rounds[-third:])
 
 
 def _has_step(section: Section) -> bool:

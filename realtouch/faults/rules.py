@@ -55,12 +55,11 @@ class Spot(NamedTuple):
 
 
 class Fault(NamedTuple):
-    """A rule that is broken at a picture, the value found, and a picture to compare with."""
+    """A rule that is broken at a picture, and the value found."""
 
     rule: str
     at: Spot
     value: float
-    beside: Spot | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,10 +70,6 @@ class Rule:
     found: str
     expected: str
     next: str
-
-    def found_text(self, value: float) -> str:
-        """Say what was found."""
-        return self.found.format(value=value)
 
     def expected_text(self, limits: CheckLimits) -> str:
         """Say what was expected."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from PIL import Image
 from scipy import ndimage
 
 from realtouch.faults.rules import (
@@ -32,16 +33,8 @@ _AROUND, _APART = 1 / 8, 1 / 24
 
 def cells_of(encoded: bytes | memoryview) -> Float32:
     """Decode a picture to the averages of its cells, shape (12, 16, 3); ValueError if it is damaged."""
-    pixels = decode_small(encoded, COLUMNS)
-    height, width = pixels.shape[:2]
-    tops, lefts = np.arange(ROWS) * height // ROWS, np.arange(COLUMNS) * width // COLUMNS
-    sums = np.add.reduceat(pixels, tops, axis=0, dtype=np.uint32)
-    sums = np.add.reduceat(sums, lefts, axis=1)
-    # A picture of fewer pixels than cells has cells that share a pixel.
-    heights = np.diff(tops, append=height).clip(1)
-    widths = np.diff(lefts, append=width).clip(1)
-    means: Float32 = (sums / (heights[:, None, None] * widths[None, :, None])).astype(np.float32)
-    return means
+    shrunk = Image.fromarray(decode_small(encoded, COLUMNS)).resize((COLUMNS, ROWS), Image.Resampling.BOX)
+    return np.asarray(shrunk, np.float32)
 
 
 def share_of_one_value(encoded: bytes | memoryview, cells: Float32) -> float:

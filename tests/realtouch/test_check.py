@@ -81,7 +81,7 @@ def _rounds(folder: Path, split: str) -> list[tuple[int, Any]]:
 
 
 @pytest.mark.parametrize("kind", ["single", "seq"])
-@pytest.mark.parametrize(("seed", "size"), [(0, (64, 64)), (1, (64, 64)), (2, (64, 64)), (3, (320, 240))])
+@pytest.mark.parametrize(("seed", "size"), [(0, (64, 64)), (3, (320, 240))])
 def test_clean_recordings(kind: str, seed: int, size: tuple[int, int], tmp_path: Path) -> None:
     rounds = 6 - 3 * (size[0] > 64)
     result = realtouch.check(written(tmp_path, kind, recorded(seed, rounds, size)))
@@ -325,21 +325,15 @@ def test_faults_of_times(edit: Callable[[Rows], None], found: object, tmp_path: 
     assert found_in(written(tmp_path, "seq", recorded(), edit)) == found
 
 
-def test_thresholds_are_options(tmp_path: Path) -> None:
+def test_thresholds_are_options_and_workers_find_the_same(tmp_path: Path) -> None:
     folder = written(tmp_path, "seq", recorded(), gap)
+    results = [realtouch.check(folder, workers=workers) for workers in (1, 3)]
+    assert results[0].findings == results[1].findings
+    assert results[0].decoded == results[1].decoded
     assert found_in(folder, limits=realtouch.CheckLimits(gap=2.5)) == {}
     assert found_in(folder, split="test") == {}
     with pytest.raises(InputError, match="frozen"):
         realtouch.CheckLimits(frozen=1)
-
-
-def test_what_is_found_does_not_depend_on_workers(tmp_path: Path) -> None:
-    truth = recorded()
-    frozen(truth)
-    folder = written(tmp_path, "seq", truth, repeated)
-    results = [realtouch.check(folder, workers=workers) for workers in (1, 3)]
-    assert results[0].findings == results[1].findings
-    assert results[0].decoded == results[1].decoded
 
 
 def brighter_from(first: int, truth: Truth) -> Truth:
@@ -410,7 +404,7 @@ def test_sample_images_of_the_published_sets(size: str, order: int, tmp_path: Pa
 
 def test_rendered_touches_of_equal_surfaces_are_no_fault(tmp_path: Path) -> None:
     scenes, touches = tmp_path / "scenes", tmp_path / "touches"
-    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 3), ("test", 1)))
+    spec = starstruck_gen.SceneSetSpec(scenes=(("train", 2), ("test", 1)))
     starstruck_gen.generate(spec, str(scenes))
     plan = tactile_sim.TouchPlan(2, 16, seed=3)
     tactile_sim.generate(str(scenes), tactile_sim.GenerateSpec((64, 64), "depth", plan=plan), touches)
@@ -470,8 +464,7 @@ def test_each_rule_is_documented() -> None:
         assert f"| `{name}` | {rule.title} | {rule.expected_text(realtouch.CheckLimits())} |\n" in page
 
 
-@pytest.mark.parametrize("size", [(64, 64), (320, 240), (640, 480)])
-@pytest.mark.parametrize("noise", [1, 3, 6])
+@pytest.mark.parametrize(("size", "noise"), [((64, 64), 6), ((320, 240), 3), ((640, 480), 1)])
 def test_markers_are_counted_at_any_size_and_noise_is_none(size: tuple[int, int], noise: int) -> None:
     random = np.random.default_rng(0)
     width, height = size
