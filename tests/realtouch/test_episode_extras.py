@@ -130,7 +130,7 @@ def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path
 def test_columns_are_arrays_of_groups(
     layout: Any, find: Any, seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
 ) -> None:
-    """Open-X-Tactile knows what concerns whole clips; in a replay buffer all columns are of frames."""
+    """A group states which columns concern whole clips."""
     force = [
         [[[frame, 2.0, 3.0] for frame in range(touch.frames)] for touch in each.touches] for each in truth
     ]
