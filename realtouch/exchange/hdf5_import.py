@@ -77,9 +77,13 @@ class _File:
         if not image or not groups:
             several = {path for path, each in self.datasets.items() if len(each.shape or ()) == _PICTURE_AXES}
             shown = sorted(several, key=natural_order)[:_SHOWN]
+            wanted = (
+                f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
+            )
             raise InputError(
-                f"{self.place!r} has no dataset of pictures {image!r}; found {', '.join(shown) or 'none'}",
-                next="name it with --map image=PATH, below the file or below the group of each episode",
+                f"{self.place!r} has {wanted}; found {', '.join(shown) or 'none'}",
+                next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
+                "data/demo_0/obs/tactile",
             )
         for group in sorted(groups, key=natural_order):
             yield self._recording(group, image, columns)
