@@ -17,7 +17,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.units import PER_SECOND
 from tactile_toolkit.wording import did_you_mean
 
-_RECORDING = ("recording", "file")
+RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
 
 
@@ -48,7 +48,7 @@ class CutTable:
             )
         (self._start,) = starts
         self._end = self._start.replace("start", "end")
-        self._recording = next((each for each in _RECORDING if each in names), None)
+        self._recording = next((each for each in RECORDING_COLUMNS if each in names), None)
         self._columns = (self._start, self._end, self._recording)
         require_columns(names, filter(None, self._columns), self._place)
         self._unit = ImportColumns(time=self._start, time_unit=time_unit if self._start == "start" else None)
@@ -69,7 +69,7 @@ class CutTable:
             if other != recording.name:
                 raise InputError(
                     f"{self._place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
-                    next=f"write whole paths below the source, in a column {_RECORDING[0]!r}",
+                    next=f"write whole paths below the source, in a column {RECORDING_COLUMNS[0]!r}",
                 )
             name, line = f"{recording.name}_{count:03d}", self._lines[number]
             try:

@@ -264,7 +264,7 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 found = f"no column {name!r}{did_you_mean(name, known)}"
             raise InputError(
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
-                next="name the columns with the options of `realtouch import`",
+                next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from realtouch import video, video_files
 from realtouch.exchange import found_touches
+from realtouch.exchange.cut_tables import RECORDING_COLUMNS
 from realtouch.exchange.fields import NUMBERED
 from realtouch.exchange.found_touches import FoundTouch, path_of, source_of
 from realtouch.exchange.recordings import Recording
@@ -25,6 +26,7 @@ from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
 
 _FILE = "file"
 _HEADER_BYTES = 1 << 16
+_FIRST_LINES = 3  # the separator, the columns, a line
 
 
 def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
@@ -110,24 +112,35 @@ def _lines(
 
     if table is not None:
         return read(*source_of(table))
-    found = {}
+    found, refused = {}, None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
     for name in found_touches.visible_files(home, TABLE_ENDINGS):
-        if not name.startswith(streams) and image in _header(home, name):
+        if name.startswith(streams):
+            continue
+        names, line = _beginning(home, name)
+        if image in names:
             lines = read(home, name)
             if {path for path, _ in lines}.intersection(paths):
                 found[name] = lines
+        elif not {*RECORDING_COLUMNS}.intersection(names):  # no table of cuts
+            other = [column for column, value in line.items() if value and path_of(str(value)) in paths]
+            refused = refused or (other and (name, other[0]))
     if len(found) > 1:
         words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
         raise InputError(words, next="name one with --table")
+    if refused and not found:
+        name, other = refused
+        words = f"{home.address(name)!r} names videos in its column {other!r}; expected a column {image!r}"
+        raise InputError(words, next=f"add --map image={other}, or move the table out of the folder")
     return next(iter(found.values()), None)
 
 
-def _header(home: store.DataFolder, name: str) -> list[str]:
-    """Return the columns of a table by its first two lines; it may be long, or of no text."""
+def _beginning(home: store.DataFolder, name: str) -> tuple[list[str], dict[str, Any]]:
+    """Return the columns of a table and its first line; the table may be long, or of no text."""
     with suppress(InputError), found_touches.open_source(home, name) as stream:
-        return table_lines(b"\n".join(stream.read(_HEADER_BYTES).split(b"\n")[:2]), name)[0]
-    return []
+        names, lines = table_lines(b"\n".join(stream.read(_HEADER_BYTES).split(b"\n")[:_FIRST_LINES]), name)
+        return names, next(iter(lines), {})
+    return [], {}
 
 
 def describe_conversion(items: Sequence[FoundTouch]) -> str:

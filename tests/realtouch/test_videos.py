@@ -432,6 +432,16 @@ def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
         recordings(tmp_path)
 
 
+def test_a_table_that_names_videos_in_another_column_is_not_passed_over(tmp_path: Path) -> None:
+    (tmp_path / "1.avi").write_bytes(AVIS["no index"][0])
+    (tmp_path / "Übersicht.csv").write_text("sep=;\nDatei;Gegenstand\n1.avi;Kügelchen\n", "utf-8-sig")
+    with pytest.raises(InputError, match=r"'Datei'; expected a column 'file'; next: add --map image=Datei"):
+        recordings(tmp_path)
+    (tmp_path / "cuts.csv").write_text("recording,start_s,end_s\n1.avi,0,0.1\n")
+    (found,) = recordings(tmp_path, image="Datei")
+    assert found.values["Gegenstand"] == "Kügelchen"
+
+
 def test_folders_are_classes_where_they_hold_all_videos(tmp_path: Path) -> None:
     for name in ("mug/1.avi", "fork/1.avi", "fork/1.mp4"):
         (tmp_path / name).parent.mkdir(exist_ok=True)
