@@ -1,14 +1,13 @@
-"""Motion JPEG in an AVI: the JPEGs of a file, found by the headers of its chunks, and files of ours.
+"""Clips: AVIs of JPEG frames, found through the index, so that one frame costs one JPEG.
 
-No index is used: recorders leave it out, and it may be wrong. The layout is that of Microsoft's AVI RIFF file
-reference and of the OpenDML AVI file format extensions, by which files over 1 GB have several RIFF parts.
+Of AVIs only what the clips of touches use is read: RIFF with a video stream of MJPEG frames and an ``idx1``
+index. Each frame stands alone. The layout is that of Microsoft's AVI RIFF file reference.
 """
 
 from __future__ import annotations
 
 import struct
-from array import array
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 
 import numpy as np
@@ -21,121 +20,104 @@ MAX_CLIP_FRAMES = 10_000
 _RIFF = struct.Struct("<4sI4s")
 _CHUNK = struct.Struct("<4sI")
 _CHUNK_BYTES = 8
-_OPENED_LISTS = (b"AVI ", b"AVIX", b"hdrl", b"strl", b"movi", b"rec ")
-_JPEG_CODECS = (b"MJPG", b"JPEG")
 # Kind, codec, scale and rate, whose quotient are the frames per second.
-_STREAM_HEADER = struct.Struct("<4s4s12xII")
-_CODEC_OF_PICTURES = slice(16, 20)  # in the header that follows
+STREAM_HEADER = struct.Struct("<4s4s12xII")
+_ENTRY_BYTES = 16  # name of the chunk, flags, offset, size
 
 
-class AviPictures:
-    """Where the JPEGs of an AVI lie.
+class Avi:
+    """An AVI of MJPEG frames, opened by its index; each frame is found alone.
 
-    Reads headers alone. The lists of a file that was not closed state no size, or reach beyond its end: then
-    the whole pictures before its end are taken.
-
-    Parameters
-    ----------
-    read : callable
-        Takes a position and a number of bytes; returns these, or those before the end of the file.
-    end : int
-        Bytes of the file.
-    most : int
-        Most pictures.
-
-    Attributes
-    ----------
-    starts, sizes : ndarray of int64, shape (n,)
-        Position in the file and bytes of each JPEG.
-    slots : ndarray of int64, shape (n,)
-        Time of each, in periods; a picture that was dropped or repeated takes a period, but no bytes.
-    period_s : Fraction
-        Seconds; 0 if the file states none.
-    is_jpeg : bool
-        Whether its pictures are JPEGs; if not, none are found.
-    is_cut : bool
-        Whether the file ends in the middle, as that of a recorder that was killed.
-
-    Raises
-    ------
-    ValueError
-        The file is damaged, has two streams of pictures, or too many pictures.
-    """
-
-    def __init__(self, read: Callable[[int, int], bytes | memoryview], end: int, most: int) -> None:
-        self._read, self._streams, self._names = read, 0, (b"", b"")
-        self.period_s, self.is_jpeg, self.is_cut = Fraction(0), False, False
-        places, position, riff_end, slot = array("q"), 0, end, 0
-        while position + _CHUNK_BYTES <= end:
-            name, size = _CHUNK.unpack(read(position, _CHUNK_BYTES))
-            start = position + _CHUNK_BYTES
-            position = start + size + size % 2
-            if name in (b"RIFF", b"LIST") and bytes(read(start, 4)) in _OPENED_LISTS:
-                self.is_cut |= size == 0 or start + size > end
-                position = start + 4
-                if name == b"RIFF":
-                    riff_end = start + size
-            elif start + size > end or not name.isascii() or not name.decode().isprintable():
-                if self.is_cut or start > riff_end:  # what follows the file is padding
-                    break
-                problem = f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures"
-                raise ValueError(f"{problem}; expected a chunk inside of the file")
-            elif name in self._names:
-                if size:
-                    places.extend((start, size, slot))
-                slot += 1
-                if slot > most:
-                    raise ValueError(f"an AVI of more than {most:,} pictures; the limit is that")
-            elif name in (b"strh", b"strf"):
-                self._read_header(name, bytes(read(start, min(size, _STREAM_HEADER.size))))
-        found = np.frombuffer(places, np.int64).reshape(-1, 3)[: len(places) * self.is_jpeg]
-        self.starts: Int64 = found[:, 0].copy()
-        self.sizes: Int64 = found[:, 1].copy()
-        self.slots: Int64 = found[:, 2].copy()
-
-    def __len__(self) -> int:
-        return len(self.sizes)
-
-    def _read_header(self, name: bytes, header: bytes) -> None:
-        """Read what is stated of a stream; its chunks are named by its number, compressed or plain."""
-        number = self._streams - (name == b"strf")
-        names = (b"%02ddc" % number, b"%02ddb" % number)
-        self._streams += name == b"strh"
-        if name == b"strf" and names == self._names:
-            self.is_jpeg |= header[_CODEC_OF_PICTURES].upper() in _JPEG_CODECS
-        elif name == b"strh" and header[:4] == b"vids" and len(header) == _STREAM_HEADER.size:
-            if self._names[0]:
-                raise ValueError("an AVI of several streams of pictures; expected one")
-            _, codec, scale, rate = _STREAM_HEADER.unpack(header)
-            self._names, self.is_jpeg = names, codec.upper() in _JPEG_CODECS
-            if rate:
-                self.period_s = Fraction(scale, rate)
-
-
-class Avi(AviPictures):
-    """A clip of MJPEG frames, each of which is found alone.
-
-    Opening raises ValueError for another container or codec; where the file is damaged, cut short or exceeds
-    :data:`MAX_CLIP_FRAMES`.
+    Opening raises ValueError for another container or codec; where the file is cut short, exceeds
+    :data:`MAX_CLIP_FRAMES`, or has no index; and where that leads out of it or does not follow the stream.
     """
 
     def __init__(self, data: memoryview) -> None:
         name, size, kind = _RIFF.unpack_from(data) if len(data) >= _RIFF.size else (b"", 0, b"")
         if name != b"RIFF" or kind != b"AVI ":
-            found = f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}"
-            raise ValueError(f"{found}; expected an AVI with MJPEG frames")
-        super().__init__(lambda start, count: data[start : start + count], len(data), MAX_CLIP_FRAMES)
-        if self.is_cut:
-            found = f"an AVI cut short: {len(data):,} bytes are there"
-            raise ValueError(f"{found}; expected {size + _CHUNK_BYTES:,} by its header")
-        if not self.period_s or not len(self):
+            raise ValueError(
+                f"{len(data):,} bytes that begin with {bytes(data[:8]).hex(' ')}; expected an AVI with MJPEG "
+                "frames"
+            )
+        end = size + _CHUNK_BYTES
+        if end > len(data):
+            raise ValueError(
+                f"an AVI cut short: {len(data):,} bytes are there; expected {end:,} by its header"
+            )
+        self.data, self.fps = data, 0.0
+        parts: dict[bytes, tuple[int, int]] = {}
+        stream, number, position, chunk_at = None, -1, _RIFF.size, _CHUNK.unpack_from
+        while position + _CHUNK_BYTES <= end:
+            name, size = chunk_at(data, position)
+            start = position + _CHUNK_BYTES
+            position = start + size + size % 2
+            if start + size > end:
+                raise ValueError(
+                    f"an AVI whose part {name!r} ends {start + size - end:,} bytes behind its end"
+                )
+            if name == b"LIST" and size >= 4:
+                name, start, size = bytes(data[start : start + 4]), start + 4, size - 4
+                if name in (b"hdrl", b"strl"):  # what is in these is looked at next
+                    position, number = start, number + (name == b"strl")
+            elif name == b"strh" and stream is None and size >= STREAM_HEADER.size:
+                kind, codec, scale, rate = STREAM_HEADER.unpack_from(data, start)
+                if kind == b"vids" and codec.upper() == b"MJPG" and scale and rate:
+                    stream, self.fps = number, rate / scale
+            parts[name] = (start, size)
+        missing = [name for name in (b"hdrl", b"movi", b"idx1") if name not in parts]
+        if missing:
+            raise ValueError(f"an AVI without {missing[0].decode()!r}; expected an index of MJPEG frames")
+        if stream is None:
             raise ValueError("an AVI without an MJPEG stream; expected one")
-        self.data, self.fps = data, float(1 / self.period_s)
+        # Compressed and plain frames of the stream.
+        self._names = (b"%02ddc" % stream, b"%02ddb" % stream)
+        self._read_index(parts[b"idx1"], parts[b"movi"])
+
+    def __len__(self) -> int:
+        return len(self.sizes)
+
+    def _read_index(self, index: tuple[int, int], movie: tuple[int, int]) -> None:
+        stored = np.frombuffer(self.data, "<u4", 4 * (index[1] // _ENTRY_BYTES), index[0])
+        # Opening a clip is dominated by calls of numpy; there are as few as possible.
+        offsets, sizes = stored[2::4].astype(np.int64), stored[3::4].astype(np.int64)
+        names = stored[0::4]
+        if names.tobytes() != self._names[0] * len(names):
+            packed, plain = (int.from_bytes(name, "little") for name in self._names)
+            is_frame = (names == packed) | (names == plain)
+            offsets, sizes = offsets[is_frame], sizes[is_frame]
+        if len(sizes) > MAX_CLIP_FRAMES:
+            raise ValueError(f"a clip of {len(sizes):,} frames; the limit is {MAX_CLIP_FRAMES:,}")
+        self._all_sizes = sizes
+        if np.count_nonzero(sizes) < len(sizes):  # a repeated frame takes no bytes
+            offsets, sizes = offsets[sizes > 0], sizes[sizes > 0]
+        # Offsets count from the list of frames or from the start of the file, depending on the writer.
+        first = int(offsets[0]) if len(offsets) else 0
+        places = ((base, base + first) for base in (movie[0] - 4, 0))
+        bases = [base for base, at in places if self.data[at : at + 4].tobytes() in self._names]
+        if not len(offsets) or not bases:
+            raise ValueError("an AVI whose index does not lead to frames; expected one of MJPEG frames")
+        self.starts, self.sizes = offsets + (bases[0] + _CHUNK.size), sizes
+        ends = self.starts + sizes
+        # A small file with overlapping frames could decode to any number of pixels.
+        is_early = self.starts[1:] < ends[:-1]
+        if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
+            fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
+            found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
+            raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
+
+    @property
+    def slots(self) -> Int64:
+        """Slot of each frame in the file; a repeated frame takes a slot as well."""
+        return np.flatnonzero(self._all_sizes)
 
     def frame(self, number: int) -> memoryview:
-        """Return the JPEG of one frame."""
-        start = int(self.starts[number])
-        return self.data[start : start + int(self.sizes[number])]
+        """Return the JPEG of one frame; ValueError if the stream has no such frame there."""
+        start, size = int(self.starts[number]), int(self.sizes[number])
+        name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
+        if name not in self._names or stated != size:
+            where = f"frame {number} of {len(self)} where the stream has no frame of that size"
+            raise ValueError(f"an AVI whose index names {where}")
+        return self.data[start : start + size]
 
 
 def write_avi(frames: Sequence[bytes], width: int, height: int, fps: float) -> bytes:

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import IO
 
-from realtouch.avi import AviPictures
+from realtouch.avi_scan import AviPictures
 from realtouch.coded_video import coded_video
 from realtouch.video_files import (
     CUT_SHORT,

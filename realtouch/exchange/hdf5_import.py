@@ -75,8 +75,11 @@ def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[st
     if not image or not groups:
         several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
         shown = ", ".join(sorted(several, key=natural_order)[:_SHOWN])
+        wanted = "datasets; none was named as the pictures"
+        if image:
+            wanted = f"no dataset of pictures {image!r}"
         raise InputError(
-            f"{place!r} has no dataset of pictures {image!r}; found {shown or 'none'}",
+            f"{place!r} has {wanted}; found {shown or 'none'}",
             next="name it with --map image=PATH, below the file or below the group of each episode",
         )
     return groups

@@ -179,6 +179,7 @@ def test_hostile_counts_are_refused() -> None:
 @pytest.mark.parametrize(
     ("kind", "problem"),
     [
+        ("no index", "an AVI without 'idx1'; expected an index of MJPEG frames"),
         ("avi", "an AVI without an MJPEG stream; expected one"),
         ("matroska", "bytes that begin with 1a 45 df a3 .*; expected an AVI with MJPEG frames"),
     ],
@@ -187,7 +188,9 @@ def test_clips_of_other_kinds_are_damage(
     kind: str, problem: str, truth: list[RoundTruth], seq_rows: list[dict], tmp_path: Path
 ) -> None:
     def other(row: dict, _: int) -> None:
-        data = factories.encode_avi(truth[0].touches[0].pixels, "mpeg4", kind)
+        data = row["sensor_video"][0]["bytes"].replace(b"idx1", b"JUNK")
+        if kind != "no index":
+            data = factories.encode_avi(truth[0].touches[0].pixels, "mpeg4", kind)
         row["sensor_video"][0]["bytes"] = data
 
     factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=other))
@@ -217,3 +220,18 @@ def test_a_clip_of_another_length_is_named(seq_rows: list[dict], tmp_path: Path)
 
 def _copy(row: dict) -> dict:
     return {**row, "sensor_video": [dict(blob) for blob in row["sensor_video"]]}
+
+
+def test_an_index_with_an_entry_that_leads_nowhere(seq_rows: list[dict], tmp_path: Path) -> None:
+    def damage(row: dict, _: int) -> None:
+        data = bytearray(row["sensor_video"][0]["bytes"])
+        offset = data.rindex(b"idx1") + 8 + 16 * 6 + 8
+        data[offset : offset + 4] = b"\xff\xff\xff\x7f"
+        row["sensor_video"][0]["bytes"] = bytes(data)
+
+    factories.write_set(tmp_path, {"train": [_copy(seq_rows[0])]}, "seq", Layout(edit=damage))
+    record = realtouch.load(tmp_path)[0]
+    assert record.sensor_video[1][5].shape == (72, 96, 3)
+    with pytest.raises(IntegrityError, match="field 'sensor_video': an AVI whose index has frame 6 of"):
+        _ = record.sensor_video[0]
+    assert [(damage.row, damage.touch) for damage in realtouch.verify(tmp_path).findings] == [(0, 0)]

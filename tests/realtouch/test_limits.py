@@ -101,13 +101,27 @@ def test_no_encoder_has_frames_overlap(step: int) -> None:
     assert (avi.slots.tolist() == list(range(20))) == (step == 1)
 
 
-def test_an_index_is_not_believed() -> None:
-    """It may lead out of the file, name parts of frames, or play them in another order."""
+@pytest.mark.parametrize("order", [(2, 0, 3, 1), (1, 0, 2, 3), (1, 2, 3, 0), (0, 1, 3, 2)])
+def test_an_index_out_of_the_order_of_the_stream_is_named(order: tuple[int, ...]) -> None:
+    """It would play the frames in another order than they were taken in."""
     jpegs = [factories.encode_jpeg(np.full((16, 24, 3), 40 * each, np.uint8)) for each in range(4)]
     whole = write_avi(jpegs, 24, 16, 25.0)
     place = whole.rindex(b"idx1") + 8
-    avi = Avi(memoryview(whole[:place] + bytes(range(len(whole) - place))))
-    assert [bytes(avi.frame(frame)) for frame in range(4)] == jpegs
+    entries = [whole[place + 16 * each : place + 16 * each + 16] for each in order]
+    data = memoryview(whole[:place] + b"".join(entries))
+    with pytest.raises(
+        ValueError, match=r"index has frame \d of 4 outside of it or over another; expected that of"
+    ):
+        Avi(data)
+
+
+def test_an_index_that_names_other_bytes_than_the_stream_is_named() -> None:
+    whole = write_avi([factories.encode_jpeg(np.full((16, 24, 3), 40, np.uint8))] * 3, 24, 16, 25.0)
+    place = whole.rindex(b"idx1") + 8 + 16 + 12
+    shorter = int.from_bytes(whole[place : place + 4], "little") - 2
+    data = memoryview(whole[:place] + shorter.to_bytes(4, "little") + whole[place + 4 :])
+    with pytest.raises(ValueError, match="frame 1 of 3 where the stream has no frame of"):
+        Avi(data).frame(1)
 
 
 def test_an_unknown_codec_is_named(seq_rows: list[dict], tmp_path: Path) -> None:

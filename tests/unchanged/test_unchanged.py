@@ -31,8 +31,7 @@ RECORD = recorded()
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
 CHANGING = {"_Run", "DiskCache", "_Object", "_Row", "MeshPool", "Section"}
-"""Dataclasses that change: a training, a cache, a part that is read, a row of a plate, a pool that grows, what
-a check has seen so far."""
+"""Dataclasses that change: a training, a cache, a part that is read, a row of a plate, a pool that grows, a check."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
