@@ -8,22 +8,23 @@ from __future__ import annotations
 
 import math
 import weakref
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
 
 from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.found_touches import FoundTouch, natural_order, open_source, source_of, visible_files
-from realtouch.exchange.hdf5_arrays import H5Dataset, in_words, is_inside, open_file
+from realtouch.exchange.found_touches import natural_order, open_source, source_of, visible_files
+from realtouch.exchange.hdf5_arrays import dataset_in, in_words, kind_of_member, open_file
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 
 _ENDINGS = (".h5", ".hdf5")
 _MOST_OBJECTS, _DEEPEST = 20_000, 16
@@ -32,115 +33,100 @@ _SHOWN, _PICTURE_AXES = 8, 4
 
 
 def find_hdf5(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
-    """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets."""
+    """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
+
+    They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
+    """
     names = visible_files(home, _ENDINGS)
     if (home.info("") or {}).get("type") == "file":
         home, name = source_of(home.address())
         names = [name]
     if not names:
         raise InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
+    image = columns.image_name.strip("/")
     for name in names:
-        stem = name.rpartition(".")[0] if len(names) > 1 else ""
-        with open_source(home, name) as stream, in_words(home.address(name)):
-            yield from _File(home, name, stem, open_file(stream)).recordings(columns)
+        place = home.address(name)
+        with open_source(home, name) as stream, in_words(place):
+            root = open_file(stream)
+            kinds = dict(islice(_members(place, root, "", _DEEPEST), _MOST_OBJECTS + 1))
+            if len(kinds) > _MOST_OBJECTS:
+                raise InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
+            for group in sorted(_groups(place, root, kinds, image), key=natural_order):
+                prefix = [name.rpartition(".")[0]] * (len(names) > 1 or not group)
+                title = "/".join([*prefix, *filter(None, [group.strip("/")])])
+                yield _recording(home, name, root, kinds, (title, group, image), columns)
 
 
-class _File:
-    """What a file holds: datasets and groups by path, without those behind links."""
-
-    def __init__(self, home: store.DataFolder, path: str, prefix: str, root: Any) -> None:
-        self.home, self.path, self.place = home, path, home.address(path)
-        self.prefix = prefix
-        self.datasets: dict[str, Any] = {}
-        self.groups: dict[str, Any] = {}
-        self.left_out: list[str] = []
-        self._look(root, "", _DEEPEST)
-
-    def _look(self, group: Any, path: str, deepest: int) -> None:
-        self.groups[path] = group
-        for name in group:
-            if len(self.datasets) + len(self.groups) > _MOST_OBJECTS or not deepest:
-                most = f"{_MOST_OBJECTS:,} datasets and groups, or {_DEEPEST} groups in each other"
-                raise InputError(f"{self.place!r}: more than {most}")
-            below = f"{path}{name}"
-            if not is_inside(group, name):
-                self.left_out.append(f"{below} (a link)")
-            elif group.get(name, getclass=True).__name__ == "Group":
-                self._look(group[name], f"{below}/", deepest - 1)
-            elif group.get(name, getclass=True).__name__ == "Dataset":
-                self.datasets[below] = group[name]
-
-    def recordings(self, columns: ImportColumns) -> Iterator[Recording]:
-        """Yield the episodes in natural order: of ``data/demo_2`` before ``data/demo_10``."""
-        image = columns.image_name.strip("/")
-        groups = [path.removesuffix(image) for path in self.datasets if f"/{path}".endswith(f"/{image}")]
-        if not image or not groups:
-            several = {path for path, each in self.datasets.items() if len(each.shape or ()) == _PICTURE_AXES}
-            shown = sorted(several, key=natural_order)[:_SHOWN]
-            raise InputError(
-                f"{self.place!r} has no dataset of pictures {image!r}; found {', '.join(shown) or 'none'}",
-                next="name it with --map image=PATH, below the file or below the group of each episode",
-            )
-        for group in sorted(groups, key=natural_order):
-            yield self._recording(group, image, columns)
-
-    def _recording(self, group: str, image: str, columns: ImportColumns) -> Recording:
-        inside = {
-            path.removeprefix(group): partial(H5Dataset, self.place, each)
-            for path, each in self.datasets.items()
-            if path.startswith(group)
-        }
-        pictures = PictureArray.of(inside.pop(image)())
-        wanted = {NUMBERED, *columns.found_in(inside).names()}
-        per_frame, left_out = columns_of(inside, len(pictures), wanted)
-        left_out += [each.removeprefix(group) for each in self.left_out if each.startswith(group)]
-        values: dict[str, object] = {}
-        for each in dict.fromkeys(("", group)):
-            left_out += _add_attributes(self.groups[each], values)
-        name = "/".join(filter(None, (self.prefix, group.strip("/")))) or self.path.rpartition(".")[0]
-        part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
-        about = (part, 0, len(pictures), size, values, per_frame)
-        whole = Recording(name, self.home.address(), self.path, *about, left_out=tuple(left_out))
-        constant = of_episodes(whole, columns).intersection(wanted)
-        return next(episodes_of(whole, np.array([len(pictures)]), [name], constant))
+def _members(place: str, group: Any, path: str, deepest: int) -> Iterator[tuple[str, str]]:
+    """Yield the path and kind of each member of a group and of the groups in it, but not behind links."""
+    if not deepest:
+        raise InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
+    for name in group:
+        kind = kind_of_member(group, name)
+        yield f"{path}{name}", kind
+        if kind == "Group":
+            yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
 
 
-def _add_attributes(group: Any, values: dict[str, object]) -> list[str]:
-    """Add the attributes of a group that are texts or few numbers; return the names of all others."""
-    left_out = []
-    for name in group.attrs:
-        value = group.attrs[name]
-        found = np.asarray(value)
-        if isinstance(value, str) and len(value) <= _MOST_LETTERS:
-            values[name] = value
-        elif found.dtype.kind in "biuf" and found.size <= _MOST_NUMBERS and found.ndim < 2:
-            values[name] = found.tolist()
-        else:
-            left_out.append(f"attribute {name}")
-    return left_out
+def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[str]:
+    """Return the paths of groups with a dataset of pictures; InputError lists what may hold pictures."""
+    datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
+    groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
+    if not image or not groups:
+        several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
+        shown = ", ".join(sorted(several, key=natural_order)[:_SHOWN])
+        raise InputError(
+            f"{place!r} has no dataset of pictures {image!r}; found {shown or 'none'}",
+            next="name it with --map image=PATH, below the file or below the group of each episode",
+        )
+    return groups
 
 
-def open_pictures(item: FoundTouch) -> PictureArray:
-    """Open the pictures that an item is one of."""
-    divisor, path = item.part.split(" ", 1)
-    home = store.open_folder(item.home)
-    place = home.address(item.path)
-    with ExitStack() as closing, in_words(place):
-        found = open_file(closing.enter_context(open_source(home, item.path)))
-        for name in path.split("/"):
-            if not is_inside(found, name):
-                raise InputError(f"{place!r}: {path!r} lies behind a link now")
-            found = found[name]
-        array = H5Dataset(place, found)
+def _recording(
+    home: store.DataFolder,
+    path: str,
+    root: Any,
+    kinds: dict[str, str],
+    named: tuple[str, str, str],
+    columns: ImportColumns,
+) -> Recording:
+    title, group, image = named
+    place = home.address(path)
+    below = {each.removeprefix(group): kind for each, kind in kinds.items() if each.startswith(group)}
+    inside = {
+        each: partial(dataset_in, place, root, f"{group}{each}")
+        for each, kind in below.items()
+        if kind == "Dataset"
+    }
+    pictures = PictureArray.of(inside.pop(image)())
+    wanted = {NUMBERED, *columns.found_in(inside).names()}
+    per_frame, left_out = columns_of(inside, len(pictures), wanted)
+    left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
+    values: dict[str, object] = {}
+    for each in dict.fromkeys(("/", f"/{group}")):
+        for name, value in root[each].attrs.items():
+            found = np.asarray(value)
+            is_text = isinstance(value, str) and len(value) <= _MOST_LETTERS
+            if is_text or (found.dtype.kind in "biuf" and found.size <= _MOST_NUMBERS and found.ndim < 2):
+                values[name] = found.tolist()
+            else:
+                left_out.append(f"attribute {name}")
+    part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
+    about = (part, 0, len(pictures), size, values, per_frame)
+    whole = Recording(title, home.address(), path, *about, left_out=tuple(left_out))
+    constant = of_episodes(whole, columns).intersection(wanted)
+    return next(episodes_of(whole, np.array([len(pictures)]), [title], constant))
+
+
+def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+    divisor, name = part.split(" ", 1)
+    folder = store.open_folder(home)
+    with ExitStack() as closing, in_words(folder.address(path)):
+        root = open_file(closing.enter_context(open_source(folder, path)))
+        array = dataset_in(folder.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
     return PictureArray(array, float(divisor))
 
 
-def describe_conversion(items: Sequence[FoundTouch]) -> str:
-    """Return what is done to the pictures of a file; empty if they are taken as they are."""
-    return described_pictures(items, open_pictures)
-
-
-def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield each picture of some items in order, images as PNG, those of clips as JPEG."""
-    return encoded_pictures(items, open_pictures)
+encoded_frames = partial(encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(described_pictures, opened=_open_pictures)

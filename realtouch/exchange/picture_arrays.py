@@ -9,7 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -32,33 +33,33 @@ _LARGEST_LETTER = 0x10FFFF
 _SURROGATES = (0xD800, 0xDFFF)
 
 
-class StoredArray(Protocol):
-    """An array of any format, whose metadata were checked."""
+@dataclass(frozen=True, eq=False)
+class StoredArray:
+    """An array of any format, whose metadata were checked: numbers, or text of a fixed length.
 
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Length of each axis."""
+    ``block(n)`` reads the rows along the first axis from ``n * step`` on: ``step`` of them, or all that are
+    left. ``stored_bytes()`` is about how many bytes are stored of the array.
+    """
 
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the values: numbers, or text of a fixed length."""
-
-    @property
-    def place(self) -> str:
-        """Address of the array, for messages."""
-
-    @property
-    def step(self) -> int:
-        """How many rows are read in one go."""
-
-    def rows(self, start: int, stop: int) -> AnyArray:
-        """Return what lies at some places along the first axis, shape (stop - start, ...)."""
-
-    def stored_bytes(self) -> int:
-        """Return about how many bytes are stored of the array."""
+    place: str
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+    step: int
+    block: Callable[[int], AnyArray]
+    stored_bytes: Callable[[], int]
 
     def refused(self, problem: str) -> InputError:
         """Return the error for an array that cannot be used."""
+        return InputError(f"{self.place!r}: {problem}")
+
+    def blocks(self) -> Iterator[AnyArray]:
+        """Yield all rows, a block at a time."""
+        return map(self.block, range(-(-self.shape[0] // self.step)))
+
+    def rows(self) -> AnyArray:
+        """Return all rows."""
+        require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,12 +76,11 @@ class PictureArray:
     @classmethod
     def of(cls, array: StoredArray, sensor: int | None = None) -> PictureArray:
         """Look at an array; InputError for one that does not hold pictures of 8 bits."""
-        pictures = cls(array, sensor=sensor)
-        shape = pictures.shape
+        pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
+        count = math.prod(array.shape)
         what = f"{array.place}: {array.shape}, {array.dtype},"
-        stored = array.stored_bytes()
-        require_unpackable(math.prod(array.shape) * array.dtype.itemsize, what, _COMPRESSION * stored)
-        if len(shape) != 4 or not math.prod(shape) or shape[3] not in _CHANNELS:
+        require_unpackable(count * array.dtype.itemsize, what, _COMPRESSION * stored)
+        if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
             raise array.refused(
                 f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"
             )
@@ -95,43 +95,32 @@ class PictureArray:
         return self.array.shape[0]
 
     @property
-    def _stored_shape(self) -> tuple[int, ...]:
-        shape = self.array.shape
-        return shape if self.sensor is None else (shape[0], *shape[2:])
-
-    def _rows(self, start: int, stop: int) -> AnyArray:
-        found = self.array.rows(start, stop)
-        return found if self.sensor is None else found[:, self.sensor]
-
-    @property
-    def _channel_axis(self) -> int:
-        """Axis of the channels, where they come before height and width; else the last."""
-        shape = self._stored_shape
-        if len(shape) == 4 and shape[3] not in _CHANNELS and shape[1] in _CHANNELS:
-            return 1
-        return -1
-
-    @property
     def shape(self) -> tuple[int, ...]:
         """Pictures, height, width and channels, as far as there are such axes."""
-        shape = self._stored_shape
-        if len(shape) == 3:
-            return (*shape, 1)
-        return (shape[0], *shape[2:], shape[1]) if self._channel_axis == 1 else shape
+        return self._upright(np.broadcast_to(np.uint8(0), self.array.shape)).shape
 
-    def pixels(self, start: int, stop: int) -> UInt8:
-        """Return some pictures, shape (n, H, W, 3), or (n, H, W) of one channel; uint8, contiguous."""
-        found = self._rows(start, stop)
+    def _upright(self, values: AnyArray) -> AnyArray:
+        """Return the pictures of the sensor, with their channels last."""
+        if self.sensor is not None:
+            values = values[:, self.sensor]
+        if values.ndim == 3:
+            values = values[..., None]
+        if values.ndim == 4 and values.shape[3] not in _CHANNELS and values.shape[1] in _CHANNELS:
+            values = np.moveaxis(values, 1, -1)
+        return values
+
+    def pixels(self, number: int) -> UInt8:
+        """Return the pictures of a block of the array, shape (n, H, W, 3); uint8."""
+        found = self._upright(self.array.block(number))
         if found.dtype != np.uint8:
             found = np.rint(found / self.divisor).astype(np.uint8)
-        found = np.moveaxis(found, self._channel_axis, -1)
-        if self.shape[3] == 1:
-            found = found.reshape(found.shape[:3])
-        return np.ascontiguousarray(found)
+        return found.repeat(3 // found.shape[3], axis=3)
 
     def described(self) -> str:
         """Return what is done to the pictures; empty if they are taken as they are."""
-        words = ["channels first"] * (self._channel_axis == 1) + ["one channel"] * (self.shape[3] == 1)
+        axes = len(self.array.shape) - (self.sensor is not None)
+        words = ["channels first"] * (axes == 4 and self.array.shape[-1] not in _CHANNELS)
+        words += ["one channel"] * (self.shape[3] == 1)
         if self.array.dtype != np.uint8:
             top = self.divisor * _MOST_LEVEL
             words.append(f"{self.array.dtype} from 0 to {top:g}, taken as levels from 0 to {_MOST_LEVEL}")
@@ -139,14 +128,12 @@ class PictureArray:
 
     def _lossless(self) -> float:
         """Return what all values are multiples of; InputError if 8 bits would lose some."""
-        dtype, step = self.array.dtype, self.array.step
-        tolerance = _LEAST_TOLERANCE
+        dtype, tolerance = self.array.dtype, _LEAST_TOLERANCE
         if dtype.kind == "f":
             tolerance = max(tolerance, float(np.finfo(dtype).eps) * _MOST_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
-        for start in range(0, len(self), step):
-            values = self._rows(start, min(start + step, len(self)))
+        for values in map(self._upright, self.array.blocks()):
             low, high = np.minimum(low, values.min()), np.maximum(high, values.max())
             fitting = [each for each in fitting if _fits(values / each, tolerance)]
             if not fitting:
@@ -165,34 +152,28 @@ def _fits(levels: Floating, tolerance: float) -> bool:
     return bool((inside & (np.abs(levels - nearest) <= tolerance)).all())
 
 
-def encoded_pictures(
-    items: Iterable[FoundTouch], opened: Callable[[FoundTouch], PictureArray]
-) -> Iterator[bytes]:
+OpenPictures = Callable[[str, str, str], PictureArray]
+"""Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
+
+
+def encoded_pictures(items: Iterable[FoundTouch], opened: OpenPictures) -> Iterator[bytes]:
     """Yield each picture of some items in order, images as PNG, those of clips as JPEG.
 
-    A chunk is unpacked once.
+    A block of an array is read once.
     """
-    shown, held, chunk = ("", "", ""), range(0), np.zeros(0, np.uint8)
+    open_part, pixels = lru_cache(1)(opened), lru_cache(1)(PictureArray.pixels)
     for item in items:
-        if shown != (item.home, item.path, item.part):
-            shown, held, pictures = (item.home, item.path, item.part), range(0), opened(item)
+        pictures = open_part(item.home, item.path, item.part)
         for number in range(item.start, item.start + max(1, item.frames)):
-            if number not in held:
-                first = number - number % pictures.array.step
-                held = range(first, min(first + pictures.array.step, len(pictures)))
-                chunk = pictures.pixels(held.start, held.stop)
-            pixels = chunk[number - held.start]
-            if not item.frames:
-                yield encode_image(pixels, "png")
-            else:
-                yield encode_image(pixels if pixels.ndim == 3 else pixels[..., None].repeat(3, axis=2))
+            block, place = divmod(number, pictures.array.step)
+            yield encode_image(pixels(pictures, block)[place], "jpeg" if item.frames else "png")
 
 
-def described_pictures(items: Sequence[FoundTouch], opened: Callable[[FoundTouch], PictureArray]) -> str:
+def described_pictures(items: Sequence[FoundTouch], opened: OpenPictures) -> str:
     """Return what is done to the pictures of some items; empty if they are taken as they are."""
-    words = [opened(items[0]).described()]
-    if items[0].frames:
-        words.append("pictures of clips encoded as JPEG of quality 95")
+    first = items[0]
+    words = [opened(first.home, first.path, first.part).described()]
+    words += ["pictures of clips encoded as JPEG of quality 95"] * bool(first.frames)
     return "; ".join(filter(None, words))
 
 
@@ -218,7 +199,7 @@ def columns_of(
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
             size += frames * width * array.dtype.itemsize
             require_unpackable(size, f"{array.place}, with all arrays before it,")
-            rows = _letters_checked(array, array.rows(0, frames)).reshape(frames, width)
+            rows = _letters_checked(array).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:
             raise array.refused(f"an array {array.shape}; expected {frames:,} rows of numbers, as frames")
@@ -227,8 +208,9 @@ def columns_of(
     return found, others
 
 
-def _letters_checked(array: StoredArray, rows: AnyArray) -> AnyArray:
+def _letters_checked(array: StoredArray) -> AnyArray:
     """Return numbers as they are, and text as Unicode; InputError for text that is not."""
+    rows = array.rows()
     try:
         if rows.dtype.kind == "S":
             rows = np.char.decode(rows, "utf-8")

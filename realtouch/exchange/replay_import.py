@@ -5,26 +5,19 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from realtouch.exchange.recordings import Recording
-from realtouch.exchange.replay import CLASSES, IDS, PIXELS
+from realtouch.exchange.replay import PIXELS
 from realtouch.exchange.zarr_recordings import (
-    ATTRIBUTES,
     chosen_pictures,
-    data_names,
+    data_arrays,
     describe_conversion,
     encoded_frames,
-    episode_ends,
-    episodes_of,
     group_in,
-    name_ours,
-    of_episodes,
-    texts,
-    whole_recording,
+    recordings_of,
 )
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 
 __all__ = ["describe_conversion", "encoded_frames", "find_replay"]
-_OUR_ARRAYS = {"state": POSE_COLUMNS, "action": POSITION_COLUMNS}
 
 
 def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
@@ -33,13 +26,6 @@ def find_replay(home: store.DataFolder, columns: ImportColumns, table: str | Non
     What an array of others means does not follow from its shape; a buffer of this toolkit states its names.
     """
     group = group_in(home)
-    names = data_names(group)
-    name = chosen_pictures(group, columns.image_name or PIXELS.rpartition("/")[2], names)
-    whole = whole_recording(group, names, (name, None), columns)
-    ends, stated = episode_ends(group, whole.frames), group.json(ATTRIBUTES)
-    ids = texts(stated, IDS)
-    if len(ids) == len(ends):
-        whole = name_ours(whole, _OUR_ARRAYS, texts(stated, CLASSES))
-    else:
-        ids = []
-    yield from episodes_of(whole, ends, ids, of_episodes(whole, columns))
+    names = data_arrays(group)
+    name = chosen_pictures(group, columns.image_name or PIXELS, names)
+    return recordings_of(group, names, (name, None), columns)

@@ -17,11 +17,12 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 from importlib import import_module
 from itertools import product
-from typing import IO, Any, Self
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch.exchange.picture_arrays import StoredArray
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
@@ -38,7 +39,7 @@ _WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
 # Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
 _UNREADABLE = (
     *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
-    zlib.error,
+    *(zlib.error, zipfile.BadZipFile),
 )
 _LEVEL = 1
 
@@ -70,15 +71,103 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
 """Functions that unpack data to a given number of bytes; a result of another length means damage."""
 
 
+@dataclass(frozen=True)
+class _Layout:
+    """What metadata state of an array, and by that how it is read.
+
+    ``axes`` is the order in which a chunk holds the axes; its file is called ``prefix`` and its number along
+    each axis, with ``separator`` between.
+    """
+
+    shape: tuple[int, ...]
+    chunks: tuple[int, ...]
+    dtype: np.dtype[Any]
+    fill: AnyArray
+    codecs: tuple[str, ...]
+    axes: tuple[int, ...]
+    prefix: str
+    separator: str
+
+    @property
+    def chunk_bytes(self) -> int:
+        return math.prod(self.chunks) * self.dtype.itemsize
+
+    @property
+    def counts(self) -> list[int]:
+        """Chunks along each axis."""
+        return [-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True)]
+
+    def problem(self) -> str:
+        """Return why such an array cannot be read; empty if it can."""
+        unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
+        if unknown:
+            return (
+                f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
+                "code, lose values or are not known here; nothing was opened"
+            )
+        sizes, axes = [*self.shape, *self.chunks], list(range(len(self.shape)))
+        fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
+        fits &= axes != [] and sorted(self.axes) == axes == list(range(len(self.chunks)))
+        fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0 and self.separator in ("/", ".")
+        if not fits:
+            return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
+        count = math.prod(self.counts)
+        return f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
+
+
+def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
+    """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
+    if dtype.kind in "SU":
+        stated = str(stated or "")
+    elif isinstance(stated, str):
+        stated = float(stated)
+    return np.full((), stated or np.zeros((), dtype), dtype.newbyteorder("="))
+
+
+def _layout_of_2(stated: Mapping[str, Any]) -> _Layout:
+    codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
+    dtype = np.dtype(str(stated["dtype"]))
+    return _Layout(
+        shape=tuple(stated["shape"]),
+        chunks=tuple(stated["chunks"]),
+        dtype=dtype,
+        fill=_fill(stated["fill_value"], dtype),
+        codecs=tuple(str(each["id"]) for each in codecs),
+        axes=tuple(range(len(stated["shape"]))[:: _DIRECTIONS[stated["order"]]]),
+        prefix="",
+        separator=str(stated.get("dimension_separator", ".")),
+    )
+
+
+def _layout_of_3(stated: Mapping[str, Any]) -> _Layout:
+    configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
+    keys, grid = stated["chunk_key_encoding"], stated["chunk_grid"]
+    prefix, separator = _CHUNK_KEYS[keys["name"]]
+    separator = str(keys.get("configuration", {}).get("separator", separator))
+    dtype = np.dtype(str(stated["data_type"]))
+    order = configurations.get("bytes", {}).get("endian", "little")
+    return _Layout(
+        shape=tuple(stated["shape"]),
+        chunks=tuple({"regular": grid["configuration"]}[grid["name"]]["chunk_shape"]),
+        dtype=dtype.newbyteorder(order),
+        fill=_fill(stated["fill_value"], dtype),
+        codecs=tuple(name for name in configurations if name not in _WITHOUT_CHANGE),
+        axes=tuple(configurations.get("transpose", {}).get("order", range(len(stated["shape"])))),
+        prefix=prefix.format(separator),
+        separator=separator,
+    )
+
+
+_LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
+
+
 class ZarrGroup:
     """A group, by its path below the source: a folder, or a file ``.zip``."""
 
     def __init__(self, home: store.DataFolder, path: str) -> None:
-        self.home = home
-        self.path = path
-        self.place = home.address(path)
+        self.home, self.path, self.place = home, path, home.address(path)
         is_folder = (home.info(path) or {}).get("type") == "directory"
-        self.is_zip = self.place.lower().endswith(".zip") and not is_folder
+        self.is_zip = path.lower().endswith(".zip") and not is_folder
 
     @cached_property
     def _archive(self) -> zipfile.ZipFile:
@@ -87,19 +176,18 @@ class ZarrGroup:
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
             require_plain_archive(archive)
-        except (*_UNREADABLE, zipfile.BadZipFile, ItemError) as error:
+        except (*_UNREADABLE, ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
 
     def _open(self, path: str) -> IO[bytes]:
         if not self.is_zip:
-            return store.open_inside(self.home, self.below(path))
+            return store.open_inside(self.home, self._below(path))
         if path not in self._archive.NameToInfo:
             raise ItemError("missing", "")
         return self._archive.open(path)
 
-    def below(self, path: str) -> str:
-        """Return the path of a file or folder of the group below the source."""
+    def _below(self, path: str) -> str:
         return f"{self.path}/{path}".strip("/")
 
     def read(self, path: str, most: int = _MOST_METADATA_BYTES) -> bytes | None:
@@ -111,7 +199,7 @@ class ZarrGroup:
             if error.reason == "missing":
                 return None
             raise self.refused(path, error.what) from error
-        except (*_UNREADABLE, zipfile.BadZipFile) as error:
+        except _UNREADABLE as error:
             raise self.refused(path, "a damaged file or zip") from error
         if len(found) > most:
             raise self.refused(path, f"a file of more than {most:,} bytes; expected at most that many")
@@ -124,224 +212,103 @@ class ZarrGroup:
         except (ValueError, TypeError, RecursionError) as error:
             raise self.refused(path, "no JSON object; expected what Zarr states of an array") from error
 
-    def arrays(self, folder: str) -> list[str]:
-        """List the arrays directly in a folder of the group."""
+    def arrays(self, folder: str) -> dict[str, object]:
+        """Return what is stated as the shapes of the arrays directly in a folder of the group, unchecked."""
         if self.is_zip:
             names = {path.removeprefix(f"{folder}/").partition("/")[0] for path in self._archive.NameToInfo}
         else:
-            names = set(self.home.names(self.below(folder)))
+            names = set(self.home.names(self._below(folder)))
         visible = sorted(name for name in names if not store.is_hidden(name))
-        return [name for name in visible if "shape" in self._stated(f"{folder}/{name}")[1]]
+        stated = {name: self._stated(f"{folder}/{name}")[1] for name in visible}
+        return {name: each["shape"] for name, each in stated.items() if "shape" in each}
 
     def _stated(self, path: str) -> tuple[int, dict[str, Any]]:
         """Return the version of Zarr of an array, and its metadata; empty ones where there is none."""
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
-    def stated_shape(self, path: str) -> tuple[Any, ...]:
-        """Return what is stated as the shape of an array, unchecked; empty if there is none."""
-        found = self._stated(path)[1].get("shape")
-        return tuple(found) if isinstance(found, list) else ()
-
-    def array(self, path: str) -> ZarrArray:
+    def array(self, path: str) -> StoredArray:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
         try:
-            return ZarrArray(self, path, **_LAYOUTS[version](stated))
+            layout = _LAYOUTS[version](stated)
         except _UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
+        problem, place = layout.problem(), f"{self.place}/{path}"
+        if problem:
+            raise self.refused(path, problem)
+        require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
+        read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
+        return StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
     def refused(self, path: str, problem: str) -> InputError:
         """Return the error for a part of the group that cannot be used."""
         where = f"{self.place}/{path}".rstrip("/")
         return InputError(f"{where!r}: {problem}")
 
+    def _stored_bytes(self, path: str) -> int:
+        """Return how many bytes are stored of an array: of a group in a zip, those of the zip."""
+        if self.is_zip:
+            return self.home.size_bytes(self.path)
+        return sum(map(self.home.size_bytes, self.home.walk(self._below(path))))
 
-def _fill(stated: Any, dtype: np.dtype[Any]) -> Any:
-    """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
-    if dtype.kind in "SU":
-        return np.full(1, str(stated or ""), dtype)[0]
-    if isinstance(stated, str):
-        stated = float(stated)
-    return np.full(1, stated or 0, dtype)[0]
-
-
-def _layout_of_2(stated: Mapping[str, Any]) -> dict[str, Any]:
-    codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
-    axes, dtype = range(len(stated["shape"])), np.dtype(str(stated["dtype"]))
-    return {
-        "shape": tuple(stated["shape"]),
-        "chunks": tuple(stated["chunks"]),
-        "dtype": dtype,
-        "fill": _fill(stated["fill_value"], dtype),
-        "codecs": tuple(str(each["id"]) for each in codecs),
-        "axes": tuple(axes[:: _DIRECTIONS[stated["order"]]]),
-        "prefix": "",
-        "separator": str(stated.get("dimension_separator", ".")),
-    }
-
-
-def _layout_of_3(stated: Mapping[str, Any]) -> dict[str, Any]:
-    configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
-    keys, grid, axes = stated["chunk_key_encoding"], stated["chunk_grid"], range(len(stated["shape"]))
-    prefix, separator = _CHUNK_KEYS[keys["name"]]
-    separator = str(keys.get("configuration", {}).get("separator", separator))
-    dtype = np.dtype(str(stated["data_type"]))
-    order = configurations.get("bytes", {}).get("endian", "little")
-    return {
-        "shape": tuple(stated["shape"]),
-        "chunks": tuple({"regular": grid["configuration"]}[grid["name"]]["chunk_shape"]),
-        "dtype": dtype.newbyteorder(order),
-        "fill": _fill(stated["fill_value"], dtype),
-        "codecs": tuple(name for name in configurations if name not in _WITHOUT_CHANGE),
-        "axes": tuple(configurations.get("transpose", {}).get("order", axes)),
-        "prefix": prefix.format(separator),
-        "separator": separator,
-    }
-
-
-_LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
-
-
-@dataclass(frozen=True, eq=False)
-class ZarrArray:
-    """An array: its metadata, checked, and how to read it.
-
-    ``axes`` is the order in which a chunk holds the axes; its file is called ``prefix`` and its number along
-    each axis, with ``separator`` between.
-    """
-
-    group: ZarrGroup
-    path: str
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...]
-    dtype: np.dtype[Any]
-    fill: Any
-    codecs: tuple[str, ...]
-    axes: tuple[int, ...]
-    prefix: str
-    separator: str
-
-    def __post_init__(self) -> None:
-        unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
-        if unknown:
-            raise self.refused(
-                f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
-                "code, lose values or are not known here; nothing was opened"
-            )
-        sizes = [*self.shape, *self.chunks]
-        fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
-        axes = list(range(len(self.shape)))
-        fits &= sorted(self.axes) == axes == list(range(len(self.chunks)))
-        fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0
-        if not fits or self.separator not in ("/", "."):
-            raise self.refused(
-                f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
-            )
-        require_unpackable(self._chunk_bytes, f"{self.place}: a chunk")
-        count = math.prod(self._chunk_counts)
-        if count > _MOST_CHUNKS:
-            raise self.refused(f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}")
-
-    @property
-    def place(self) -> str:
-        """Address of the array, for messages."""
-        return f"{self.group.place}/{self.path}"
-
-    @property
-    def step(self) -> int:
-        """Rows that one chunk holds."""
-        return self.chunks[0]
-
-    def refused(self, problem: str) -> InputError:
-        """Return the error for an array that cannot be used."""
-        return self.group.refused(self.path, problem)
-
-    @property
-    def _chunk_counts(self) -> list[int]:
-        return [-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True)]
-
-    @property
-    def _chunk_bytes(self) -> int:
-        return math.prod(self.chunks) * self.dtype.itemsize
-
-    def stored_bytes(self) -> int:
-        """Return how many bytes are stored of the array: of a group in a zip, those of the zip."""
-        home, group = self.group.home, self.group
-        if group.is_zip:
-            return home.size_bytes(group.path)
-        return sum(map(home.size_bytes, home.walk(group.below(self.path))))
-
-    def require_chunks(self) -> None:
-        """Unpack all chunks that are stored; InputError for one that is damaged."""
-        for index in product(*map(range, self._chunk_counts)):
-            self._chunk(index)
-
-    def rows(self, start: int, stop: int) -> AnyArray:
-        """Return what lies at some places along the first axis, shape (stop - start, ...)."""
-        size = (stop - start, *self.shape[1:])
-        what = f"{self.place}: {size} values"
-        require_unpackable(math.prod(size) * self.dtype.itemsize, what)
-        found = np.full(size, self.fill, self.dtype.newbyteorder("="))  # where no chunk is stored
-        spans = [(start, stop), *((0, each) for each in self.shape[1:])]
-        numbers = (
-            range(low // part, -(-high // part)) for (low, high), part in zip(spans, self.chunks, strict=True)
-        )
-        for index in product(*numbers):
-            inside, place = [], []
-            for at, part, (low, high) in zip(index, self.chunks, spans, strict=True):
-                first, last = max(at * part, low), min((at + 1) * part, high)
-                inside.append(slice(first - at * part, last - at * part))
-                place.append(slice(first - low, last - low))
-            chunk = self._chunk(index)
+    def _block(self, path: str, layout: _Layout, number: int) -> AnyArray:
+        step, *parts = layout.chunks
+        size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
+        dtype = layout.dtype.newbyteorder("=")
+        require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
+        found: AnyArray = np.broadcast_to(layout.fill, size)  # where no chunk is stored
+        for index in product(*map(range, layout.counts[1:])):
+            chunk = self._chunk(path, layout, (number, *index))
             if chunk is not None:
-                found[tuple(place)] = chunk[tuple(inside)]
+                found = found if found.flags.writeable else np.array(found, dtype)
+                spans = (slice(at * part, (at + 1) * part) for at, part in zip(index, parts, strict=True))
+                target = found[(slice(None), *spans)]
+                target[...] = chunk[tuple(map(slice, target.shape))]
         return found
 
-    def _chunk(self, index: tuple[int, ...]) -> AnyArray | None:
-        name = f"{self.path}/{self.prefix}{self.separator.join(map(str, index))}"
-        data = self.group.read(name, 2 * self._chunk_bytes + _SPARE_BYTES)
+    def _chunk(self, path: str, layout: _Layout, index: tuple[int, ...]) -> AnyArray | None:
+        name = f"{path}/{layout.prefix}{layout.separator.join(map(str, index))}"
+        data = self.read(name, 2 * layout.chunk_bytes + _SPARE_BYTES)
         if data is None:
             return None
         try:
-            for codec in self.codecs:
-                data = _CODECS[codec](data, self._chunk_bytes)
-            stored = np.frombuffer(data, self.dtype).reshape([self.chunks[axis] for axis in self.axes])
+            for codec in layout.codecs:
+                data = _CODECS[codec](data, layout.chunk_bytes)
+            stored = np.frombuffer(data, layout.dtype).reshape([layout.chunks[axis] for axis in layout.axes])
         except _UNREADABLE as error:
-            expected = f"expected {self._chunk_bytes:,} bytes unpacked"
-            raise self.group.refused(name, f"a damaged chunk; {expected}") from error
-        return stored.transpose(np.argsort(self.axes))
+            expected = f"expected {layout.chunk_bytes:,} bytes unpacked"
+            raise self.refused(name, f"a damaged chunk; {expected}") from error
+        return stored.transpose(np.argsort(layout.axes))
 
 
 class ZarrWriter(zipfile.ZipFile):
     """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
 
-    def __init__(self, stream: IO[bytes], groups: Sequence[str]) -> None:
+    def __init__(self, stream: IO[bytes]) -> None:
         super().__init__(stream, "w")
-        for path in ("", *(f"{name}/" for name in groups)):
-            self.add_json(f"{path}.zgroup", {"zarr_format": 2})
+        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
+            self.add_json(path, {"zarr_format": 2})
 
-    def __enter__(self) -> Self:
-        return self
-
-    def describe(
-        self, path: str, shape: Sequence[int], chunks: Sequence[int], dtype: str, fill: object = 0
-    ) -> None:
-        """Write what Zarr states of an array; ``fill`` is the value of what no chunk holds."""
+    def describe(self, path: str, shape: Sequence[int], length: int, dtype: np.dtype[Any]) -> None:
+        """Write what Zarr states of an array, given how many rows a chunk holds."""
         stated = {
             "zarr_format": 2,
             "shape": list(shape),
-            "chunks": list(chunks),
-            "dtype": dtype,
+            "chunks": [length, *shape[1:]],
+            "dtype": dtype.str,
             "order": "C",
+            "compressor": {"id": "zlib", "level": _LEVEL},
+            "fill_value": "" if dtype.kind == "U" else 0,
+            "filters": None,
         }
-        stated |= {"compressor": {"id": "zlib", "level": _LEVEL}, "fill_value": fill, "filters": None}
         self.add_json(f"{path}/.zarray", stated, indent=4)
 
-    def chunk(self, path: str, number: int, values: AnyArray) -> None:
-        """Write a chunk, which holds the other axes completely."""
+    def chunk(self, path: str, number: int, length: int, values: AnyArray) -> None:
+        """Write a chunk of ``length`` rows, with the other axes completely; zeros follow the last row."""
         name = ".".join([str(number), *"0" * (values.ndim - 1)])
-        self._add(f"{path}/{name}", zlib.compress(np.ascontiguousarray(values).tobytes(), _LEVEL))
+        content = values.tobytes().ljust(length * values[:1].nbytes, b"\0")
+        self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
 
     def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
         """Write a file of JSON."""

@@ -12,22 +12,27 @@ import numpy as np
 
 from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.found_touches import FoundTouch, source_of
+from realtouch.exchange.found_touches import source_of
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.recordings import Recording
+from realtouch.exchange.replay import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.exchange.zarr_arrays import ZarrGroup
-from realtouch.touch_options import ImportColumns
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 
-DATA, ENDS, ATTRIBUTES = "data", "meta/episode_ends", "meta/.zattrs"
+DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")
 """Arrays that hold the time of each picture, the first that is known; floats count seconds."""
 
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
 _MOST_ARRAYS = 500
+_OF_META = (ROUND, TOUCH)
+_OUR_VECTORS = {"gel_pose": POSE_COLUMNS, "pos_in_cell": POSITION_COLUMNS}
+_OUR_VALUES = ("label", "label_name", "object_id", *POSITION_COLUMNS)
 
 
 def group_in(home: store.DataFolder) -> ZarrGroup:
@@ -42,8 +47,8 @@ def group_in(home: store.DataFolder) -> ZarrGroup:
     return ZarrGroup(home, names[0])
 
 
-def data_names(group: ZarrGroup) -> list[str]:
-    """List the arrays of ``data``; InputError without any, or for too many."""
+def data_arrays(group: ZarrGroup) -> dict[str, object]:
+    """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MOST_ARRAYS:
         found = f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'"
@@ -65,46 +70,47 @@ def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str
     )
 
 
-def whole_recording(
-    group: ZarrGroup, names: Sequence[str], pictures: tuple[str, int | None], columns: ImportColumns
-) -> Recording:
-    """Return all episodes as one recording, given its pictures: an array, and which sensor of it.
+def recordings_of(
+    group: ZarrGroup, names: Iterable[str], pictures: tuple[str, int | None], columns: ImportColumns
+) -> Iterator[Recording]:
+    """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
 
-    InputError for pictures that are none, and for a column that was named and is not one.
+    InputError for pictures that are none, and for a column that was named and is not one. What this toolkit
+    wrote comes back by its own names.
     """
     name, sensor = pictures
     shown = PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
-    wanted = {*columns.found_in(names).names(), NUMBERED}
+    part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
     arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
-    per_frame, left_out = columns_of(arrays, len(shown), wanted)
-    return Recording(
-        name,
-        group.home.address(),
-        group.path,
-        f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}",
-        0,
-        len(shown),
-        math.prod(shown.shape[1:]),
-        per_frame=per_frame,
-        left_out=tuple(left_out),
-    )
+    of_meta = {
+        each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
+    }
+    per_frame, left_out = columns_of(arrays, len(shown), {*columns.found_in(arrays).names(), NUMBERED})
+    where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
+    whole = Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
+    said, _ = columns_of(of_meta, len(ends), ())
+    kept = stated.get(COLUMNS)
+    if ROUND not in said or not isinstance(kept, dict):
+        return episodes_of(whole, ends, (), of_episodes(whole, columns))
+    per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
+    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if TOUCH in said else "")
+    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
+    rounds = ids = list(map(str, said[ROUND].tolist()))
+    if TOUCH in said:
+        ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
+    found = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
+    return (replace(with_contact(each), round=name) for each, name in zip(found, rounds, strict=True))
 
 
-def open_pictures(item: FoundTouch) -> PictureArray:
-    """Open the pictures that an item is one of."""
-    divisor, sensor, name = item.part.split(" ", 2)
-    array = ZarrGroup(store.open_folder(item.home), item.path).array(name)
+def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+    divisor, sensor, name = part.split(" ", 2)
+    array = ZarrGroup(store.open_folder(home), path).array(name)
     return PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 
-def describe_conversion(items: Sequence[FoundTouch]) -> str:
-    """Return what is done to the pictures of a group; empty if they are taken as they are."""
-    return described_pictures(items, open_pictures)
-
-
-def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield each picture of some items in order, images as PNG, those of clips as JPEG."""
-    return encoded_pictures(items, open_pictures)
+encoded_frames = partial(encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(described_pictures, opened=_open_pictures)
 
 
 def episode_ends(group: ZarrGroup, frames: int) -> Int64:
@@ -112,7 +118,7 @@ def episode_ends(group: ZarrGroup, frames: int) -> Int64:
     array = group.array(ENDS)
     ends = np.zeros(0, np.int64)
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
-        ends = array.rows(0, array.shape[0]).astype(np.int64)
+        ends = array.rows().astype(np.int64)
     if not len(ends) or ends[-1] != frames or (np.diff(ends, prepend=0) <= 0).any():
         found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
         expected = f"integers that rise to {frames:,}, the number of frames"
@@ -172,7 +178,7 @@ def _rises(times: AnyArray | None, starts: Int64) -> bool:
     return bool(np.isin(falls, starts).all())
 
 
-def texts(stated: Mapping[str, object], name: str) -> list[str]:
+def _texts(stated: Mapping[str, object], name: str) -> list[str]:
     """Return a list of texts that attributes state; empty if they do not."""
     found = stated.get(name)
     return [str(each) for each in found] if isinstance(found, list) else []

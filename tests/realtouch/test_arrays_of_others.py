@@ -31,11 +31,11 @@ def write_zip(path: Path, images: Any = FRAMES, ends: Any = ENDS, **arrays: Any)
         "meta/episode_ends": ends,
         **{f"data/{name}": arrays[name] for name in arrays},
     }
-    with path.open("wb") as stream, ZarrWriter(stream, ("data", "meta")) as group:
+    with path.open("wb") as stream, ZarrWriter(stream) as group:
         for name, values in data.items():
             values = np.asarray(values)
-            group.describe(name, values.shape, values.shape, values.dtype.str)
-            group.chunk(name, 0, values)
+            group.describe(name, values.shape, len(values), values.dtype)
+            group.chunk(name, 0, len(values), values)
     return path
 
 

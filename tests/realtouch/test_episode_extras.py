@@ -130,7 +130,7 @@ def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path
 def test_columns_are_arrays_of_groups(
     layout: Any, find: Any, seq_folder: Path, truth: list[RoundTruth], tmp_path: Path
 ) -> None:
-    """Open-X-Tactile knows what concerns whole clips; in a replay buffer all columns are of frames."""
+    """A group states which columns concern whole clips."""
     force = [
         [[[frame, 2.0, 3.0] for frame in range(touch.frames)] for touch in each.touches] for each in truth
     ]
@@ -141,7 +141,4 @@ def test_columns_are_arrays_of_groups(
     for each, force_n, *both in zip(recordings, chain(*force), chain(*warmth), chain(*note), strict=True):
         np.testing.assert_array_equal(each.per_frame["force_n"], force_n)
         for name, value in zip(("temperature", "note"), both, strict=True):
-            stored = each.values.get(name, each.per_frame.get(name))
-            expected = value or ""  # of a text that is missing
-            np.testing.assert_array_equal(stored, np.full(np.shape(stored), expected))
-    assert ("temperature" in recordings[0].values) == (layout == "oxt")
+            assert each.values[name] == (value or "")  # of a text that is missing
