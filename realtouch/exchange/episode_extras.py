@@ -34,16 +34,6 @@ class ExtraColumn:
     data_type: pa.DataType
 
     @property
-    def own_name(self) -> str:
-        """Its name in :class:`realtouch.extras.Extras`."""
-        return self.stored.partition(".")[2]
-
-    @property
-    def array(self) -> str:
-        """Its name in formats whose columns are arrays."""
-        return self.name.removeprefix(FEATURE)
-
-    @property
     def is_per_frame(self) -> bool:
         """Whether it has an entry for each frame, not for each touch."""
         return self.stored.startswith(EXTRA_PREFIX["frame"])

@@ -90,10 +90,9 @@ class Episodes:
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
-        name, label = row.name(), row.label_value(self.names)
+        name, schema = row.name(), self.schema(row.group.table.schema)
+        tables, label = [schema.empty_table()], row.label_value(self.names)
         object_id = row.integer("object_id") if row.has("object_id") else 0
-        schema = self.schema(row.group.table.schema)
-        tables = [schema.empty_table()]
         for touch, touches, images, columns in self._episodes(row):
             for number, image in zip(touches, images, strict=True):
                 self._require_size(row, number, image)
@@ -119,21 +118,18 @@ class Episodes:
         self, row: StoredRound
     ) -> Iterator[tuple[int | None, list[int], list[memoryview], dict[str, object]]]:
         """Yield each episode: its touch (None: all of the round), those of its images, images, columns."""
-        columns: dict[str, object] = {}
         if row.has("sensor_image"):
             row.entries_of("sensor_image")
             images = SensorImages(row)
-            if len(images) and row.has(_POSES["single"]):
-                columns[STATE] = self._states(row.poses())
-            if len(images):
-                touches = list(range(len(images)))
-                yield None, touches, list(map(images.encoded, touches)), columns
+            touches = list(range(len(images)))
+            states = {STATE: self._states(row.poses())} if touches and row.has(_POSES["single"]) else {}
+            if touches:
+                yield None, touches, list(map(images.encoded, touches)), {**states}
             return
         for touch in range(row.touch_total()):
-            clip, columns = TouchClip(row, touch), {}
+            clip, columns, times_s = TouchClip(row, touch), dict[str, object](), row.stamps_s(touch)
             if row.has(_POSES["seq"]):
                 columns[STATE] = self._states(row.pose_sequences(touch)[0])
-            times_s = row.stamps_s(touch)
             if times_s is not None:
                 columns[TIME] = times_s[0]
             if row.has("touch_start_time_rel"):

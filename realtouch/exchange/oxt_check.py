@@ -29,7 +29,9 @@ _STATE = "(left|right)_(wrist_pose|arm_joints|hand_joints)"
 _TACTILE = r"(?P<side>\w+?)_tactile_(data|area|sensor|type)_(?P<group>.+)"
 _MEMBERS = ("data", "area", "sensor", "type")
 _HAND = "(?P<side>left|right)_hand_joints"
-_TYPES, _SENSORS = ("state", "binary", PICTURE), (SENSOR, "InspireHand")
+_TYPES = f"state|binary|{PICTURE}"
+# Other sensors may have any name, but for these in another spelling.
+_SENSORS = rf"{SENSOR}|InspireHand|(?!(?i:gelsight[\W_]*mini|inspire[\W_]*hand)\Z).+"
 _TEXTS_SHOWN = 3
 _SLOTS = 32  # of the joints of a hand
 
@@ -54,33 +56,21 @@ def _rises(times: AnyArray, starts: Int64) -> str:
 
 
 def _is_finite(values: AnyArray, starts: Int64) -> str:
-    count = int((~np.isfinite(values)).sum())
-    return f"{count:,} values that are not finite" if count else ""
+    return _such_as(values[~np.isfinite(values)])
 
 
 def _are_slots(values: AnyArray, starts: Int64) -> str:
-    low, high = values.min(initial=0), values.max(initial=0)
-    return f"from {low} to {high}" if low < 0 or high >= _SLOTS else ""
+    return _such_as(values[(values < 0) | (values >= _SLOTS)])
 
 
-def _is_type(values: AnyArray, starts: Int64) -> str:
+def _such_as(wrong: AnyArray) -> str:
+    return f"{len(wrong):,} values such as {wrong[0]}" if len(wrong) else ""
+
+
+def _is_text(pattern: str, values: AnyArray, starts: Int64) -> str:
     found = np.unique(values).tolist()
-    return "" if len(found) == 1 and found[0] in _TYPES else _shown(found)
-
-
-def _is_sensor(values: AnyArray, starts: Int64) -> str:
-    found = np.unique(values).tolist()
-    known = {_letters(each): each for each in _SENSORS}
-    is_one = len(found) == 1 and found[0] and known.get(_letters(found[0]), found[0]) == found[0]
-    return "" if is_one else _shown(found)
-
-
-def _shown(texts: list[str]) -> str:
-    return ", ".join(repr(text) for text in texts[:_TEXTS_SHOWN])
-
-
-def _letters(name: str) -> str:
-    return re.sub(r"[\W_]", "", name).lower()
+    is_one = len(found) == 1 and re.fullmatch(pattern, found[0])
+    return "" if is_one else ", ".join(map(repr, found[:_TEXTS_SHOWN]))
 
 
 class _Rule(NamedTuple):
@@ -108,9 +98,25 @@ _RULES = (
     _Rule(_CAMERA, "H W 3", "B"),
     _Rule("((left|right)_wrist|camera_ego)_pose", "6", "f", *_FINITE),
     _Rule("(left|right)_(arm|hand)_joints", "K", "f", *_FINITE),
-    _Rule("(left|right)_hand_joints_idx", "K", "iu", "joints", _are_slots, f"slots below {_SLOTS}"),
-    _Rule(r"\w+?_tactile_type_.+", "", "U", "type", _is_type, f"one of {', '.join(_TYPES)}, in all frames"),
-    _Rule(r"\w+?_tactile_sensor_.+", "", "U", "sensor", _is_sensor, f"a name: {', '.join(_SENSORS)}, others"),
+    _Rule(
+        "(left|right)_hand_joints_idx",
+        "K",
+        "iu",
+        "joints",
+        _are_slots,
+        f"slots below {_SLOTS}",
+    ),
+    _Rule(
+        r"\w+?_tactile_type_.+", "", "U", "type", partial(_is_text, _TYPES), f"one of {_TYPES} in all frames"
+    ),
+    _Rule(
+        r"\w+?_tactile_sensor_.+",
+        "",
+        "U",
+        "sensor",
+        partial(_is_text, _SENSORS),
+        f"a name, such as {SENSOR}, in all frames",
+    ),
     _PICTURES,
     _Rule(r"\w+?_tactile_data_.+", "N ...", "biufSU"),
     _Rule(r"\w+?_tactile_area_.+", "N", "iu"),

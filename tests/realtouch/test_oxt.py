@@ -245,10 +245,13 @@ def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) 
         ({"right_wrist_pose": np.zeros((T, 7))}, {"form right_wrist_pose": "float64 (7, 7)"}),
         (
             {"right_wrist_pose": np.full((T, 6), np.nan)},
-            {"finite right_wrist_pose": "42 values that are not finite"},
+            {"finite right_wrist_pose": "42 values such as nan"},
         ),
         ({"right_hand_joints_idx": None}, {"joints right_hand_joints_idx": "no such array"}),
-        ({"right_hand_joints_idx": np.full((T, 1), 32)}, {"joints right_hand_joints_idx": "from 0 to 32"}),
+        (
+            {"right_hand_joints_idx": np.full((T, 1), 32)},
+            {"joints right_hand_joints_idx": "7 values such as 32"},
+        ),
         ({"left_tactile_area_force": None}, {"tactile left_tactile_area_force": "no such array"}),
         (
             {"right_tactile_area_gripper": np.zeros((T, 3), int)},
