@@ -168,11 +168,3 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
         found = f"position {position_m[index]}, quaternion {quaternion[index]}"
         return index, f"a pose that is not finite: {found}"
     return index, f"a quaternion of length {float(np.sqrt(squares[index])):.4g}; expected length one"
-
-
-def are_rigid(matrices: Float64) -> bool:
-    """Return whether matrices, shape (n, 3 or 4, 4), all rotate and shift, and do nothing else."""
-    turns = matrices[:, :3, :3]
-    is_unit = np.abs(turns @ turns.transpose(0, 2, 1) - np.eye(3)).max(initial=0) <= _LENGTH_TOLERANCE
-    is_last = np.abs(matrices[:, 3:] - np.array([0, 0, 0, 1])).max(initial=0) <= _LENGTH_TOLERANCE
-    return bool(is_unit and is_last and (np.linalg.det(turns) > 0).all())

@@ -131,7 +131,7 @@ def _rigid(values: Any, where: str) -> Matrix:
     """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
     import numpy as np  # here: few commands name a frame
 
-    from realtouch.poses import are_rigid
+    from tactile_toolkit.arithmetic import are_rigid
 
     try:
         matrix = np.array(values, np.float64)

@@ -75,12 +75,11 @@ def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[st
     if not image or not groups:
         several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
         shown = ", ".join(sorted(several, key=natural_order)[:_SHOWN])
-        wanted = "datasets; none was named as the pictures"
-        if image:
-            wanted = f"no dataset of pictures {image!r}"
+        wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
         raise InputError(
             f"{place!r} has {wanted}; found {shown or 'none'}",
-            next="name it with --map image=PATH, below the file or below the group of each episode",
+            next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
+            "data/demo_0/obs/tactile",
         )
     return groups
 

@@ -129,8 +129,8 @@ def _lines(
         words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
         raise InputError(words, next="name one with --table")
     if refused and not found:
-        table, column = refused
-        words = f"{home.address(table)!r} names videos in its column {column!r}; expected a column {image!r}"
+        name, column = refused
+        words = f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}"
         raise InputError(words, next=f"add --map image={column}, or move the table out of the folder")
     return next(iter(found.values()), None)
 

@@ -87,9 +87,7 @@ def test_pictures_are_converted_as_those_of_zarr(pictures: Any, tmp_path: Path) 
 def test_pictures_are_named_by_the_user(tmp_path: Path) -> None:
     source = write(tmp_path / "a.h5")
     for named in ({"label": "lable"}, {"extra": (("force_n", "lable"),)}, {"pose": ("lable",)}):
-        with pytest.raises(
-            InputError, match=r"no column 'lable'; did you mean 'label'.*found "
-        ):
+        with pytest.raises(InputError, match=r"no column 'lable'; did you mean 'label'.*found "):
             realtouch.preview_import(source, columns=realtouch.ImportColumns(image="obs/tactile", **named))
     with pytest.raises(InputError, match="none was named as the pictures; found data/demo_0/obs/tactile"):
         recordings(source, "")
