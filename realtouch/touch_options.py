@@ -85,6 +85,7 @@ MAPPED = {
 Matrix = tuple[tuple[float, ...], ...]
 _OUR_IMAGES = "file"
 _LENGTHS = 3  # of these, the first so many are lengths
+_POSITION_AND_TURN = 2  # columns of a pose that are vectors
 _QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
 # Of positions and poses of so many numbers, which are lengths, and which are angles.
 _PLACES = {
@@ -259,11 +260,11 @@ class ImportColumns:
             ("position", self.position or (), (2,)),
             ("pose", self.pose or (), self.pose_sizes),
         ):
-            if len(names) not in (0, 1, *counts):
+            if len(names) not in (0, 1, 2, *counts):
                 raise InputError(
-                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
-                    "or one that holds a list of them",
-                    next="of six columns, --euler or --rotvec states what the last three are",
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, one "
+                    "that holds a list of them, or two with the position and the orientation",
+                    next="of six numbers, --euler or --rotvec states what the last three are",
                 )
             self.divisors(names, max(len(names), min(counts)))
         order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
@@ -370,7 +371,11 @@ class ImportColumns:
             (ANGLE, self.angle_unit, angles),
         ):
             for place in places:
-                name = names[place % len(names)] if len(names) in (1, count) else ""
+                name = ""
+                if len(names) in (1, count):
+                    name = names[place % len(names)]
+                elif len(names) == _POSITION_AND_TURN:
+                    name = names[place >= _LENGTHS]
                 if quantity is ANGLE and len(names) == 1 and stated_unit(name) not in PER_RADIAN:
                     name = ""  # it states the unit of its lengths
                 found[place] = quantity.divisor(name, given)

@@ -93,6 +93,16 @@ def transform() -> np.ndarray:
     return frame
 
 
+@pytest.mark.parametrize("stored", [np.asarray, np.ndarray.tolist])
+def test_position_and_orientation_may_be_a_vector_each(stored: Any) -> None:
+    columns = realtouch.ImportColumns(pose=("eef_pos_mm", "eef_quat"))
+    values = {"eef_pos_mm": stored(1000 * PLACES), "eef_quat": stored(TURNS.as_quat())}
+    assert_poses(poses(values, columns), PLACES, TURNS)
+    columns = realtouch.ImportColumns(pose=("eef_pos", "turn"), rotvec=True, length_unit="mm")
+    values = {"eef_pos": stored(1000 * PLACES), "turn": stored(TURNS.as_rotvec())}
+    assert_poses(poses(values, columns), PLACES, TURNS)
+
+
 @pytest.mark.parametrize("form", ["txt", "csv", "json", "npy", "array"])
 def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
     frame, place = transform(), tmp_path / f"frame.{form}"
@@ -237,7 +247,7 @@ def test_mapped_names(tmp_path: Path) -> None:
         (["label=x", "label=y"], "names 'label' twice"),
         (["@nothing.txt"], "cannot be read"),
         (["a\tb=x"], "that can be printed"),
-        (["pose=x,y"], "2 pose columns"),
+        (["pose=x,y,z"], "3 pose columns"),
     ],
 )
 def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
