@@ -36,7 +36,7 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
-app = new_app("realtouch", "Real touches: load, check, filter and convert the recordings of a GelSight Mini.")
+app = new_app("realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors.")
 
 
 # How thoroughly `verify` checked images, by --quick.

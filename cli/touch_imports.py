@@ -130,3 +130,4 @@ def _print_imported(
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
     print_set(sink, kind, manifest, out, left_out="touches")
+    sink.line(f"next: realtouch check {out}   realtouch gallery {out}")

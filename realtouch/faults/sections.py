@@ -33,6 +33,7 @@ GEL_PICTURES = 32
 """Pictures of a section whose median is its bare gel; less than half of them have contact at a place."""
 
 _FIRST_FRAMES = 8  # of a clip, before the contact
+_LEAST_BARE = 5  # pictures whose median shows the gel, and not what is touched
 _TIMES = "time_stamp_rel_seq"
 
 
@@ -196,4 +197,5 @@ def _look_at_gel(section: Section, pictures: Sequence[Picture]) -> None:
     decoded = [decode_image(bare[index]) for index in evenly_spaced(len(bare), GEL_PICTURES)]
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
-    section.markers = seen.count_markers(median_in_memory(np.stack(same)))
+    if len(same) >= _LEAST_BARE:
+        section.markers = seen.count_markers(median_in_memory(np.stack(same)))
