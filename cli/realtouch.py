@@ -36,7 +36,9 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
-app = new_app("realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors.")
+app = new_app(
+    "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
+)
 
 
 # How thoroughly `verify` checked images, by --quick.

@@ -133,7 +133,7 @@ def decode_image(data: memoryview | bytes, out: UInt8 | None = None) -> UInt8:
         if is_jpeg(data):
             pixels = simplejpeg.decode_jpeg(data, "RGB", buffer=out)
         else:
-            pixels = np.asarray(_open_image(data).convert("RGB"))
+            pixels = np.array(_open_image(data).convert("RGB"))  # writable, as a JPEG is
     except Exception as error:
         raise _undecodable(data) from error
     if out is None or pixels is out:

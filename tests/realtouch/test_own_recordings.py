@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -124,5 +123,7 @@ def test_each_loads_in_torch(made: tuple[Session, Path]) -> None:
     from realtouch.touch_tensors import TouchTensors
 
     _, out = made
-    batch: Callable[..., Any] = TouchTensors(realtouch.load(out, "train").touches()).__getitem__
-    assert batch(0)[0].ndim == 3
+    touches = realtouch.load(out, "train").touches()
+    picture, _ = TouchTensors(touches)[0]
+    wanted = pixels_of(touches[:1])[0]
+    np.testing.assert_array_equal(np.asarray(picture), np.moveaxis(wanted, -1, -3))

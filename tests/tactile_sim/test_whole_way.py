@@ -76,7 +76,7 @@ def _mesh(folder: Path, kind: str) -> Path:
         ("block", ("--size", "wide"), "expected WIDTHxHEIGHT in pixels"),
         ("block", ("--size", "9999x9999"), "at most 16,777,216 pixels"),
         ("block", ("--layer-mm", "5"), "layers are 0.005 m high"),
-        ("block", ("--sensor-noise", "calibrated"), "'depth' have no noise"),
+        ("block", ("--sensor-noise", "calibrated"), "'depth' do not have the calibrated noise"),
         ("block", ("--weights", "none.npz"), "weights were given"),
         ("block", ("--out", "touch.tif"), "expected a name that ends with .png, .jpg, .jpeg"),
         ("none", (), "No such file"),
