@@ -61,7 +61,7 @@ class TouchRound(Record):
 
         A column with an entry per touch is an array of shape (T,), or (T, k) of vectors; one with an entry
         per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). What is missing is NaN, of texts and
-        booleans None; see :class:`realtouch.extras.Extras`.
+        booleans None; integers with gaps are floats.
         """
         return Extras(tuple(extra_columns(self.row.group.names)), self._extra)
 

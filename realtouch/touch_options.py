@@ -262,8 +262,8 @@ class ImportColumns:
         ):
             if len(names) not in (0, 1, 2, *counts):
                 raise InputError(
-                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, one "
-                    "that holds a list of them, or two with the position and the orientation",
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
+                    "one that holds a list of them, or two with the position and the orientation",
                     next="of six numbers, --euler or --rotvec states what the last three are",
                 )
             self.divisors(names, max(len(names), min(counts)))
@@ -315,8 +315,8 @@ class ImportColumns:
     def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
         """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.
 
-        Names other than those of :data:`MAPPED` are new names of extra columns. InputError for a text of
-        another form, a name that stands twice, and one that is almost one of :data:`MAPPED`.
+        Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
+        another form, a name that stands twice, and one that is almost one of ``MAPPED``.
         """
         import difflib  # here: it takes 4 ms of every command, and few need it
 

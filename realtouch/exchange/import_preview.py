@@ -51,7 +51,7 @@ class ImportPreview:
     first : sequence of mapping
         The first touches as they would be stored, without pictures.
     streams : sequence of tuple of str
-        How streams of other rates fit, rows below :data:`STREAM_HEADER`.
+        How streams of other rates fit, rows of a table.
     left_out : sequence of tuple
         Reason, number of touches, and the message of the first.
     """
