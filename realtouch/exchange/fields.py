@@ -235,7 +235,9 @@ def _numbers(
             found = _words(found[0])
             numbers = _floats(found)
         else:
-            numbers = np.hstack([_floats(_words(each)).reshape(len(each), -1) for each in found])
+            if len(names) not in sizes:  # vectors, which tables have as text
+                found = list(map(_words, found))
+            numbers = np.hstack([_floats(each).reshape(len(each), -1) for each in found])
     except (TypeError, ValueError, OverflowError):
         numbers = np.empty((0, 0))
     is_nested = numbers.ndim == 3 and numbers.shape[1:] in ((3, 4), (4, 4))
