@@ -85,7 +85,8 @@ def import_touches(
         _print_preview(sink, realtouch.preview_import(source, **reading), out)
         return
     make = partial(realtouch.import_touches, source, out, **reading)
-    make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches")
+    if make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches"):
+        sink.line(f"next: realtouch check {out}   realtouch gallery {out}")
 
 
 def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None:
@@ -130,4 +131,3 @@ def _print_imported(
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
     print_set(sink, kind, manifest, out, left_out="touches")
-    sink.line(f"next: realtouch check {out}   realtouch gallery {out}")

@@ -7,11 +7,14 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import did_you_mean
+
+_MOST_EXACT = 1 << 53  # below which float64 holds every integer
 
 
 class UnknownExtraError(InputError, KeyError):
@@ -30,8 +33,8 @@ class Extras(Mapping[str, Any]):
     """The further columns of a round or touch, by their own names; each is read when it is asked for.
 
     Numbers are arrays of their stored type. If a value of the round is missing, integers are float64 as in
-    pandas, and NaN stands in its place. Texts, and booleans of which one is missing, are arrays of objects
-    with None in its place. Arrays are read-only.
+    pandas, and NaN stands in its place. Texts, booleans of which one is missing, and integers of which one is
+    missing and one is 2**53 or more, are arrays of objects with None in its place. Arrays are read-only.
     """
 
     __slots__ = ("_names", "_read")
@@ -57,6 +60,12 @@ class Extras(Mapping[str, Any]):
         return f"Extras({', '.join(self._names)})"
 
 
+def _is_rounded(array: pa.Array) -> bool:
+    """Return whether float64 does not hold all integers of an array."""
+    ends = pc.min_max(array).as_py()
+    return ends["min"] is not None and max(-ends["min"], ends["max"]) >= _MOST_EXACT
+
+
 def array_with_gaps(array: pa.Array) -> AnyArray:
     """Return n numbers, texts or lists of them as an array with an axis for each level; see :class:`Extras`.
 
@@ -65,6 +74,8 @@ def array_with_gaps(array: pa.Array) -> AnyArray:
     if isinstance(array, pa.ExtensionArray):
         array = array.storage
     if not read.list_depth(array.type)[0]:
+        if array.null_count and pa.types.is_integer(array.type) and _is_rounded(array):
+            return np.array(array.to_pylist(), object)
         return read.numpy_values(array)
     present = array.drop_null()
     widths = [getattr(array.type, "list_size", 0)]

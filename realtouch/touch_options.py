@@ -316,7 +316,7 @@ class ImportColumns:
         """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.
 
         Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
-        another form, a name that stands twice, and one that is almost one of ``MAPPED``.
+        another form, a name that is given twice, and one that is almost one of ``MAPPED``.
         """
         import difflib  # here: it takes 4 ms of every command, and few need it
 

@@ -76,7 +76,7 @@ def demuxer_of(start: bytes) -> str:
 
 
 def read_start(stream: IO[bytes]) -> bytes:
-    """Return the first bytes of a file, from which :func:`demuxer_of` tells what it is."""
+    """Return the first bytes of a file, by which :func:`demuxer_of` recognises it."""
     stream.seek(0)
     return stream.read(_START_BYTES)
 

@@ -1,4 +1,4 @@
-"""Geometry of sensors: sensing area, pixels and gel of those that are known, or of a file.
+"""Geometry of sensors: sensing area, pixels and gel, of presets or from a file.
 
 The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; of other sensors there are depth
 images. Commands import this module for their options, so it imports nothing heavy.

@@ -67,9 +67,16 @@ class ExtraColumn:
         if pa.types.is_string(leaf):
             values = np.array([text or "" for text in values.reshape(-1)], object)
         if pa.types.is_floating(leaf):
-            values = values.astype(leaf.to_pandas_dtype())
+            numbers = values.astype(leaf.to_pandas_dtype())
+            if values.dtype == object and any(map(_is_rounded, values.reshape(-1), numbers.reshape(-1))):
+                raise ValueError("integers of 2**53 or more, some missing; expected all, or smaller ones")
+            values = numbers
         flat = pa.array(values.reshape(-1), leaf)
         return pa.FixedSizeListArray.from_arrays(flat, width) if width > 1 else flat
+
+
+def _is_rounded(value: int | None, number: float) -> bool:
+    return value is not None and int(number) != value
 
 
 def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:

@@ -117,8 +117,11 @@ def _of_file(place: str) -> Recognised:
     for layout, marks in _BEGINNINGS.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
             return Recognised(layout, name)
+    found = "is empty"
+    if head:
+        found = f"begins with {head[:8].hex(' ')}"
     raise InputError(
-        f"{place!r} begins with {head[:8].hex(' ')}; expected a video, a tar, or a file of Parquet, HDF5 or "
+        f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or "
         "Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )

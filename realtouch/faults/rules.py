@@ -129,7 +129,7 @@ RULES: dict[str, Rule] = {
         "Duplicates",
         "{value:.0f} touches with the same stored pictures",
         "each picture once in a split",
-        "leave all but one of them out, and compare the poses of those that you keep",
+        "leave all but one of them out, and compare the poses of what you keep",
     ),
     "shared-pictures": Rule(
         "The same picture in two splits",

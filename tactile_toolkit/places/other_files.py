@@ -110,7 +110,9 @@ def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:
     if not counts:
         shown = ", ".join(map(repr, sorted(folder.names())[:_MOST_SHOWN]))
         return f"holds no Parquet files (found {shown})", "give the folder of a data set"
-    ((kind, next_step), count), *_ = counts.most_common()
+    # Tables that lie beside pictures, videos or meshes say something of these.
+    said = _ENDINGS[_TABLES[0]][1:]
+    ((kind, next_step), count), *_ = sorted(counts.most_common(), key=lambda each: each[0] == said)
     first = next(path for path in files if _ENDINGS.get(_ending(path), ("", "", ""))[1] == kind)
     return f"is a folder of {kind} ({count:,}, such as {first!r})", next_step
 

@@ -27,7 +27,7 @@ CLASSES = ("mug", "fork")
 class Session:
     """A recording: the words of the import, and what must come of it, touch by touch.
 
-    ``lossless`` tells whether pixels are stored as they were given. ``position_m`` and ``quaternion`` are
+    ``lossless`` is whether pixels are stored as they were given. ``position_m`` and ``quaternion`` are
     empty where the source has no poses.
     """
 

@@ -126,6 +126,19 @@ def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path
         realtouch.export(home, tmp_path / "out", "lerobot")
 
 
+def test_large_integers_with_gaps_are_not_rounded(
+    single_folder: Path, truth: list[RoundTruth], tmp_path: Path
+) -> None:
+    """Formats without missing values have NaN in their place, which floats alone can be."""
+    count = len(truth[0].touches)
+    stamps = [2**60 + 1, None, *range(count - 2)]
+    home = with_extras(single_folder, tmp_path / "home", {"extra.stamp_ns": [stamps] * 3})
+    assert realtouch.load(home, "train")[0].extra["stamp_ns"].tolist() == stamps
+    for layout in ("lerobot", "replay", "oxt"):
+        with pytest.raises(IntegrityError, match=r"stamp_ns.*integers of 2\*\*53 or more, some missing"):
+            realtouch.export(home, tmp_path / layout, layout)  # type: ignore[arg-type]
+
+
 @pytest.mark.parametrize(("layout", "find"), [("oxt", find_oxt), ("replay", find_replay)])
 def test_columns_are_arrays_of_groups(
     layout: Any, find: Any, seq_folder: Path, truth: list[RoundTruth], tmp_path: Path

@@ -19,7 +19,7 @@ FPS = 30
 
 
 def picture(number: int) -> UInt8:
-    """Return a smooth picture that tells its number from others."""
+    """Return a smooth picture that differs for each number."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     spot = 120 * np.exp(-((x - 8 - number % 48) ** 2 + (y - 24) ** 2) / 60)
     levels = np.stack([60 + spot, 90 + x / 2 + spot / 2, 120 + y / 2 - spot / 3], axis=-1)
