@@ -19,6 +19,20 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.wording import with_count
 
+_MAPPED = text(
+    name="--map",
+    metavar="NAME=COLUMN",
+    several=True,
+    help="Column of the image, label, round, object, position, pose, split or time; or a new name for "
+    "another column, which is kept. @FILE reads such lines from a file.",
+)
+_STREAMS = text(
+    name="--stream",
+    metavar="FILE",
+    several=True,
+    help="Table with times, such as poses or forces, that is aligned with the pictures.",
+)
+
 
 def import_touches(
     *,
@@ -32,22 +46,11 @@ def import_touches(
     ),
     out: str = out_folder(),
     columns: ImportColumns,
-    mapped: list[str] | None = text(
-        name="--map",
-        metavar="NAME=COLUMN",
-        several=True,
-        help="Column of the image, label, round, object, position, pose, split or time; or a new name for "
-        "another column, which is kept. @FILE reads such lines from a file.",
-    ),
+    mapped: list[str] | None = _MAPPED,
     table: str | None = text(
         metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
     ),
-    streams: list[str] | None = text(
-        name="--stream",
-        metavar="FILE",
-        several=True,
-        help="Table with times, such as poses or forces, that is aligned with the pictures.",
-    ),
+    streams: list[str] | None = _STREAMS,
     alignment: Alignment,
     cut: str | None = text(
         metavar="frames|whole|contact|FILE",

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 from numpy.typing import NDArray
 
 from realtouch.contact import PLATE_COLUMN, ContactHeight
@@ -15,7 +16,7 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_columns import StoredColumns
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
-from tactile_toolkit.read import Row, RowGroup, RowSource, all_blocks, column_types
+from tactile_toolkit.read import Row, RowGroup, RowSource, Shard, all_blocks, column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
@@ -240,8 +241,15 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
         return np.full(rows, types[name].list_size, np.int64)
-    counts = [block.nested(name).lengths(0) for index in chosen for block in source.blocks(index, [name])]
-    return np.concatenate(counts or [np.zeros(0, np.int64)])
+    column = name
+    if name in MEDIA_COLUMN.values() and isinstance(source, Shard):
+        # The names of pictures are counted: pictures fill the memory.
+        leaf = f"{name}.list.element.path"
+        if any(chunk.path_in_schema == leaf for chunk in source.column_chunks()):
+            column = leaf
+    blocks = (block for index in chosen for block in source.blocks(index, [column]))
+    counts = [pc.fill_null(pc.list_value_length(block.arrow(name)), 0) for block in blocks]
+    return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
 
 
 def read_info(row: StoredColumns) -> dict[str, Any]:

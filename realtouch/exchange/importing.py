@@ -76,27 +76,26 @@ def import_touches(
     table : str, optional
         Path of the table of images or videos; by default the only one in the folder.
     streams : sequence of str, optional
-        Tables with times, such as poses or forces of another rate, that are aligned with every recording.
-        Tables named like a video are found: ``take1.csv`` and ``take1.force.csv`` beside ``take1.mp4``.
+        Tables with times that are aligned with every recording, beside those named like a video:
+        ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
     alignment : Alignment, optional
         How streams are aligned.
     cut : "frames", "whole", "contact", or path of a table, optional
-        How recordings become touches: each picture (an image), the whole (a clip), what the pictures show as
-        contact (clips), or as a table says, with ``start_s`` and ``end_s`` or ``start_frame`` and
-        ``end_frame``. By default videos are taken whole, and other recordings by frames.
+        How recordings become touches: each picture (an image), the whole (a clip), clips by contact, or by a
+        table with ``start_s`` and ``end_s`` or ``start_frame`` and ``end_frame``. By default as the source
+        states, else videos whole and other recordings by frames.
     classes : sequence of str, optional
         Names of the classes in order; by default those in the data. Without any, all labels are -1.
     split : str, optional
-        Split of touches where no column states it; by default that of a tar called ``test-000000.tar``, else
-        ``train``.
+        Split where no column states it; by default that of a tar ``test-000000.tar``, else ``train``.
     workers, overwrite, on_progress
         As for :func:`realtouch.clips_to_images`.
 
     Returns
     -------
     Manifest
-        What the folder holds now; what could not be used is left out and listed in it with the reason.
-        Fields that were not imported are counted in its statistics, as ``not_imported``.
+        What was left out is listed with the reason; fields that were not imported are counted in the
+        statistics, as ``not_imported``.
 
     Raises
     ------

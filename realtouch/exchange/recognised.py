@@ -121,8 +121,7 @@ def _of_file(place: str) -> Recognised:
     if head:
         found = f"begins with {head[:8].hex(' ')}"
     raise InputError(
-        f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or "
-        "Zarr",
+        f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
 
