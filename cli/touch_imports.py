@@ -118,7 +118,7 @@ def _print_imported(
 ) -> None:
     options = manifest.spec["options"]
     if realtouch.CONVERSION in options:
-        sink.info(f"the pictures were converted: {options[realtouch.CONVERSION]}")
+        sink.info(f"pictures: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
     if STREAMS in manifest.spec:

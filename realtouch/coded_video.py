@@ -12,18 +12,18 @@ from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import chain, islice
-from typing import IO, TYPE_CHECKING, cast
+from typing import IO, cast
 
+import av
 import numpy as np
+from av import Packet, VideoFrame
+from av.video.reformatter import VideoReformatter
+from av.video.stream import VideoStream
 
 from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
 from tactile_toolkit.array_types import Int64, UInt8
-from tactile_toolkit.errors import ItemError, needs_extra
+from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
-
-if TYPE_CHECKING:
-    from av import Packet, VideoFrame
-    from av.video.stream import VideoStream
 
 _LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
 _LOSSY = (
@@ -108,9 +108,6 @@ class _Reader:
 
     def __init__(self, stream: IO[bytes], demuxer: str) -> None:
         self._stream, self._demuxer = stream, demuxer
-        with needs_extra("reading this video", "av", "video"):
-            import av  # noqa: F401
-            from av.video.reformatter import VideoReformatter
         self._reformatter = VideoReformatter()
         self.open()
         self.codec = self.video.codec_context.codec.canonical_name
@@ -121,8 +118,6 @@ class _Reader:
 
     def open(self) -> None:
         """Begin with the first packet."""
-        import av
-
         self._stream.seek(0)
         self._container = av.open(
             self._stream,
@@ -156,8 +151,6 @@ class _Reader:
 
     def read_packets(self, file_bytes: int) -> tuple[_Packets, bool]:
         """Read all packets, and whether the file ends early; none is decoded."""
-        import av
-
         pts, shown, keys = array("q"), array("q"), array("q")
         total_bytes, is_cut = 0, False
         try:
@@ -205,8 +198,6 @@ class _Reader:
 
     def packets_from(self, packets: _Packets, key: int) -> Iterator[Packet[VideoStream]]:
         """Yield the packets from a key on."""
-        import av
-
         place, at = int(packets.keys[key]), int(packets.key_pts[key])
         if key > 1:  # demuxers that seek by another time find the key before
             with suppress(av.FFmpegError):
@@ -270,8 +261,6 @@ class _Run:
     def _decoded(
         self, reader: _Reader, found: Iterable[tuple[int, Packet[VideoStream]]], counted_from: int
     ) -> Iterator[VideoFrame]:
-        import av
-
         decoder = reader.video.codec_context
         if decoder.is_open:
             decoder.flush_buffers()

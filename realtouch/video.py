@@ -11,7 +11,6 @@ from functools import lru_cache
 from typing import IO
 
 from realtouch.avi_scan import AviPictures
-from realtouch.coded_video import coded_video
 from realtouch.video_files import (
     CUT_SHORT,
     MAX_PICTURES,
@@ -24,7 +23,7 @@ from realtouch.video_files import (
     seconds_of,
 )
 from tactile_toolkit import store
-from tactile_toolkit.errors import ItemError
+from tactile_toolkit.errors import ItemError, needs_extra
 from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 _MOST_HZ = 1_000_000
@@ -99,6 +98,8 @@ def _found_video(stream: IO[bytes]) -> Video:
         found = _pictures_of(stream)
         if found.is_jpeg:
             return _video_of_jpegs(found)
+    with needs_extra("reading this video", "av", "video"):
+        from realtouch.coded_video import coded_video
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and check_boxes(stream))
 
 

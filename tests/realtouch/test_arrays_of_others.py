@@ -103,8 +103,8 @@ def test_pictures_of_any_lossless_type_become_the_same_pixels(
         1,
     )
     assert call("realtouch", *words, "--out", tmp_path / "out") == 0
-    told = capsys.readouterr().err
-    assert ("were converted: " in told, "without loss" in told, said in told) == (
+    shown = capsys.readouterr().err
+    assert ("pictures: " in shown, "without loss" in shown, said in shown) == (
         bool(said),
         bool(said),
         True,
@@ -181,8 +181,8 @@ def test_what_an_array_means_does_not_follow_from_its_shape(
     assert (first.label, second.label) == (0, 1)
     assert not first.row.has_poses
     assert not first.row.has("pos_in_cell")
-    told = realtouch.ImportColumns(image="img", pose=("gel",), position=("action",))
-    known = imported(home, tmp_path / "named", told)[0]
+    named = realtouch.ImportColumns(image="img", pose=("gel",), position=("action",))
+    known = imported(home, tmp_path / "named", named)[0]
     np.testing.assert_array_equal(known.gel_pose_cell_frame.position_m, np.float64(poses[:4, :3]))
     np.testing.assert_array_equal(known.pos_in_cell_m, np.float64(poses[:4, :2]))
     with pytest.raises(InputError, match=r"no row is left.*a quaternion of length 2\.9"):

@@ -399,6 +399,7 @@ def test_gray_and_alpha_are_said_to_be_converted(tmp_path: Path) -> None:
 def test_without_a_decoder_only_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "a.mp4").write_bytes(mp4())
     monkeypatch.setitem(sys.modules, "av", None)
+    monkeypatch.delitem(sys.modules, "realtouch.coded_video", raising=False)
     with pytest.raises(MissingExtraError, match="the extra `video`"):
         recordings(tmp_path)
 
