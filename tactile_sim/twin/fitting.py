@@ -118,7 +118,10 @@ class Fit:
         return 2 * self.half_m(shape) / self.size[::-1]
 
     def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
-        """Return how far the solid reaches into the gel at rest, metres, in the present size and a margin."""
+        """Return how far the solid reaches into the gel at rest, metres, in the present size.
+
+        As it is seen through the lens; with a margin, as it is on the gel.
+        """
         half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
         affine = np.array(
@@ -128,7 +131,7 @@ class Fit:
         span = np.array(out.shape[::-1]) / self.size[::-1]
         level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
         gel_kernels.sample_relief(
-            out, relief.heights_m, relief.corner, affine, span, shape[Shape.LENS], level_m
+            out, relief.heights_m, relief.corner, affine, span, 0.0 if margin else shape[Shape.LENS], level_m
         )
         return out
 
@@ -137,7 +140,7 @@ class Fit:
         pitch_m = self.pitch_m(shape)
         margin = gel.margin_px(self.size[1])
         soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
-        return gel.seen_features(soft, pitch_m)
+        return gel.seen_features(soft, pitch_m, shape[Shape.LENS])
 
     def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
         """Return how the image of a touch differs from the background, levels."""
