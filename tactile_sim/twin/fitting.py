@@ -28,14 +28,14 @@ _SHARED, _OWN = len(Shape), 4
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
 _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
-_SQUARE = 0.003  # how much the shape of a pixel is expected to differ from that of the guess
+_SQUARE = 0.001  # how much the shape of a pixel is expected to differ from that of the guess
 _HUBER = 3.0  # residuals beyond so many noise levels weigh less: dust, layer lines, shadows
 _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _REST_COST = 1e-3, 1e-2, 1e7
-ALIKE_PX = 50.0
+ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
