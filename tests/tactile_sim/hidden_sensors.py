@@ -6,7 +6,7 @@ families of optics::
 
     taxim      slopes of a gel, coloured by the published calibration of Taxim, with its shadows
     phong      another gel, lit by coloured lamps: Lambert's law, Phong's highlights, light that fades
-    published  Taxim as it is, by the project's own optics, without camera or noise
+    published  Taxim with its own gel and window, without a camera; noise of one level
 
 Example: ``python -m tests.tactile_sim.hidden_sensors folder --seed 3 --touches 20`` writes a recording.
 """
@@ -52,7 +52,7 @@ MISTAKES = (
 """Mistakes that :meth:`HiddenSensor.record` plants."""
 
 _MARGIN = 0.14  # of the image on each side, which the lens may pull into it
-_RAYS = np.arange(-0.1, 0.1, 0.05)  # taxim 1.4.1, fan_angle and fan_precision
+_RAYS = np.linspace(-0.1, 0.1, 4)  # taxim 1.4.1, fan_angle and fan_precision
 _AWAY_MM = 3.0  # from a point of the solid, standard deviation of where a digit is touched
 _MARKER_MM = 1.6
 
@@ -125,7 +125,7 @@ class HiddenSensor:
     """Everything that decides the images of a sensor.
 
     Lengths in mm; ``softness`` multiplies how far the gel is pulled down around a contact, ``contact`` is the
-    share of the press below which the gel leaves the solid; ``colours`` (3, 3) and ``light`` (3, 6) a
+    share of the press above which the gel follows the solid; ``colours`` (3, 3) and ``light`` (3, 6) a
     quadratic field for each colour; ``blur_px``, ``noise`` in levels, ``lens`` the first coefficient of radial
     distortion (in units of half the diagonal), ``jpeg`` a quality or 0 for none; ``lamps`` (L, 8): direction,
     height, colour, fall-off, highlight and its sharpness of each lamp (phong).
@@ -268,7 +268,7 @@ class HiddenSensor:
 
     def _gel(self, into_mm: Array, press_mm: float) -> tuple[Array, Array]:
         """Return how far the surface of the gel is pressed in, mm, and where it touches."""
-        contact = into_mm > (1 - self.contact) * press_mm
+        contact = into_mm > self.contact * press_mm
         if self.family == "phong":
             return self._dragged(into_mm), contact
         surface, settings = into_mm.copy(), _taxim()[0]["simulator"]
@@ -315,8 +315,9 @@ class HiddenSensor:
         place = np.stack([x * x, y * y, x * y, x, y, np.ones_like(x)], axis=2)
         shade = np.einsum("hwkc,hwk->hwc", colours[steep, turned], place)
         shade = self._shadowed(shade, gel_mm, direction, contact, settings, shadows)
-        blur = settings["simulator"]["deform_final_sigma_rel"][0] * width
-        shade = ndimage.gaussian_filter(shade, (blur, blur, 0))
+        for name in ("shadow_blur_sigma_rel", "deform_final_sigma_rel"):
+            blur = settings["simulator"][name][0] * width
+            shade = ndimage.gaussian_filter(shade, (blur, blur, 0))
         behind = np.stack(
             [ndimage.map_coordinates(background[..., k], [y, x], order=1, mode="nearest") for k in range(3)],
             axis=2,
@@ -328,7 +329,8 @@ class HiddenSensor:
         self, shade: Array, gel_mm: Array, direction: Array, contact: Array, settings: Any, shadows: Array
     ) -> Array:
         """Darken what lies behind the rim of the contact, step by step along a fan of rays."""
-        rim = np.argwhere(ndimage.binary_dilation(contact, iterations=4) & ~contact)
+        reach = max(round(0.1 / self.pitch_mm), 1)
+        rim = np.argwhere(ndimage.binary_dilation(contact, np.ones((3, 3)), reach) & ~contact)
         if not len(rim):
             return shade
         rows, columns = gel_mm.shape
@@ -438,7 +440,7 @@ def draw_sensor(
         pitch_mm=18.88 / size_px[0] * rng.uniform(0.92, 1.08),
         gel_mm=rng.uniform(3.2, 4.75),
         softness=softness,
-        contact=rng.uniform(0.5, 0.7),
+        contact=rng.uniform(0.4, 0.7),
         colours=colours,
         light=light,
         gamma=rng.uniform(0.9, 1.1),
