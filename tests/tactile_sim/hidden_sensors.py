@@ -1,8 +1,8 @@
 """Sensors whose every property is known to the tests and to nobody else, and recordings of their touches.
 
-The project's rasteriser gives heights of solids. All that follows (gel, colours, lens, camera, noise, JPEG) is
-of this file alone, in plain numpy and scipy, so that a fit and what it is judged by share no mistake. Three
-families of optics::
+The project's rasteriser gives heights of solids. All that follows (gel, colours, lens, camera, noise, JPEG)
+is of this file alone, in plain numpy and scipy, so that a fit and what it is judged by share no mistake.
+Three families of optics::
 
     taxim      slopes of a gel, coloured by the published calibration of Taxim, with its shadows
     phong      another gel, lit by coloured lamps: Lambert's law, Phong's highlights, light that fades
@@ -63,8 +63,8 @@ class Recording:
 
     ``images`` (N, H, W, 3) and ``backgrounds`` (B, H, W, 3), uint8; ``object_ids`` (N,); ``sensor_m`` (N, 3)
     and ``object_poses`` (N, 3), x, y and turn, as stated. The truth: ``depth_m`` (N, H, W), how far the solid
-    reaches into the gel at rest; ``clean`` (N, H, W, 3), levels without noise; ``true_poses`` (N, 3), x, y and
-    turn of the solid as the sensor sees it; ``press_m`` (N,); ``mm_per_px`` in the middle of the image.
+    reaches into the gel at rest; ``clean`` (N, H, W, 3), levels without noise; ``true_poses`` (N, 3), x, y
+    and turn of the solid as the sensor sees it; ``press_m`` (N,); ``mm_per_px`` in the middle of the image.
     """
 
     images: Array
@@ -99,7 +99,7 @@ class Recording:
         return replace(self, **{name: getattr(self, name)[rows] for name in names})
 
     def write(self, folder: Path) -> None:
-        """Write images, their table, backgrounds and solids, as a user has them, and the truth beside them."""
+        """Write images, their table, backgrounds and solids, as a user has them, and the truth."""
         for name in ("images", "backgrounds", "solids"):
             (folder / name).mkdir(parents=True, exist_ok=True)
         for number, image in enumerate(self.images):
@@ -126,9 +126,9 @@ class HiddenSensor:
 
     Lengths in mm; ``softness`` multiplies how far the gel is pulled down around a contact, ``contact`` is the
     share of the press above which the gel follows the solid; ``colours`` (3, 3) and ``light`` (3, 6) a
-    quadratic field for each colour; ``blur_px``, ``noise`` in levels, ``lens`` the first coefficient of radial
-    distortion (in units of half the diagonal), ``jpeg`` a quality or 0 for none; ``lamps`` (L, 8): direction,
-    height, colour, fall-off, highlight and its sharpness of each lamp (phong).
+    quadratic field for each colour; ``blur_px``, ``noise`` in levels, ``lens`` the first coefficient of
+    radial distortion (in units of half the diagonal), ``jpeg`` a quality or 0 for none; ``lamps`` (L, 8):
+    direction, height, colour, fall-off, highlight and its sharpness of each lamp (phong).
     """
 
     family: Family
@@ -187,7 +187,9 @@ class HiddenSensor:
         turn = object_pose[:, 2]
         offset = object_pose[:, :2] - sensor_at[:, :2]
         sensor_m = sensor_at + rng.normal(0, pose_errors[0], sensor_at.shape)
-        stated = object_pose + np.column_stack([np.zeros((touches, 2)), rng.normal(0, pose_errors[1], touches)])
+        stated = object_pose + np.column_stack(
+            [np.zeros((touches, 2)), rng.normal(0, pose_errors[1], touches)]
+        )
         images, ids, sensor_m, stated = _planted(mistake, images, ids, sensor_m, stated)
         return Recording(
             images=images,
@@ -233,7 +235,9 @@ class HiddenSensor:
             return found
         return np.stack([self._seen(frame[..., k], order) for k in range(frame.shape[2])], axis=2)
 
-    def _touch(self, solid: Mesh, rng: np.random.Generator, at_m: Array | None, flat: bool) -> tuple[Any, ...]:
+    def _touch(
+        self, solid: Mesh, rng: np.random.Generator, at_m: Array | None, flat: bool
+    ) -> tuple[Any, ...]:
         width, height = self.size_px
         turn = rng.uniform(-np.pi, np.pi)
         object_m = rng.uniform(-0.01, 0.01, 2)
@@ -416,9 +420,7 @@ class HiddenSensor:
         return np.asarray(Image.open(buffer))
 
 
-def draw_sensor(
-    seed: int, family: Family = "taxim", size_px: tuple[int, int] = (320, 240)
-) -> HiddenSensor:
+def draw_sensor(seed: int, family: Family = "taxim", size_px: tuple[int, int] = (320, 240)) -> HiddenSensor:
     """Draw a sensor from wide ranges; the same seed gives the same sensor."""
     rng = np.random.default_rng([seed, len(family)])
     light = np.zeros((3, 6))
@@ -462,7 +464,9 @@ def digits(count: int = 4, seed: int = 5) -> dict[int, Mesh]:
     return {n: mnist3d.solidify(source.image(14 * (n % 10) + n // 10).pixels) for n in range(count)}
 
 
-def _planted(mistake: str | None, images: Array, ids: Array, sensor_m: Array, stated: Array) -> tuple[Any, ...]:
+def _planted(
+    mistake: str | None, images: Array, ids: Array, sensor_m: Array, stated: Array
+) -> tuple[Any, ...]:
     """Return images, ids, poses of the sensor and of the solids with a mistake in them."""
     images, ids, sensor_m, stated = images.copy(), ids.copy(), sensor_m.copy(), stated.copy()
     if mistake == "channels":
@@ -488,7 +492,9 @@ def _lamps(rng: np.random.Generator) -> Array:
         colour[number] = rng.uniform(0.7, 1.0)
         direction = turned + number * 2 * np.pi / 3 + rng.normal(0, 0.15)
         place = (direction, rng.uniform(0.45, 0.95))
-        rows.append([*place, *(0.55 * colour), rng.uniform(0.0, 0.3), rng.uniform(0, 0.25), rng.uniform(4, 14)])
+        rows.append(
+            [*place, *(0.55 * colour), rng.uniform(0.0, 0.3), rng.uniform(0, 0.25), rng.uniform(4, 14)]
+        )
     rows.append([0.0, np.pi / 2, 0.08, 0.08, 0.08, 0.0, 0.0, 1.0])
     return np.array(rows)
 
@@ -508,7 +514,7 @@ def _both_ways(values: Array, keep: float, axis: int) -> Array:
 
 @cache
 def _taxim() -> tuple[Any, Array, Array, Array]:
-    """Return settings, colours (bins, bins, 6, 3), shadows (63, heights, steps, 3) and background of Taxim."""
+    """Return settings, colours (bins, bins, 6, 3), shadows (63, heights, steps, 3) and background."""
     found = find_spec("taxim")
     assert found is not None, "the family 'taxim' needs the extra `sim`"
     assert found.origin is not None
