@@ -18,6 +18,7 @@ from cli.options import Making, Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import generate_set, print_set
+from cli.sensor_twins import check, show
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
@@ -283,7 +284,15 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
-_own = {"preview": preview_touches, "gallery": gallery_of_touches, "validate": None, "export": None}
-add_shared(app, KIND, _own, print_made=_print_made, checks=None, objects=Objects())
+command(app)(check)
+_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches, "show": show}
+add_shared(
+    app,
+    KIND,
+    {**_own, "validate": None, "export": None},
+    print_made=_print_made,
+    checks=None,
+    objects=Objects(),
+)
 
 main = partial(run_app, app)
