@@ -1,10 +1,10 @@
 """How good the twins of hidden sensors are, and whether planted mistakes are named.
 
-Usage: python benchmarks/twins.py [--sensors 200] [--families taxim phong published] [--touches 20] [--mistakes 3]
+Usage: python benchmarks/twins.py [--sensors 200] [--families taxim phong published] [--touches 20]
 
-Each sensor is drawn by ``tests/tactile_sim/hidden_sensors.py``, which shares no code with the fit, calibrated
-with touches of four digits whose poses are off by 0.1 mm and 0.5 degrees, and judged by touches of four others.
-The bounds of issue 51 stand in the columns of the table. Some minutes a sensor on one core.
+Each sensor is drawn by ``tests/tactile_sim/hidden_sensors.py``, which shares no code with the fit. It is
+calibrated with touches of four digits whose poses are off by 0.1 mm and 0.5 degrees, and judged by touches of
+four others.
 """
 
 from __future__ import annotations

@@ -26,8 +26,8 @@ LEAST_IMAGES = 5
 MOST_IMAGES = 64
 """Images that are compared at most; of more, some that are evenly spaced."""
 
-# Name, greatest value of a healthy sensor, and meaning of each figure. Noise stays away from the limits: in the
-# tests, twelve images with 3 levels of it stay below half of each.
+# Name, greatest value of a healthy sensor, and meaning of each figure. Noise stays away from the limits:
+# twelve images with 3 levels of it stay below half of each in the tests.
 _FIGURES = (
     (
         "background drift",

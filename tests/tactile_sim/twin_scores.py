@@ -25,8 +25,9 @@ class Score:
     """Scores of one sensor.
 
     ``image_error`` in parts of the noise; ``background_error`` of the background alone; ``depth_um`` and
-    ``flat_um``, of a reader that sees nothing, mean absolute errors; ``pitch_error`` of mm per pixel, relative;
-    ``placed`` and ``turned``, shares of the touches within 0.1 mm and 0.5 degrees; ``fit_s`` and ``read_s``,
+    ``flat_um``, of a reader that sees nothing, mean absolute errors; ``pitch_error`` of mm per pixel,
+    relative; ``placed`` and ``turned``, shares of the touches within 0.1 mm and 0.5 degrees; ``fit_s`` and
+    ``read_s``,
     seconds of the fit and of an image.
     """
 
