@@ -18,7 +18,7 @@ from cli.options import Making, Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import generate_set, print_set
-from cli.sensor_twins import check, show
+from cli.sensor_twins import check, download, show, upload
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
@@ -285,7 +285,8 @@ def evaluate(
 
 
 command(app)(check)
-_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches, "show": show}
+_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
+_own |= {"show": show, "upload": upload, "download": download}
 add_shared(
     app,
     KIND,

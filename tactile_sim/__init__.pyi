@@ -9,7 +9,11 @@ from .pressable import Pressable as Pressable
 from .pressing import Pressed as Pressed, render_touch as render_touch
 from .round_plan import RoundPlan as RoundPlan, plan_round as plan_round
 from .sensor import Sensor as Sensor, center_view as center_view, full_view as full_view
-from .sensor_health import SensorHealth as SensorHealth, check_sensor as check_sensor
+from .sensor_health import (
+    SensorHealth as SensorHealth,
+    check_sensor as check_sensor,
+    images_of as images_of,
+)
 from .sensor_models import SENSORS as SENSORS, SensorModel as SensorModel
 from .sensor_noise import SensorNoise as SensorNoise
 from .touch_preview import TouchPreview as TouchPreview, preview_touch as preview_touch
