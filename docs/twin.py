@@ -44,12 +44,13 @@ def show(axes: Any, picture: np.ndarray, **how: Any) -> Any:
 
 
 def save(figure: Figure, file: Path) -> None:
+    """Write a figure as PNG."""
     FigureCanvasAgg(figure)
     figure.savefig(file, dpi=110)
-    print(file)
 
 
 def side_by_side(model: tactile_sim.SensorModel, folder: Path) -> None:
+    """Draw images of the sensor and of its twin, and the depth that is read from those of the sensor."""
     sensor = draw_sensor(SENSOR)
     judged = sensor.record(digits(4, HELD_OUT_DIGITS), 10, seed=1).take(list(SHOWN))
     made, read = rendered(model, judged), model.read_depth(judged.images)
@@ -73,6 +74,7 @@ def side_by_side(model: tactile_sim.SensorModel, folder: Path) -> None:
 
 
 def profile(model: tactile_sim.SensorModel, plate: Mesh, folder: Path) -> None:
+    """Draw depth along a row of an image that crosses the steps of the plate."""
     sensor = draw_sensor(SENSOR)
     place = np.array([STEPS_MM]) / 1e3
     touches = sensor.record({0: plate}, 12, seed=3, at_m=place)
@@ -95,6 +97,7 @@ def profile(model: tactile_sim.SensorModel, plate: Mesh, folder: Path) -> None:
 
 
 def learning(folder: Path) -> None:
+    """Draw the errors of some sensors over the number of touches."""
     figure = Figure(figsize=(8.0, 3.0), layout="constrained")
     left, right = figure.subplots(1, 2)
     found = np.array(
@@ -112,10 +115,10 @@ def learning(folder: Path) -> None:
         axes.set(xlabel="touches", ylabel=words, ylim=(0, None))
         axes.spines[["top", "right"]].set_visible(False)
     save(figure, folder / "twin_learning.png")
-    print(np.median(found, axis=0))
 
 
 def main() -> None:
+    """Write all pictures."""
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent
     made = export_calibration_plate(solids(), str(folder / "plate.tmp"), overwrite=True)
     assert not made.failed
