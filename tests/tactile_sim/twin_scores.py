@@ -17,7 +17,7 @@ from tests.tactile_sim.hidden_sensors import Family, HiddenSensor, Recording, di
 TRAIN_DIGITS, HELD_OUT_DIGITS = 5, 77
 """Seeds of the digits that a sensor is calibrated with, and of those that it is judged by."""
 
-_UNDETERMINED = re.compile(r"along (-?[\d.]+) deg")
+_UNDETERMINED = re.compile(r"along (-?[\d.]+) degrees of the solid")
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,10 @@ def _placed(touches: Sequence[dict[str, Any]], recording: Recording) -> tuple[fl
     for each, (x_m, y_m, turn_rad) in zip(touches, recording.true_poses, strict=True):
         if not each["used"]:
             continue
-        away = np.array([each["x_m"] - x_m, each["y_m"] - y_m])
+        # The point of the solid under the sensor, in its own frame.
+        cosine, sine = np.cos(turn_rad), np.sin(turn_rad)
+        point = np.array([-cosine * x_m - sine * y_m, sine * x_m - cosine * y_m])
+        away = np.array([each["x_m"], each["y_m"]]) - point
         words = str(each.get("undetermined", ""))
         for found in _UNDETERMINED.findall(words):
             angle = np.radians(float(found))
