@@ -1,0 +1,102 @@
+"""The gel of a twin: where the solid holds it, it takes its shape; around that it leaves it smoothly.
+
+As in Taxim (Si and Yuan, IEEE Robotics and Automation Letters 7 (2), 2022, section IV), the gel is blurred by
+Gaussians of falling width, and after each of them takes the shape of the solid again where it is in contact.
+Here the greatest width, the last one, and the share of the press depth from which the solid is in contact are
+fitted, and the edge of the contact is as wide as a pixel, so that images change smoothly with all of them.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import TypeAlias
+
+import numpy as np
+
+from tactile_sim.taxim_kernels import blur
+from tactile_sim.twin import gel_kernels
+from tactile_toolkit.arithmetic import exp_neg
+from tactile_toolkit.array_types import Float32, Float64, Int64
+
+_WIDTHS = 6  # Taxim has as many, each about half of the one before it
+_REACH = 4.0  # standard deviations
+_EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
+
+
+class Shape(IntEnum):
+    """Places of the geometry of a twin in a vector.
+
+    Logarithms of the sides of the image over those of the first guess; the radial term of the lens; thickness
+    of the gel, greatest width of its blur, last width, metres; share of the press depth from which the solid
+    is in contact; blur of the camera, metres on the gel.
+    """
+
+    WIDE = 0
+    HIGH = 1
+    LENS = 2
+    GEL = 3
+    WIDTH = 4
+    LAST = 5
+    CONTACT = 6
+    BLUR = 7
+
+
+LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
+MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
+"""Bounds of a geometry."""
+
+Seen: TypeAlias = tuple[Int64, Float32]
+"""Entries of the response that each pixel takes part in, and their shares."""
+
+
+def half_kernel(sigma_px: float, longest: int) -> Float64:
+    """Return half of a Gaussian kernel from the middle on, of at most ``longest`` weights, the same bytes
+    everywhere."""
+    taps = min(int(np.ceil(_REACH * sigma_px)) + 1, longest)
+    place = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
+    weights = exp_neg(0.5 * place * place)
+    total = weights[0]
+    for weight in weights[1:]:
+        total = total + 2 * weight
+    return np.asarray(weights / total)
+
+
+def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64) -> Float64:
+    """Return the surface of the gel, shape (H, W), metres, 0 at rest and negative where it is pressed in.
+
+    ``indentation_m`` is how far the solid reaches into the gel at rest; ``pitch_m`` the size of a pixel.
+    """
+    held = -indentation_m
+    edge_m = _EDGE * float(pitch_m[0])
+    contact = np.clip((indentation_m - shape[Shape.CONTACT] * indentation_m.max()) / edge_m + 0.5, 0.0, 1.0)
+    free = np.zeros(held.shape, np.bool_)
+    rows, columns = held.shape
+    soft = held.copy()
+    for level in range(_WIDTHS):
+        sigma_px = shape[Shape.WIDTH] * 0.5**level / pitch_m
+        blur(soft, half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows), 1, free, soft)
+        soft += contact * (held - soft)
+    sigma_px = shape[Shape.LAST] / pitch_m
+    blur(soft, half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows), 1, free, soft)
+    return soft
+
+
+def seen_features(soft: Float64, pitch_m: Float64) -> Seen:
+    """Return which entries of the response each pixel of a surface takes part in."""
+    entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
+    shares = np.empty(entries.shape, np.float32)
+    gel_kernels.features(soft, pitch_m, entries, shares)
+    return entries, shares
+
+
+def response(
+    seen: Seen, size: tuple[int, int], coefficients: Float64, sigma_px: Float64, span: Float64
+) -> Float64:
+    """Return the change of the image, levels, shape (H, W, 3); ``size`` is (H, W)."""
+    out = np.empty((*size, 3))
+    gel_kernels.respond(out, *seen, coefficients, span)
+    rows, columns = size
+    plane = out.reshape(rows, 3 * columns)
+    across, down = half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows)
+    blur(plane, across, down, 3, np.zeros(plane.shape, np.bool_), plane)
+    return out
