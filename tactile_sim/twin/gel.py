@@ -95,8 +95,13 @@ def response(
     """Return the change of the image, levels, shape (H, W, 3); ``size`` is (H, W)."""
     out = np.empty((*size, 3))
     gel_kernels.respond(out, *seen, coefficients, span)
-    rows, columns = size
-    plane = out.reshape(rows, 3 * columns)
+    blur_colours(out, sigma_px)
+    return out
+
+
+def blur_colours(image: Float64, sigma_px: Float64) -> None:
+    """Blur an image (H, W, 3) in place, by standard deviations along x and y."""
+    rows, columns, _ = image.shape
+    plane = image.reshape(rows, 3 * columns)
     across, down = half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows)
     blur(plane, across, down, 3, np.zeros(plane.shape, np.bool_), plane)
-    return out

@@ -181,3 +181,46 @@ def add_products(
                 weighed, total = weight * shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
                 for column in range(many):
                     total[column] += weighed * line[column]
+
+
+@compiled
+def render_response(out: Float64, soft: Float64, pitch: Float64, coefficients: Float64, span: Float64) -> None:
+    """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
+
+    The terms of a row are summed once for the whole row, and pixels where the gel is at rest are passed over.
+    """
+    rows, columns = soft.shape
+    line = np.empty((ENTRIES, 3, 3))
+    per_x, per_y = 1.0 / pitch[0], 1.0 / pitch[1]
+
+    for row in range(rows):
+        y = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for entry in range(ENTRIES):
+            for colour in range(3):
+                held = coefficients[entry, :, colour]
+                line[entry, 0, colour] = held[0] + y * (held[2] + y * held[5])
+                line[entry, 1, colour] = held[1] + y * held[4]
+                line[entry, 2, colour] = held[3]
+        for column in range(columns):
+            slope_x, slope_y = _slope(soft, row, column, per_x, per_y)
+            deep = -1e3 * soft[row, column]
+            pixel = out[row, column]
+            if slope_x == 0.0 and slope_y == 0.0 and deep == 0.0:
+                pixel[0], pixel[1], pixel[2] = 0.0, 0.0, 0.0
+                continue
+            x = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            (i, fx), (j, fy) = _place(slope_x), _place(slope_y)
+            node = j * NODES + i
+            a, b = line[node], line[node + 1]
+            c, d = line[node + NODES], line[node + NODES + 1]
+            e, f = line[DEPTHS], line[DEPTHS + 1]
+            wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+            for colour in range(3):
+                total = 0.0
+                for power in range(2, -1, -1):
+                    value = (wa * a[power, colour] + wb * b[power, colour]) + (
+                        wc * c[power, colour] + wd * d[power, colour]
+                    )
+                    value = (value + deep * e[power, colour]) + deep * deep * f[power, colour]
+                    total = value + x * total
+                pixel[colour] = total
