@@ -50,7 +50,12 @@ def show(
         show_row(name=name, row=row, split=split, opening=opening, sink=sink)
         return
     model = SensorModel.named(name)
-    sink.document({"sensor": model.to_dict(), "report": model.report})
+    sink.document({"sensor": model.to_dict(), "report": dict(model.report)})
+    print_sensor(sink, model)
+
+
+def print_sensor(sink: Sink, model: SensorModel) -> None:
+    """Print the facts of a sensor, and the touches that its calibration left out."""
     sink.table(("sensor", model.name), list(_facts(model).items()))
     touches = model.report.get("touches", [])
     if touches:

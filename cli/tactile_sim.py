@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tactile_sim
 from cli.application import command, new_app, run as run_app
+from cli.calibration import calibrate
 from cli.checks import Objects
 from cli.declared_options import OptionsOf
 from cli.galleries import gallery_of_touches
@@ -284,6 +285,7 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
+command(app)(calibrate)
 command(app)(check)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
 _own |= {"show": show, "upload": upload, "download": download}

@@ -25,5 +25,7 @@ from .touch_spec import (
     default_optics as default_optics,
 )
 from .touch_table import TouchTable as TouchTable
+from .twin.mistakes import Mistake as Mistake, find_mistakes as find_mistakes
+from .twin.sources import read_recordings as read_recordings
 
 __version__: str

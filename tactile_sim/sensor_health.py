@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -17,10 +16,10 @@ import numpy as np
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
 from tactile_sim.sensor_models import SensorModel
-from tactile_toolkit import places, store, touch
+from tactile_sim.twin.sources import image_files, read_image
+from tactile_toolkit import places, store
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import natural_key
 
 LEAST_IMAGES = 5
 MOST_IMAGES = 64
@@ -53,7 +52,6 @@ _SMOOTH_PX = 2.0
 _NO_CONTACT_M = 2e-5
 _FULL = 254
 _BATCH = 4
-_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,9 +142,9 @@ def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt
     Of clips, the frame at the end of the contact. InputError for a place that holds neither.
     """
     root = store.expanded(fspath(source))
-    files = _image_files(root)
+    files = image_files(root)
     if files:
-        return [_decoded(files[number]) for number in _spaced(len(files), most)]
+        return [read_image(files[number]) for number in _spaced(len(files), most)]
     place = places.open_place(source)
     touches = [KIND.load(place, split).touches() for split in place.splits]
     flat = [(each, number) for each in touches for number in range(len(each))]
@@ -155,22 +153,6 @@ def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt
 
 def _spaced(count: int, most: int) -> list[int]:
     return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
-
-
-def _image_files(root: Path) -> list[Path]:
-    """Return the image files of a folder that is no data set, in natural order."""
-    if not root.is_dir() or (root / store.MANIFEST_FILE).exists() or next(root.glob("**/*.parquet"), None):
-        return []
-    found = [each for each in root.iterdir() if each.suffix.lower() in _SUFFIXES]
-    return sorted(found, key=lambda each: natural_key(each.name))
-
-
-def _decoded(file: Path) -> UInt8:
-    try:
-        with store.open_regular(file) as stream:
-            return touch.decode_image(stream.read(touch.MAX_IMAGE_BYTES + 1))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{str(file)!r} cannot be read as an image ({error})") from error
 
 
 def _depth_of(model: SensorModel, images: UInt8) -> Float32:

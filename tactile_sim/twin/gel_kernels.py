@@ -122,7 +122,9 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 
 
 @compiled
-def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64) -> None:
+def respond(
+    out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64
+) -> None:
     """Write the response (H, W, 3), levels; ``coefficients`` have the shape (ENTRIES, PLACES, 3)."""
     rows, columns = out.shape[:2]
     terms = np.empty(PLACES)
@@ -140,7 +142,9 @@ def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64
 
 
 @compiled
-def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
+def add_normal(
+    normal: Float64, entries: Int64, shares: Float32, weights: Float32
+) -> None:
     """Add the weighted products of coefficients to the normal matrix ; each pair once."""
     rows, columns = weights.shape
     terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)

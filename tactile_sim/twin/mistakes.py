@@ -1,7 +1,7 @@
 """What is wrong with recordings, found before anything is fitted.
 
-Colours are compared with those of the gel at rest. Poses and solids are judged by where they say that an image
-must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis, another
+Colours are compared with those of the gel at rest. Poses and solids are judged by where they say that an
+image must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis, another
 solid, another unit) are compared by the correlation of those slopes with the change of the image.
 """
 
@@ -43,8 +43,8 @@ class Mistake:
     Attributes
     ----------
     kind : str
-        A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``, ``"saturated"``,
-        ``"gel-changed"``, ``"too-few"``, ``"flat"``, ``"poses"``.
+        A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``,
+        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``.
     detail : str
         A sentence that names it and the figure that shows it.
     figure : float
@@ -122,8 +122,8 @@ def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterat
     if np.median(shares) > _MOST_FULL:
         yield Mistake(
             "saturated",
-            f"{np.median(shares):.1%} of the levels of an image are at the end of their range; expected at most "
-            f"{_MOST_FULL:.0%}: shorten the exposure",
+            f"{np.median(shares):.1%} of the levels of an image are at the end of their range; expected at "
+            f"most {_MOST_FULL:.0%}: shorten the exposure",
             float(np.median(shares)),
             tuple(np.flatnonzero(shares > _MOST_FULL).tolist()),
         )
@@ -163,8 +163,8 @@ def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iter
     if drifts[cut] > _MOST_DRIFT:
         yield Mistake(
             "gel-changed",
-            f"gel or light changed at touch {cut}: most of the gel at rest differs by {drifts[cut]:.1f} levels "
-            f"before and after; expected at most {_MOST_DRIFT:g}",
+            f"gel or light changed at touch {cut}: most of the gel at rest differs by {drifts[cut]:.1f} "
+            f"levels before and after; expected at most {_MOST_DRIFT:g}",
             drifts[cut],
             tuple(range(cut, len(images))),
         )
@@ -182,7 +182,7 @@ def _markers(recordings: Recordings) -> Iterator[Mistake]:
     if share > _MOST_MARKERS:
         yield Mistake(
             "markers",
-            f"the gel has markers: {share:.1%} of it are small dark dots, expected none; a twin has none either",
+            f"the gel has markers: {share:.1%} of it are small dark dots, expected none; a twin has none",
             share,
         )
 

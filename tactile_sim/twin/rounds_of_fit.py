@@ -40,7 +40,9 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
     known = np.zeros(count)
     if level_m is not None:
         known = level_m.copy()
-    fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
+    fit = Fit(
+        recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings)
+    )
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
     press_m = start.gel_mm / 1e3 - start.press_m
@@ -134,11 +136,8 @@ def _touch(fit: Fit, touch: int) -> dict[str, Any]:
         "used": bool(fit.used[touch]),
     }
     if not fit.used[touch]:
-        return {
-            **values,
-            "reason": f"its error is {fit.rms[touch]:.1f} levels, that of the others "
-            f"{np.median(fit.rms[fit.used]):.1f}",
-        }
+        return {**values, "reason": f"its error is {fit.rms[touch]:.1f} levels, that of the others "
+                f"{np.median(fit.rms[fit.used]):.1f}"}
     return {**values, **spread_of(fit, touch)}
 
 
@@ -155,9 +154,7 @@ def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
     undetermined = []
     if along[1] > _LOOSE_M**2:
         angle = np.rad2deg(np.arctan2(directions[1, 1], directions[0, 1])) % 180
-        undetermined.append(
-            f"along {angle:.0f} degrees of the solid's frame, by {1e3 * np.sqrt(along[1]):.2f} mm"
-        )
+        undetermined.append(f"along {angle:.0f} degrees of the solid's frame, by {1e3 * np.sqrt(along[1]):.2f} mm")
     if deviation[2] > _LOOSE_RAD:
         undetermined.append(f"the turn, by {np.rad2deg(deviation[2]):.1f} degrees")
     return {

@@ -1,0 +1,80 @@
+"""The command ``tactile-sim calibrate``: the twin of a sensor from touches of known solids."""
+
+from __future__ import annotations
+
+from dataclasses import MISSING
+from functools import partial
+from pathlib import Path
+
+import tactile_sim
+from cli.options import Opening, argument, local_out_folder, local_place
+from cli.output import Sink
+from cli.sensor_twins import print_sensor
+from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_toolkit import mesh
+from tactile_toolkit.checked_fields import text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
+
+# Nothing can be fitted to recordings with these; of the others, the fit leaves out what it cannot explain.
+_FATAL = ("channels", "mesh", "units", "mirrored", "saturated", "gel-changed", "too-few", "flat")
+
+
+def calibrate(
+    *,
+    source: str = argument("SOURCE", "Touches of printed solids: a data set, or a folder of images."),
+    opening: Opening,
+    solids: str = text(MISSING, metavar="SET", help="The solids: mesh files, or a data set of meshes."),
+    table: Path | None = text(
+        metavar="FILE",
+        read=local_place,
+        help="Table of the images, CSV or TSV: file, object; x_m, y_m, z_m of the sensor; object_x_m, "
+        "object_y_m, object_turn_rad.",
+    ),
+    background: list[str] | None = text(
+        metavar="IMAGE",
+        several=True,
+        help="Image that touches nothing, or a folder of them; may be repeated.",
+    ),
+    unit: str | None = mesh.UNIT,
+    sensor: SensorModel = text(
+        GELSIGHT_MINI,
+        metavar="NAME|FILE",
+        shown=GELSIGHT_MINI.name,
+        read=SensorModel.named,
+        help="First guess of the geometry.",
+    ),
+    out: Path = local_out_folder("my-sensor"),
+    sink: Sink,
+) -> None:
+    """Make the twin of a sensor: a renderer of its images, and a reader of depth.
+
+    What is wrong with the recordings is named first. Poses may be off by some millimetres; without any,
+    touches are found by matching.
+
+    Example: tactile-sim calibrate recordings --solids plate --out my-sensor
+    """
+    recordings = tactile_sim.read_recordings(
+        source,
+        solids,
+        table=table,
+        backgrounds=background or (),
+        unit=unit,
+        opened=partial(opening.open, sink),
+    )
+    mistakes = tactile_sim.find_mistakes(recordings, sensor)
+    for each in mistakes:
+        sink.warn(f"{each.kind}: {each}")
+    fatal = [each.kind for each in mistakes if each.kind in _FATAL]
+    if fatal:
+        raise InputError(
+            f"{source!r} cannot be used for a calibration: {', '.join(fatal)}; nothing was written",
+            next="correct the recordings, and run the command again",
+        )
+    with sink.progress("calibrating", "steps") as update:
+        model = tactile_sim.calibrate(recordings, name=out.name, start=sensor, on_progress=update)
+    model.save(out)
+    sink.document({"folder": str(out), "sensor": model.to_dict(), "report": dict(model.report)})
+    print_sensor(sink, model)
+    sink.line(f"{with_count(len(recordings), 'touches')} of {source}; the sensor is in {out}")
+    sink.line(f"next: tactile-sim check {out} {source}")
