@@ -16,9 +16,6 @@ from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.wording import with_count
 
-# Nothing can be fitted to recordings with these; of the others, the fit leaves out what it cannot explain.
-_FATAL = ("channels", "mesh", "units", "mirrored", "saturated", "gel-changed", "too-few", "flat")
-
 
 def calibrate(
     *,
@@ -65,7 +62,7 @@ def calibrate(
     mistakes = tactile_sim.find_mistakes(recordings, sensor)
     for each in mistakes:
         sink.warn(f"{each.kind}: {each}")
-    fatal = [each.kind for each in mistakes if each.kind in _FATAL]
+    fatal = [each.kind for each in mistakes if each.is_fatal]
     if fatal:
         raise InputError(
             f"{source!r} cannot be used for a calibration: {', '.join(fatal)}; nothing was written",

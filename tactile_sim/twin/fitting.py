@@ -102,7 +102,9 @@ class Fit:
         """Return an image in the present size, levels, and where it is not saturated."""
         image = self.recordings.images[touch]
         dull = ((image > _DARK) & (image < _BRIGHT)).all(axis=-1)
-        return shrunk(image.astype(np.float32), self.shrink), shrunk(dull.astype(np.float32), self.shrink) > 0.99
+        return shrunk(image.astype(np.float32), self.shrink), shrunk(
+            dull.astype(np.float32), self.shrink
+        ) > 0.99
 
     def half_m(self, shape: Float64) -> Float64:
         """Return half of width and height of the image, metres."""
@@ -116,7 +118,9 @@ class Fit:
         """Return how far the solid reaches into the gel at rest, metres, in the present size."""
         half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
-        affine = np.array([[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]])
+        affine = np.array(
+            [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
+        )
         out = np.empty(self.size)
         level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
         gel_kernels.sample_relief(
@@ -268,7 +272,9 @@ class _Sums:
         factor = linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
         right = self.products
         right[:, 0] -= penalty @ before
-        solved = linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(right.shape)
+        solved = linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(
+            right.shape
+        )
         moved = np.zeros(len(self.slope))
         if moving:
             flat = right[:, 1:].transpose(1, 0, 2).reshape(len(moved), -1)
@@ -282,7 +288,9 @@ class _Sums:
 
     def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Shape, ...]) -> Float64:
         variance = fit.noise**2
-        own = [_SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)]
+        own = [
+            _SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)
+        ]
         for touch in np.flatnonzero(fit.used):
             at = slice(_SHARED + _OWN * int(touch), _SHARED + _OWN * int(touch) + _OWN)
             fit.information[touch] = matrix[at, at] / variance

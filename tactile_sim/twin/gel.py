@@ -16,10 +16,11 @@ import numpy as np
 from tactile_sim.taxim_kernels import blur
 from tactile_sim.twin import gel_kernels
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
-_REACH = 4.0  # standard deviations
+_REACH = 2.0  # standard deviations of the gel's kernels, as in Taxim
+_CAMERA_REACH = 3.0
 _EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
 
 
@@ -49,10 +50,10 @@ Seen: TypeAlias = tuple[Int64, Float32]
 """Entries of the response that each pixel takes part in, and their shares."""
 
 
-def half_kernel(sigma_px: float, longest: int) -> Float64:
+def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
     """Return half of a Gaussian kernel from the middle on, of at most ``longest`` weights, the same bytes
     everywhere."""
-    taps = min(int(np.ceil(_REACH * sigma_px)) + 1, longest)
+    taps = min(int(np.ceil(reach * sigma_px)) + 1, longest)
     place = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
     weights = exp_neg(0.5 * place * place)
     total = weights[0]
@@ -66,19 +67,25 @@ def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64) -> Flo
 
     ``indentation_m`` is how far the solid reaches into the gel at rest; ``pitch_m`` the size of a pixel.
     """
-    held = -indentation_m
+    held, contact = np.empty(indentation_m.shape), np.empty(indentation_m.shape)
     edge_m = _EDGE * float(pitch_m[0])
-    contact = np.clip((indentation_m - shape[Shape.CONTACT] * indentation_m.max()) / edge_m + 0.5, 0.0, 1.0)
+    gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
     free = np.zeros(held.shape, np.bool_)
     rows, columns = held.shape
     soft = held.copy()
     for level in range(_WIDTHS):
         sigma_px = shape[Shape.WIDTH] * 0.5**level / pitch_m
-        blur(soft, half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows), 1, free, soft)
-        soft += contact * (held - soft)
+        _blur_gel(soft, sigma_px, free)
+        gel_kernels.hold(soft, held, contact)
     sigma_px = shape[Shape.LAST] / pitch_m
-    blur(soft, half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows), 1, free, soft)
+    _blur_gel(soft, sigma_px, free)
     return soft
+
+
+def _blur_gel(soft: Float64, sigma_px: Float64, free: Bool) -> None:
+    rows, columns = soft.shape
+    across, down = half_kernel(sigma_px[0], columns, _REACH), half_kernel(sigma_px[1], rows, _REACH)
+    blur(soft, across, down, 1, free, soft)
 
 
 def seen_features(soft: Float64, pitch_m: Float64) -> Seen:

@@ -49,6 +49,7 @@ def sample_relief(
     """
     rows, columns = out.shape
     high, wide = relief.shape
+    per_x, per_y = 1.0 / corner[2], 1.0 / corner[3]
     across = affine[0, 0] * affine[0, 0] + affine[1, 0] * affine[1, 0]
     down = affine[0, 1] * affine[0, 1] + affine[1, 1] * affine[1, 1]
     across, down = across / (across + down), down / (across + down)
@@ -58,8 +59,8 @@ def sample_relief(
             u0 = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
             bend = 1.0 + lens * (across * u0 * u0 + down * v0 * v0)
             u, v = u0 * bend, v0 * bend
-            x = (affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - corner[0]) / corner[2]
-            y = (affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - corner[1]) / corner[3]
+            x = (affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - corner[0]) * per_x
+            y = (affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - corner[1]) * per_y
             x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
             i, j = min(int(x), wide - 2), min(int(y), high - 2)
             fx, fy = x - i, y - j
@@ -122,9 +123,7 @@ def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> N
 
 
 @compiled
-def respond(
-    out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64
-) -> None:
+def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64) -> None:
     """Write the response (H, W, 3), levels; ``coefficients`` have the shape (ENTRIES, PLACES, 3)."""
     rows, columns = out.shape[:2]
     terms = np.empty(PLACES)
@@ -142,9 +141,7 @@ def respond(
 
 
 @compiled
-def add_normal(
-    normal: Float64, entries: Int64, shares: Float32, weights: Float32
-) -> None:
+def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
     """Add the weighted products of coefficients to the normal matrix ; each pair once."""
     rows, columns = weights.shape
     terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)
@@ -188,43 +185,105 @@ def add_products(
 
 
 @compiled
-def render_response(out: Float64, soft: Float64, pitch: Float64, coefficients: Float64, span: Float64) -> None:
+def _row_places(at_x: Float64, at_y: Float64, soft: Float64, row: int, pitch: Float64) -> None:
+    """Write where in the table the slopes of a row lie, in loops of which LLVM does several pixels at once."""
+    rows, columns = soft.shape
+    above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
+    per_y = 1.0 / (pitch[1] * (min(row + 1, rows - 1) - max(row - 1, 0)))
+    per_x = 0.5 / pitch[0]
+    for column in range(1, columns - 1):
+        at_x[column] = (line[column + 1] - line[column - 1]) * per_x
+    at_x[0] = (line[1] - line[0]) / pitch[0]
+    at_x[columns - 1] = (line[columns - 1] - line[columns - 2]) / pitch[0]
+    room, per_crowd = 0.5 * (NODES - 1), 1.0 / (2.0 * _CROWDED)
+    crowd = 4.0 * _CROWDED * (1.0 + _CROWDED) / STEEPEST
+    for column in range(columns):
+        x, y = at_x[column], (above[column] - below[column]) * per_y
+        scale = crowd / (1.0 + math.sqrt(1.0 + x * x + y * y))
+        far_x = (math.sqrt(1.0 + scale * abs(x)) - 1.0) * per_crowd
+        far_y = (math.sqrt(1.0 + scale * abs(y)) - 1.0) * per_crowd
+        far_x, far_y = min(far_x, 0.9999999), min(far_y, 0.9999999)
+        at_x[column] = (1.0 + (far_x if x > 0.0 else -far_x)) * room
+        at_y[column] = (1.0 + (far_y if y > 0.0 else -far_y)) * room
+
+
+@compiled
+def render_response(
+    out: Float64, soft: Float64, pitch: Float64, coefficients: Float32, span: Float64
+) -> None:
     """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
 
     The terms of a row are summed once for the whole row, and pixels where the gel is at rest are passed over.
+    ``coefficients`` have the shape (ENTRIES, PLACES, 4), the last colour 0: vectors have four lanes.
     """
     rows, columns = soft.shape
-    line = np.empty((ENTRIES, 3, 3))
-    per_x, per_y = 1.0 / pitch[0], 1.0 / pitch[1]
-
+    line, terms = np.empty(ENTRIES * 12, np.float32), np.empty(12, np.float32)
+    at_x, at_y, one, middle = np.empty(columns), np.empty(columns), np.float32(1.0), 0.5 * (NODES - 1)
     for row in range(rows):
-        y = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        y = np.float32(span[1] * (1.0 - (2.0 * row + 1.0) / rows))
         for entry in range(ENTRIES):
-            for colour in range(3):
-                held = coefficients[entry, :, colour]
-                line[entry, 0, colour] = held[0] + y * (held[2] + y * held[5])
-                line[entry, 1, colour] = held[1] + y * held[4]
-                line[entry, 2, colour] = held[3]
+            held = coefficients[entry]
+            for colour in range(4):
+                line[entry * 12 + colour] = held[0, colour] + y * (held[2, colour] + y * held[5, colour])
+                line[entry * 12 + 4 + colour] = held[1, colour] + y * held[4, colour]
+                line[entry * 12 + 8 + colour] = held[3, colour]
+        deep_line, square_line = line[DEPTHS * 12 : DEPTHS * 12 + 12], line[DEPTHS * 12 + 12 :]
+        _row_places(at_x, at_y, soft, row, pitch)
         for column in range(columns):
-            slope_x, slope_y = _slope(soft, row, column, per_x, per_y)
-            deep = -1e3 * soft[row, column]
             pixel = out[row, column]
-            if slope_x == 0.0 and slope_y == 0.0 and deep == 0.0:
+            if at_x[column] == middle and at_y[column] == middle and soft[row, column] == 0.0:
                 pixel[0], pixel[1], pixel[2] = 0.0, 0.0, 0.0
                 continue
-            x = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
-            (i, fx), (j, fy) = _place(slope_x), _place(slope_y)
-            node = j * NODES + i
-            a, b = line[node], line[node + 1]
-            c, d = line[node + NODES], line[node + NODES + 1]
-            e, f = line[DEPTHS], line[DEPTHS + 1]
-            wa, wb, wc, wd = (1.0 - fx) * (1.0 - fy), fx * (1.0 - fy), (1.0 - fx) * fy, fx * fy
+            x = np.float32(span[0] * ((2.0 * column + 1.0) / columns - 1.0))
+            i, j = int(at_x[column]), int(at_y[column])
+            fx, fy = np.float32(at_x[column] - i), np.float32(at_y[column] - j)
+            deep = np.float32(-1e3 * soft[row, column])
+            square = deep * deep
+            near, far = line[12 * (j * NODES + i) :], line[12 * ((j + 1) * NODES + i) :]
+            wa, wb, wc, wd = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            for m in range(12):
+                value = (wa * near[m] + wb * near[m + 12]) + (wc * far[m] + wd * far[m + 12])
+                terms[m] = value + (deep * deep_line[m] + square * square_line[m])
             for colour in range(3):
-                total = 0.0
-                for power in range(2, -1, -1):
-                    value = (wa * a[power, colour] + wb * b[power, colour]) + (
-                        wc * c[power, colour] + wd * d[power, colour]
-                    )
-                    value = (value + deep * e[power, colour]) + deep * deep * f[power, colour]
-                    total = value + x * total
-                pixel[colour] = total
+                pixel[colour] = terms[colour] + x * (terms[colour + 4] + x * terms[colour + 8])
+
+
+@compiled
+def touching(contact: Float64, held: Float64, indentation: Float64, share: float, edge: float) -> None:
+    """Write how much each pixel is in contact, 0 to 1, and the shape that the gel has where it is.
+
+    Contact begins at a share of the greatest indentation, over an edge in metres.
+    """
+    rows, columns = indentation.shape
+    greatest = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            greatest = max(greatest, indentation[row, column])
+    begin, per_edge = share * greatest - 0.5 * edge, 1.0 / edge
+    for row in range(rows):
+        line, target, into = contact[row], held[row], indentation[row]
+        for column in range(columns):
+            value = (into[column] - begin) * per_edge
+            value = value if value > 0.0 else 0.0
+            line[column] = value if value < 1.0 else 1.0
+            target[column] = -into[column]
+
+
+@compiled
+def hold(soft: Float64, held: Float64, contact: Float64) -> None:
+    """Give a surface the shape of the solid to a share, in place."""
+    rows, columns = soft.shape
+    for row in range(rows):
+        line, target, share = soft[row], held[row], contact[row]
+        for column in range(columns):
+            line[column] += share[column] * (target[column] - line[column])
+
+
+@compiled
+def lay_over(out: Float32, response: Float64, behind: Float64) -> None:
+    """Write shades, 0 to 1, (H, W, 3), of a response over a background, levels."""
+    flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
+    for at in range(len(flat)):
+        shade = (change[at] + below[at]) * (1.0 / 255.0)
+        shade = shade if shade > 0.0 else 0.0
+        flat[at] = np.float32(shade if shade < 1.0 else 1.0)

@@ -58,6 +58,11 @@ class Mistake:
     figure: float
     touches: tuple[int, ...] = ()
 
+    @property
+    def is_fatal(self) -> bool:
+        """Whether nothing can be fitted; of two gels, the one with more touches is."""
+        return self.kind not in ("saturated", "markers", "gel-changed")
+
     def __str__(self) -> str:
         return self.detail
 

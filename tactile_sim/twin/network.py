@@ -9,7 +9,7 @@ import numpy as np
 from tactile_toolkit.array_types import Float32
 
 _LEAK = np.float32(0.1)
-_RATE, _BATCH = 3e-3, 4096
+_RATE, _BATCH = 5e-3, 4096
 _DECAYS = (0.9, 0.999)  # Adam (Kingma and Ba 2015), whose numbers these are
 _BLOCK = 1 << 14  # rows that stay in the processor's cache
 
@@ -46,7 +46,10 @@ def train(
     found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
     for wide, narrow in zip(sizes[:-1], sizes[1:], strict=True):
-        layers += [rng.normal(0, np.sqrt(2 / wide), (wide, narrow)).astype(np.float32), np.zeros(narrow, np.float32)]
+        layers += [
+            rng.normal(0, np.sqrt(2 / wide), (wide, narrow)).astype(np.float32),
+            np.zeros(narrow, np.float32),
+        ]
     layers[-2] *= np.float32(0.1)
     first, second = ([np.zeros_like(each) for each in layers] for _ in range(2))
     for step in range(steps):

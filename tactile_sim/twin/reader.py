@@ -22,10 +22,10 @@ from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
-_TOUCHES = 320
-_PER_TOUCH = 6000  # pixels that the networks see of each
-_SLOPE_STEPS, _DEPTH_STEPS = 1500, 5000
-_SLOPE_HIDDEN, _DEPTH_HIDDEN = (32, 32), (64, 64)
+_TOUCHES = 240
+_PER_TOUCH = 3000  # pixels that the networks see of each
+_SLOPE_STEPS, _DEPTH_STEPS = 500, 1500
+_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (48, 48)
 _BLURS = (0.01, 0.03, 0.09)  # of the width
 _DULL_MM = 0.02  # of depth: less is none
 _SMOOTH_MM = 0.01  # below this, the loss is round
@@ -47,6 +47,23 @@ class DepthReading:
 
     depth_m: Float32
     error_m: Float32
+
+
+def reader_shapes() -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the weights of a reader by name."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    colours = 11
+    for mode in _WIDTHS:
+        nets = (
+            ("slope", colours, _SLOPE_HIDDEN),
+            ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
+        )
+        for kind, inputs, hidden in nets:
+            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
+            shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
+            for layer, (wide, narrow) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+                shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
+    return shapes
 
 
 def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading:
@@ -129,7 +146,9 @@ def integrated(slopes: Float32) -> Float32:
     bend[:, 1:] -= middle_x
     bend[:-1] += middle_y
     bend[1:] -= middle_y
-    waves = 2 * np.cos(np.pi * np.arange(columns) / columns) + 2 * np.cos(np.pi * np.arange(rows) / rows)[:, None]
+    waves = (
+        2 * np.cos(np.pi * np.arange(columns) / columns) + 2 * np.cos(np.pi * np.arange(rows) / rows)[:, None]
+    )
     waves = (waves - 4).astype(np.float32)
     waves[0, 0] = 1
     turned = fft.dctn(bend, norm="ortho") / waves

@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import Float32, Float64
 # First guesses: as Taxim's calibration of the GelSight Mini has them.
 _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 # How far poses are expected to be off: metres, metres, radians, metres.
-_SPREAD = np.array([3e-4, 3e-4, 0.03, 5e-5])
+_SPREAD = np.array([3e-4, 3e-4, 0.03, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
 _COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
@@ -40,9 +40,7 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
     known = np.zeros(count)
     if level_m is not None:
         known = level_m.copy()
-    fit = Fit(
-        recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings)
-    )
+    fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
     press_m = start.gel_mm / 1e3 - start.press_m
@@ -136,8 +134,11 @@ def _touch(fit: Fit, touch: int) -> dict[str, Any]:
         "used": bool(fit.used[touch]),
     }
     if not fit.used[touch]:
-        return {**values, "reason": f"its error is {fit.rms[touch]:.1f} levels, that of the others "
-                f"{np.median(fit.rms[fit.used]):.1f}"}
+        return {
+            **values,
+            "reason": f"its error is {fit.rms[touch]:.1f} levels, that of the others "
+            f"{np.median(fit.rms[fit.used]):.1f}",
+        }
     return {**values, **spread_of(fit, touch)}
 
 
@@ -154,7 +155,9 @@ def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
     undetermined = []
     if along[1] > _LOOSE_M**2:
         angle = np.rad2deg(np.arctan2(directions[1, 1], directions[0, 1])) % 180
-        undetermined.append(f"along {angle:.0f} degrees of the solid's frame, by {1e3 * np.sqrt(along[1]):.2f} mm")
+        undetermined.append(
+            f"along {angle:.0f} degrees of the solid's frame, by {1e3 * np.sqrt(along[1]):.2f} mm"
+        )
     if deviation[2] > _LOOSE_RAD:
         undetermined.append(f"the turn, by {np.rad2deg(deviation[2]):.1f} degrees")
     return {

@@ -85,7 +85,8 @@ class TwinOptics(Optics):
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin
         self._lens = float(twin.shape[Shape.LENS]) if lens else 0.0
-        self._coefficients = np.asarray(twin.coefficients, np.float64)
+        self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
+        self._coefficients[..., :3] = twin.coefficients
 
     def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
         """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
@@ -102,8 +103,7 @@ class TwinOptics(Optics):
         for number, each in enumerate(depth_m):
             # What of the solid lies deeper than the gel is thick does not touch it.
             reach_m = np.maximum(sensor.gel_m - each, 0.0)
-            levels = behind + self.response(reach_m, span)
-            out[number] = np.clip(levels / 255, 0.0, 1.0)
+            gel_kernels.lay_over(out[number], self.response(reach_m, span), behind)
         return out
 
     def response(self, reach_m: Float64, span: Float64 | None = None) -> Float64:
