@@ -34,12 +34,8 @@ def calibrate(
         help="Image that touches nothing, or a folder of them; may be repeated.",
     ),
     unit: str | None = mesh.UNIT,
-    sensor: SensorModel = text(
-        GELSIGHT_MINI,
-        metavar="NAME|FILE",
-        shown=GELSIGHT_MINI.name,
-        read=SensorModel.named,
-        help="First guess of the geometry.",
+    sensor: str = text(
+        GELSIGHT_MINI.name, metavar="NAME|FILE", help="First guess of the geometry: a sensor or JSON file."
     ),
     out: Path = local_out_folder("my-sensor"),
     sink: Sink,
@@ -59,7 +55,8 @@ def calibrate(
         unit=unit,
         opened=partial(opening.open, sink),
     )
-    mistakes = tactile_sim.find_mistakes(recordings, sensor)
+    start = SensorModel.named(sensor)
+    mistakes = tactile_sim.find_mistakes(recordings, start)
     for each in mistakes:
         sink.warn(f"{each.kind}: {each}")
     fatal = [each.kind for each in mistakes if each.is_fatal]
@@ -69,7 +66,7 @@ def calibrate(
             next="correct the recordings, and run the command again",
         )
     with sink.progress("calibrating", "steps") as update:
-        model = tactile_sim.calibrate(recordings, name=out.name, start=sensor, on_progress=update)
+        model = tactile_sim.calibrate(recordings, name=out.name, start=start, on_progress=update)
     model.save(out)
     sink.document({"folder": str(out), "sensor": model.to_dict(), "report": dict(model.report)})
     print_sensor(sink, model)

@@ -152,7 +152,7 @@ def images_of(source: str | PathLike[str], most: int = MOST_IMAGES) -> list[UInt
 
 
 def _spaced(count: int, most: int) -> list[int]:
-    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(int)).tolist()
+    return [int(each) for each in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
 
 
 def _depth_of(model: SensorModel, images: UInt8) -> Float32:

@@ -112,13 +112,14 @@ def _small(images: UInt8) -> Float64:
     factor = max(1, images.shape[2] // _WIDTH_PX)
     rows, columns = images.shape[1] // factor, images.shape[2] // factor
     cut = images[:, : rows * factor, : columns * factor]
-    return cut.reshape(len(images), rows, factor, columns, factor, 3).mean(axis=(2, 4))
+    squares = cut.reshape(len(images), rows, factor, columns, factor, 3)
+    return np.asarray(squares.mean(axis=(2, 4)), np.float64)
 
 
 def _rest(recordings: Recordings, images: Float64) -> Float64:
     """Return the gel at rest, (h, w, 3): of images without contact, or what most touches show."""
     if recordings.backgrounds.size:
-        return _small(recordings.backgrounds).mean(axis=0)
+        return np.asarray(_small(recordings.backgrounds).mean(axis=0))
     return np.asarray(np.median(images, axis=0))
 
 
@@ -284,7 +285,7 @@ class _Comparison:
         gel_kernels.sample_relief(heights, relief.heights_m, relief.corner, affine, np.ones(2), 0.0, 0.0)
         pressed = np.maximum(heights - (heights.max() - self.press_m), 0.0)
         down, right = np.gradient(_blurred(pressed[None], self.sigma_px)[0])
-        return _centred(np.hypot(down, right)[None])[0]
+        return np.asarray(_centred(np.hypot(down, right)[None])[0])
 
 
 def _blurred(images: Float64, sigma_px: float) -> Float64:

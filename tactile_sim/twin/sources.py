@@ -137,12 +137,12 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
     where = store.expanded(fspath(file))
     try:
         with store.open_regular(where) as stream:
-            names, lines = table_lines(stream.read(), str(where))
+            columns, lines = table_lines(stream.read(), str(where))
     except OSError as error:
         raise InputError(f"{str(where)!r} cannot be read ({error.strerror})") from error
-    if "file" not in names:
+    if "file" not in columns:
         raise InputError(
-            f"{str(where)!r} has the columns {', '.join(names)[:200]}; expected file, and of each touch "
+            f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
             f"{', '.join((_OBJECT_NAMES[0], *_SENSOR, *_OBJECT))}"
         )
     store.names_inside([str(line["file"]) for line in lines], repr(str(where)))
