@@ -35,6 +35,9 @@ _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _REST_COST = 1e-3, 1e-2, 1e7
+ALIKE_PX = 50.0
+"""Pixels whose residuals are alike, so that they count as one."""
+
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
 
 
@@ -114,24 +117,26 @@ class Fit:
         """Return the size of a pixel in the present size, metres."""
         return 2 * self.half_m(shape) / self.size[::-1]
 
-    def indentation(self, touch: int, pose: Float64, shape: Float64) -> Float64:
-        """Return how far the solid reaches into the gel at rest, metres, in the present size."""
+    def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
+        """Return how far the solid reaches into the gel at rest, metres, in the present size and a margin."""
         half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
         affine = np.array(
             [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
         )
-        out = np.empty(self.size)
+        out = np.empty(tuple(side + 2 * margin for side in self.size))
+        span = np.array(out.shape[::-1]) / self.size[::-1]
         level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
         gel_kernels.sample_relief(
-            out, relief.heights_m, relief.corner, affine, np.ones(2), shape[Shape.LENS], level_m
+            out, relief.heights_m, relief.corner, affine, span, shape[Shape.LENS], level_m
         )
         return out
 
     def seen(self, touch: int, pose: Float64, shape: Float64) -> gel.Seen:
         """Return which entries of the response each pixel of a touch takes part in."""
         pitch_m = self.pitch_m(shape)
-        soft = gel.gel_surface(self.indentation(touch, pose, shape), pitch_m, shape)
+        margin = gel.margin_px(self.size[1])
+        soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
         return gel.seen_features(soft, pitch_m)
 
     def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
@@ -287,7 +292,8 @@ class _Sums:
         return moved
 
     def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Shape, ...]) -> Float64:
-        variance = fit.noise**2
+        # What is left is alike over patches: slopes that the table does not hold, shadows, blocks of JPEG.
+        variance = ALIKE_PX * fit.noise**2
         own = [
             _SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)
         ]

@@ -19,8 +19,9 @@ from tactile_toolkit.arithmetic import exp_neg
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
-_REACH = 2.0  # standard deviations of the gel's kernels, as in Taxim
+_REACH = 2.5  # standard deviations of the gel's kernels; Taxim has 2
 _CAMERA_REACH = 3.0
+_MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
 
 
@@ -62,11 +63,20 @@ def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> 
     return np.asarray(weights / total)
 
 
-def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64) -> Float64:
+def margin_px(width_px: int) -> int:
+    """Return how many pixels beyond an image its gel is followed: what is pressed in there pulls at it."""
+    return round(_MARGIN * width_px)
+
+
+def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0) -> Float64:
     """Return the surface of the gel, shape (H, W), metres, 0 at rest and negative where it is pressed in.
 
-    ``indentation_m`` is how far the solid reaches into the gel at rest; ``pitch_m`` the size of a pixel.
+    ``indentation_m`` is how far the solid reaches into the gel at rest, with ``margin`` pixels on each side,
+    where it counts as no higher than within the image; ``pitch_m`` the size of a pixel.
     """
+    if margin:
+        inner = indentation_m[margin:-margin, margin:-margin]
+        indentation_m = np.minimum(indentation_m, inner.max())
     held, contact = np.empty(indentation_m.shape), np.empty(indentation_m.shape)
     edge_m = _EDGE * float(pitch_m[0])
     gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
@@ -79,6 +89,8 @@ def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64) -> Flo
         gel_kernels.hold(soft, held, contact)
     sigma_px = shape[Shape.LAST] / pitch_m
     _blur_gel(soft, sigma_px, free)
+    if margin:
+        return np.ascontiguousarray(soft[margin:-margin, margin:-margin])
     return soft
 
 

@@ -231,8 +231,10 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _PRIMITIVE:
             relief = _primitive(rng)
-        reach_m = _pressed(twin, relief, rng, presses)
-        clean = twin.background + optics.response(reach_m)
+        margin = gel.margin_px(twin.size_px[0])
+        reach_m = _pressed(twin, relief, rng, presses, margin)
+        clean = twin.background + optics.response(reach_m, margin=margin)
+        reach_m = reach_m[margin:-margin, margin:-margin]
         # What the fit leaves of real images: their noise, and what the twin does not render.
         noise = left[number % len(left)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
@@ -240,8 +242,10 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float
     return samples
 
 
-def _pressed(twin: Twin, relief: Relief, rng: np.random.Generator, presses: list[float]) -> Float64:
-    """Return how far a relief reaches into the gel, metres, at a random place near its top."""
+def _pressed(
+    twin: Twin, relief: Relief, rng: np.random.Generator, presses: list[float], margin: int
+) -> Float64:
+    """Return how far a relief reaches into the gel, metres, at a random place near its top, with a margin."""
     rows, columns = np.nonzero(relief.heights_m > relief.top_m - 0.0015)
     chosen = rng.integers(len(rows))
     corner = relief.corner
@@ -252,10 +256,12 @@ def _pressed(twin: Twin, relief: Relief, rng: np.random.Generator, presses: list
     affine = np.array(
         [[cosine * half[0], -sine * half[1], middle_m[0]], [sine * half[0], cosine * half[1], middle_m[1]]]
     )
-    out = np.empty(twin.background.shape[:2])
-    sample_relief(out, relief.heights_m, corner, affine, np.ones(2), twin.shape[Shape.LENS], 0.0)
+    size = np.array(twin.size_px)
+    out = np.empty(tuple((size + 2 * margin)[::-1]))
+    span = (size + 2 * margin) / size
+    sample_relief(out, relief.heights_m, corner, affine, span, twin.shape[Shape.LENS], 0.0)
     press_m = rng.uniform(0.7 * min(presses), 1.15 * max(presses))
-    return np.asarray(np.maximum(out - (out.max() - press_m), 0))
+    return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
 
 
 def _primitive(rng: np.random.Generator) -> Relief:

@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import Float32, Float64
 # First guesses: as Taxim's calibration of the GelSight Mini has them.
 _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 # How far poses are expected to be off: metres, metres, radians, metres.
-_SPREAD = np.array([3e-4, 3e-4, 0.03, 1e-4])
+_SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
 _COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
@@ -25,8 +25,6 @@ _STEPS = (16, 10)
 _SETTLED = 0.01
 _PASSES = 3
 _MISFIT = 3.0  # times the median error
-# What is left of an image is alike over about so many pixels, which count as one.
-_ALIKE_PX = 25.0
 
 
 def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
@@ -147,7 +145,7 @@ _LOOSE_M, _LOOSE_RAD = 1e-4, np.deg2rad(0.5)
 
 def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
     """Return the standard deviations of a pose, and the direction in which it is not determined."""
-    noise = _ALIKE_PX * (fit.rms[touch] / fit.noise) ** 2
+    noise = (fit.rms[touch] / fit.noise) ** 2
     floor = np.diag(1e-6 / np.square(_SPREAD))
     covariance = noise * np.linalg.inv(fit.information[touch] + floor * noise)
     along, directions = np.linalg.eigh(covariance[:2, :2])

@@ -106,15 +106,16 @@ class TwinOptics(Optics):
             gel_kernels.lay_over(out[number], self.response(reach_m, span), behind)
         return out
 
-    def response(self, reach_m: Float64, span: Float64 | None = None) -> Float64:
+    def response(self, reach_m: Float64, span: Float64 | None = None, margin: int = 0) -> Float64:
         """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel at rest.
 
-        ``span`` is the share of the image that the map shows, along x and y; all of it by default.
+        ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
+        has ``margin`` pixels more on each side.
         """
         if span is None:
             span = np.ones(2)
         twin = self._twin
-        rows, columns = reach_m.shape
+        rows, columns = (side - 2 * margin for side in reach_m.shape)
         out = np.zeros((rows, columns, 3))
         if not reach_m.any():
             return out
@@ -122,7 +123,7 @@ class TwinOptics(Optics):
         pitch_m = 2 * half_m / [columns, rows]
         if self._lens:
             reach_m = _bent(reach_m, half_m, pitch_m, span, self._lens)
-        soft = gel.gel_surface(reach_m, pitch_m, twin.shape)
+        soft = gel.gel_surface(reach_m, pitch_m, twin.shape, margin)
         gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span)
         gel.blur_colours(out, twin.shape[Shape.BLUR] / pitch_m)
         return out
