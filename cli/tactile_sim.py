@@ -83,8 +83,9 @@ def generate(
 def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec:
     """Return the specification of the options that were given."""
     known, optics = "optics" in picture, tactile_sim.default_optics()
-    if picture.get("sensor", GELSIGHT_MINI) != GELSIGHT_MINI:
-        known, optics = True, "depth"
+    sensor = picture.get("sensor", GELSIGHT_MINI)
+    if sensor != GELSIGHT_MINI:
+        known, optics = True, sensor.optics_name
     spec = GenerateSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
