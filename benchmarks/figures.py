@@ -78,6 +78,7 @@ BENCHMARKS = {
         (
             "benchmarks/exchange.py",
             "realtouch/exchange",
+            "realtouch/importing",
             "realtouch/convert",
             "tactile_toolkit/touch",
             *_STORE,

@@ -20,6 +20,7 @@ from cli.shared import add_shared
 from cli.touch_checks import check
 from cli.touch_conversions import (
     ClipsToImages,
+    Depth,
     Export,
     Frames,
     Resize,
@@ -212,6 +213,7 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
 _convert = partial(add_conversion, app)
 _convert("clips-to-images", ClipsToImages, lazy("realtouch:clips_to_images"))
 _convert("resize", Resize, lazy("realtouch:resize"))
+_convert("depth", Depth, lazy("realtouch:read_depth"))
 _convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
 _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")

@@ -19,13 +19,15 @@ from .convert.media_conversions import (
     resize as resize,
 )
 from .convert.picture_files import frames as frames
+from .convert.reading_depth import read_depth as read_depth
 from .convert.selection import select as select
 from .faults.checking import CheckResult as CheckResult, check as check
 from .finding import Finding as Finding
+from .depth_maps import DepthMaps as DepthMaps
 from .exchange.exporting import export as export
-from .exchange.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
-from .exchange.import_shards import NOT_IMPORTED as NOT_IMPORTED
-from .exchange.importing import CONVERSION as CONVERSION, import_touches as import_touches
+from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
+from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
+from .importing.touch_import import CONVERSION as CONVERSION, import_touches as import_touches
 from .opening import SHORT_NAMES as SHORT_NAMES, load as load
 from .poses import Poses as Poses, PoseSequences as PoseSequences
 from .rounds import (

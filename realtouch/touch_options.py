@@ -5,11 +5,11 @@ from __future__ import annotations
 import io
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 from tactile_toolkit import catalog
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
@@ -17,6 +17,8 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.units import ANGLE, LENGTH, PER_METRE, PER_RADIAN, PER_SECOND, stated_unit
 from tactile_toolkit.wording import did_you_mean
+
+T = TypeVar("T")
 
 IMPORT_LAYOUTS = (
     "folder",
@@ -45,7 +47,7 @@ STREAM_HEADER = (
     "largest gap [s]",
     "columns",
 )
-"""Columns of a table of streams, each a row of ``realtouch.exchange.streams``."""
+"""Columns of a table of streams, each a row of ``realtouch.importing.streams``."""
 
 LEFT_OUT = "left_out"
 """Key of the specification of an import: what recordings have besides what was read."""
@@ -481,3 +483,10 @@ class CheckLimits:
 
     def __post_init__(self) -> None:
         check_fields(self, "the limits")
+
+
+def require_layout(layout: str, known: Mapping[str, T]) -> T:
+    """Return the entry of a format; InputError for an unknown name."""
+    if layout not in known:
+        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
+    return known[layout]

@@ -28,6 +28,7 @@ PAGES = (
     "docs/howto/exchange.md",
     "docs/howto/check.md",
     "docs/howto/your_sensor.md",
+    "docs/howto/twin.md",
     "docs/howto/libraries.md",
     "docs/howto/environments.md",
     "docs/howto/train_agent.md",

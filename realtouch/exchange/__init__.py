@@ -1,1 +1,1 @@
-"""Touches in the formats of others: flat Parquet, WebDataset and LeRobot; and images of others as touches."""
+"""Formats of other libraries, read and written: a module or two for each."""

@@ -15,7 +15,7 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Made, id_of_stem, stem_of_id, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.exchange.found_touches import (
+from realtouch.importing.found_touches import (
     FoundTouch,
     found_file,
     open_source,
@@ -23,7 +23,7 @@ from realtouch.exchange.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.exchange.stored_images import StoredImage, as_jpeg, background_of
+from realtouch.stored_images import StoredImage, as_jpeg, background_of
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ItemError

@@ -14,10 +14,10 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
-from realtouch.exchange.stored_images import image_column, require_intact
 from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
 from realtouch.sensor_images import SensorImages
+from realtouch.stored_images import image_column, require_intact
 from realtouch.stored_round import StoredRound, stored_rows
 from realtouch.touch_clips import TouchClip
 from tactile_toolkit import read

@@ -2,27 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from os import PathLike
-from typing import Literal, TypeVar, Unpack, get_args
+from typing import Literal, Unpack, get_args
 
 from realtouch.contact import require_method
 from realtouch.convert.conversion import Conversion, Source, first_rows
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.touch_options import require_layout
 from tactile_toolkit import places, store
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
-T = TypeVar("T")
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"]
 EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
-
-
-def require_layout(layout: str, known: Mapping[str, T]) -> T:
-    """Return the entry of a format; InputError for an unknown name."""
-    if layout not in known:
-        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
-    return known[layout]
 
 
 def export(

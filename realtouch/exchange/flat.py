@@ -26,8 +26,8 @@ from realtouch.convert.conversion import (
     with_files,
 )
 from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
-from realtouch.exchange.stored_images import StoredImage, image_column, require_intact
 from realtouch.schema import POSE_COLUMN
+from realtouch.stored_images import StoredImage, image_column, require_intact
 from realtouch.stored_round import StoredRound
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS

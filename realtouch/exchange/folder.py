@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
-from realtouch.exchange.found_touches import (
+from realtouch.importing.found_touches import (
     IMAGE_ENDINGS,
     FoundTouch,
     found_file,

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.found_touches import FoundTouch
 from realtouch.exchange.parquet_pages import require_bounded_pages
 from realtouch.extras import array_with_gaps
+from realtouch.importing.found_touches import FoundTouch
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable

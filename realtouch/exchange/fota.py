@@ -15,9 +15,9 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.stored_images import StoredImage, as_jpeg
 from realtouch.exchange.webdataset import find_webdataset, tar_of
+from realtouch.importing.found_touches import FoundTouch
+from realtouch.stored_images import StoredImage, as_jpeg
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
 from tactile_toolkit import store
 

@@ -33,7 +33,7 @@ from realtouch.convert.conversion import (
 from realtouch.exchange.episodes import ACTION, IMAGE, STATE, Episodes, only_split
 from realtouch.exchange.flat import FRAMES_PER_MEDIA
 from realtouch.exchange.lerobot_mark import Mark
-from realtouch.exchange.stored_images import decoded
+from realtouch.stored_images import decoded
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import Float64, Int64

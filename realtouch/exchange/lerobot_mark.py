@@ -8,8 +8,8 @@ from dataclasses import replace
 import msgspec
 
 from realtouch.exchange.episodes import ACTION, STATE, TIME
-from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_recordings import name_ours, with_contact
+from realtouch.importing.recordings import Recording
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
-from realtouch.exchange.recordings import Recording
 from realtouch.exchange.zarr_recordings import (
     chosen_pictures,
     data_arrays,
@@ -14,6 +13,7 @@ from realtouch.exchange.zarr_recordings import (
     group_in,
     recordings_of,
 )
+from realtouch.importing.recordings import Recording
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 

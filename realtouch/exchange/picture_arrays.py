@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouch
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError

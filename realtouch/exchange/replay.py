@@ -23,9 +23,9 @@ from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episode_extras import FEATURE
 from realtouch.exchange.episodes import ACTION, CONTACT, IMAGE, STATE, TIME, Episodes, only_split
-from realtouch.exchange.stored_images import decoded
 from realtouch.exchange.zarr_arrays import ZarrWriter
 from realtouch.schema import EXTRA_PREFIX
+from realtouch.stored_images import decoded
 from realtouch.stored_round import stored_rows
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray

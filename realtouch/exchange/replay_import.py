@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from realtouch.exchange.recordings import Recording
 from realtouch.exchange.replay import PIXELS
 from realtouch.exchange.zarr_recordings import (
     chosen_pictures,
@@ -14,6 +13,7 @@ from realtouch.exchange.zarr_recordings import (
     group_in,
     recordings_of,
 )
+from realtouch.importing.recordings import Recording
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 

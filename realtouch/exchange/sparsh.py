@@ -19,8 +19,8 @@ from pyarrow import csv as arrow_csv
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.exchange.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
-from realtouch.exchange.stored_images import StoredImage, background_of
+from realtouch.importing.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
+from realtouch.stored_images import StoredImage, background_of
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError

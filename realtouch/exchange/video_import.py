@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from realtouch import video, video_files
-from realtouch.exchange import found_touches
-from realtouch.exchange.cut_tables import RECORDING_COLUMNS
-from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.found_touches import FoundTouch, path_of, source_of
-from realtouch.exchange.recordings import Recording
+from realtouch.importing import found_touches
+from realtouch.importing.cut_tables import RECORDING_COLUMNS
+from realtouch.importing.fields import NUMBERED
+from realtouch.importing.found_touches import FoundTouch, path_of, source_of
+from realtouch.importing.recordings import Recording
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError

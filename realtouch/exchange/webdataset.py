@@ -18,7 +18,7 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Made, with_files
 from realtouch.exchange.flat import PackedFormat
-from realtouch.exchange.found_touches import (
+from realtouch.importing.found_touches import (
     IMAGE_ENDINGS,
     FoundTouch,
     open_source,
@@ -27,7 +27,7 @@ from realtouch.exchange.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.exchange.stored_images import StoredImage
+from realtouch.stored_images import StoredImage
 from realtouch.tars import files_of_tar
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store

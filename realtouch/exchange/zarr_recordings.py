@@ -11,12 +11,12 @@ from itertools import pairwise
 import numpy as np
 
 from realtouch.exchange.episodes import CONTACT
-from realtouch.exchange.fields import NUMBERED
-from realtouch.exchange.found_touches import source_of
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.recordings import Recording
 from realtouch.exchange.replay import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.importing.fields import NUMBERED
+from realtouch.importing.found_touches import source_of
+from realtouch.importing.recordings import Recording
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
 from tactile_toolkit import store

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.recordings import Recording
+from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.recordings import Recording
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import encode_image
 

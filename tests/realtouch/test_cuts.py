@@ -18,10 +18,10 @@ from PIL import Image
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.contact_picture import best_of
-from realtouch.exchange.contact_cuts import MIN_MARGIN
-from realtouch.exchange.cuts import Cutter
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.recordings import Recording
+from realtouch.importing.contact_cuts import MIN_MARGIN
+from realtouch.importing.cuts import Cutter
+from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.recordings import Recording
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.made_recordings import MadeRecording

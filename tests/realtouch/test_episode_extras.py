@@ -15,8 +15,8 @@ import pytest
 import realtouch
 from realtouch.exchange.lerobot_import import find_lerobot
 from realtouch.exchange.oxt_import import find_oxt
-from realtouch.exchange.recordings import Recording
 from realtouch.exchange.replay_import import find_replay
+from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.factories import RoundTruth

@@ -305,7 +305,7 @@ def test_exports_of_clips_have_the_values_of_the_shown_frame(clips: Path, tmp_pa
 
 
 def test_sparsh_writes_vectors_as_texts(images: Path, tmp_path: Path) -> None:
-    from realtouch.exchange.found_touches import read_table
+    from realtouch.importing.found_touches import read_table
     from tactile_toolkit import store
 
     realtouch.export(images, tmp_path, "sparsh", split="train")

@@ -15,7 +15,7 @@ import pytest
 
 import realtouch
 from realtouch.exchange.flat_import import find_flat, stored_images
-from realtouch.exchange.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouch
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.realtouch.images_of_others import picture, spoiled

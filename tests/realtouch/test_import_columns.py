@@ -17,11 +17,11 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.exchange import found_touches, imported_clips
-from realtouch.exchange.extra_columns import extra_arrays, extra_types, value_type
-from realtouch.exchange.fields import poses, positions, times_s
-from realtouch.exchange.found_touches import FoundTouch, ImportFormat
-from realtouch.exchange.recordings import Recording
+from realtouch.importing import found_touches, imported_clips
+from realtouch.importing.extra_columns import extra_arrays, extra_types, value_type
+from realtouch.importing.fields import poses, positions, times_s
+from realtouch.importing.found_touches import FoundTouch, ImportFormat
+from realtouch.importing.recordings import Recording
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.command_line import call

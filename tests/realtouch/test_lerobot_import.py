@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
-from realtouch.exchange.recordings import Recording, touches_of
+from realtouch.importing.recordings import Recording, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image

@@ -10,8 +10,8 @@ import pytest
 
 import realtouch
 from realtouch.exchange.exporting import ExportLayout
-from realtouch.exchange.found_touches import IMPORTS
-from realtouch.exchange.recognised import recognised
+from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.recognised import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError
 

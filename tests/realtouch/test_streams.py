@@ -17,12 +17,12 @@ import realtouch
 from realtouch import ImportColumns
 from realtouch.alignment_options import Alignment
 from realtouch.avi import write_avi
-from realtouch.exchange.aligner import Aligner
-from realtouch.exchange.cuts import Cutter
-from realtouch.exchange.extra_columns import extra_arrays, extra_types
-from realtouch.exchange.recordings import Recording
-from realtouch.exchange.stream_tables import Stream, open_stream, tables_by_stem
-from realtouch.exchange.streams import with_streams
+from realtouch.importing.aligner import Aligner
+from realtouch.importing.cuts import Cutter
+from realtouch.importing.extra_columns import extra_arrays, extra_types
+from realtouch.importing.recordings import Recording
+from realtouch.importing.stream_tables import Stream, open_stream, tables_by_stem
+from realtouch.importing.streams import with_streams
 from realtouch.touch_options import STREAM_HEADER
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.recordings import Recording, touches_of
 from realtouch.exchange.video_import import describe_conversion, encoded_frames, find_video
+from realtouch.importing.recordings import Recording, touches_of
 from realtouch.video import encoded_pictures, open_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.exchange.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouch
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import ItemError
 

@@ -13,9 +13,9 @@ import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.contact_picture import ContactRule, contact_score
-from realtouch.exchange.found_touches import ReadContents
-from realtouch.exchange.gel_at_rest import GelAtRest, pictures_of
-from realtouch.exchange.recordings import Recording
+from realtouch.importing.found_touches import ReadContents
+from realtouch.importing.gel_at_rest import GelAtRest, pictures_of
+from realtouch.importing.recordings import Recording
 from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.errors import ItemError
 

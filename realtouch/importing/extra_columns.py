@@ -15,8 +15,8 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.fields import NUMBERED, number_of, times_s
-from realtouch.exchange.found_touches import FoundTouch
+from realtouch.importing.fields import NUMBERED, number_of, times_s
+from realtouch.importing.found_touches import FoundTouch
 from realtouch.schema import EXTRA_PREFIX
 from realtouch.touch_options import ImportColumns, is_extra_name
 from tactile_toolkit.array_types import AnyArray

@@ -10,8 +10,8 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.fields import times_s
-from realtouch.exchange.found_touches import column_table
+from realtouch.importing.fields import times_s
+from realtouch.importing.found_touches import column_table
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64

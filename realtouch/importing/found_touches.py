@@ -13,7 +13,7 @@ from itertools import groupby
 from operator import attrgetter
 from typing import IO, Any
 
-from realtouch.exchange.stored_images import require_intact
+from realtouch.stored_images import require_intact
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
 from tactile_toolkit.array_types import AnyArray, Float64
@@ -309,4 +309,4 @@ IMPORTS: dict[str, ImportFormat] = {
     "sparsh": ImportFormat(lazy("realtouch.exchange.sparsh:find_sparsh")),
     "anytouch": ImportFormat(lazy("realtouch.exchange.anytouch:find_anytouch")),
 }
-"""Formats that are read; each is recognised by its content (:mod:`realtouch.exchange.recognised`)."""
+"""Formats that are read; each is recognised by its content (:mod:`realtouch.importing.recognised`)."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 
 from realtouch.contact_picture import ContactRule
-from realtouch.exchange.contact_cuts import find_contacts
-from realtouch.exchange.cut_pictures import draw_cuts
-from realtouch.exchange.cut_tables import CutTable
-from realtouch.exchange.found_touches import FoundTouch, ReadContents
-from realtouch.exchange.recordings import CUTS, Recording, touches_of
+from realtouch.importing.contact_cuts import find_contacts
+from realtouch.importing.cut_pictures import draw_cuts
+from realtouch.importing.cut_tables import CutTable
+from realtouch.importing.found_touches import FoundTouch, ReadContents
+from realtouch.importing.recordings import CUTS, Recording, touches_of
 from tactile_toolkit.errors import ItemError
 
 MOST_PICTURES = 64

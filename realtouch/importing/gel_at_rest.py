@@ -9,8 +9,8 @@ import numpy as np
 from scipy.ndimage import median_filter
 
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.exchange.found_touches import ReadContents
-from realtouch.exchange.recordings import Recording
+from realtouch.importing.found_touches import ReadContents
+from realtouch.importing.recordings import Recording
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image

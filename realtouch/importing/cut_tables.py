@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.fields import shown, text_of, times_s
-from realtouch.exchange.found_touches import FoundTouch, path_of, read_table, require_columns, source_of
-from realtouch.exchange.recordings import CUTS, Recording
+from realtouch.importing.fields import shown, text_of, times_s
+from realtouch.importing.found_touches import FoundTouch, path_of, read_table, require_columns, source_of
+from realtouch.importing.recordings import CUTS, Recording
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.units import PER_SECOND

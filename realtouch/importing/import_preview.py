@@ -12,11 +12,11 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
-from realtouch.exchange.extra_columns import kept_sources
-from realtouch.exchange.found_touches import IMPORTS
-from realtouch.exchange.import_sources import FoundSource, Reading, find_source
-from realtouch.exchange.imported_rows import extras_in
-from realtouch.exchange.importing import Arranged, arranged
+from realtouch.importing.extra_columns import kept_sources
+from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.import_sources import FoundSource, Reading, find_source
+from realtouch.importing.imported_rows import extras_in
+from realtouch.importing.touch_import import Arranged, arranged
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.shown_text import printable

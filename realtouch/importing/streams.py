@@ -10,8 +10,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
-from realtouch.exchange.recordings import Recording
-from realtouch.exchange.stream_tables import Stream
+from realtouch.importing.recordings import Recording
+from realtouch.importing.stream_tables import Stream
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import AnyArray, Float64

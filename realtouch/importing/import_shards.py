@@ -15,12 +15,12 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.exchange.extra_columns import not_kept, time_of
-from realtouch.exchange.fields import NUMBERED, each_of, label_of, object_of, poses, positions
-from realtouch.exchange.found_touches import IMPORTS, FoundTouch
-from realtouch.exchange.imported_clips import clip_of, clip_poses, clip_position, too_long
-from realtouch.exchange.imported_rows import StoredTouch, extras_in, table_of, touch_schema
-from realtouch.exchange.stored_images import require_intact
+from realtouch.importing.extra_columns import not_kept, time_of
+from realtouch.importing.fields import NUMBERED, each_of, label_of, object_of, poses, positions
+from realtouch.importing.found_touches import IMPORTS, FoundTouch
+from realtouch.importing.imported_clips import clip_of, clip_poses, clip_position, too_long
+from realtouch.importing.imported_rows import StoredTouch, extras_in, table_of, touch_schema
+from realtouch.stored_images import require_intact
 from realtouch.touch_options import CLIPS, ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray

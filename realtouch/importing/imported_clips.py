@@ -9,9 +9,9 @@ import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES, write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.exchange.fields import NUMBERED, Fields, each_of, poses, positions, times_s
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.stored_images import as_jpeg
+from realtouch.importing.fields import NUMBERED, Fields, each_of, poses, positions, times_s
+from realtouch.importing.found_touches import FoundTouch
+from realtouch.stored_images import as_jpeg
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError

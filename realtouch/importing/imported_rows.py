@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.extra_columns import extra_arrays, extra_types
-from realtouch.exchange.found_touches import FoundTouch
-from realtouch.exchange.imported_clips import ImportedClip
+from realtouch.importing.extra_columns import extra_arrays, extra_types
+from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.imported_clips import ImportedClip
 from realtouch.schema import POSE_COLUMN, extra_columns
 from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import AnyArray

@@ -6,16 +6,15 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from realtouch.alignment_options import Alignment
-from realtouch.exchange.aligner import Aligner
-from realtouch.exchange.cuts import Cutter
-from realtouch.exchange.exporting import require_layout
-from realtouch.exchange.found_touches import IMPORTS, FoundTouch, require_columns
-from realtouch.exchange.import_shards import version_of
-from realtouch.exchange.imported_clips import said_of_whole
-from realtouch.exchange.recognised import Recognised, recognised
-from realtouch.exchange.recordings import CUTS, Recording, touches_of
-from realtouch.exchange.streams import StreamReport
-from realtouch.touch_options import ImportColumns
+from realtouch.importing.aligner import Aligner
+from realtouch.importing.cuts import Cutter
+from realtouch.importing.found_touches import IMPORTS, FoundTouch, require_columns
+from realtouch.importing.import_shards import version_of
+from realtouch.importing.imported_clips import said_of_whole
+from realtouch.importing.recognised import Recognised, recognised
+from realtouch.importing.recordings import CUTS, Recording, touches_of
+from realtouch.importing.streams import StreamReport
+from realtouch.touch_options import ImportColumns, require_layout
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 

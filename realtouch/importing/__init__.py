@@ -1,0 +1,1 @@
+"""Import of the recordings of others: touches are found, cut, given their fields, and stored."""
