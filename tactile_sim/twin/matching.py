@@ -148,7 +148,7 @@ def _best_of_turn(
     for _ in range(2):
         down, across = np.unravel_index(int(np.argmax(score)), score.shape)
         at = (int(down), int(across))
-        place = middle_m + [at_x[at], at_y[at]]
+        place = middle_m + np.array([at_x[at], at_y[at]])
         found.append(_Place(float(place[0]), float(place[1]), turn, float(score[at])))
         score[max(at[0] - 4, 0) : at[0] + 5, max(at[1] - 4, 0) : at[1] + 5] = -1
     return found

@@ -46,7 +46,7 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
 
 
 def set_levels(fit: Fit, touches: Int64, start: SensorModel) -> None:
-    """Set the heights of the sensor at some touches so that the gel is pressed in by half of its thickness."""
+    """Set the heights of the sensor at some touches so that half of the gel is pressed in."""
     for touch in touches:
         # Nothing lies below this level, so heights come back as they are.
         fit.level_m[touch] = fit.shape[Shape.GEL] + fit.poses[touch, 3]
