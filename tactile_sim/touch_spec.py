@@ -264,7 +264,7 @@ class GenerateSpec:
             return
         if self.optics not in ("depth", self.sensor.optics_name):
             raise InputError(
-                f"the optics {self.optics!r} are calibrated for another sensor; expected "
+                f"the optics {self.optics!r} are calibrated for the GelSight Mini; expected "
                 f"{self.sensor.optics_name!r} for the sensor {self.sensor.name!r}",
                 next=f"add --optics {self.sensor.optics_name}",
             )

@@ -13,7 +13,7 @@ from tactile_sim.twin import rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Shape
 from tactile_sim.twin.matching import matched_places
-from tactile_sim.twin.mistakes import find_mistakes
+from tactile_sim.twin.mistakes import LEAST_TOUCHES, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.twin import Twin, TwinOptics
@@ -71,7 +71,14 @@ def calibrate(
             first = np.setdiff1d(kept, second)
             kept = max(first, second, key=len)
     places, level_m, likely = _first_poses(recordings, start)
+    if likely.sum() < LEAST_TOUCHES:
+        raise InputError(
+            f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
+            f"expected at least {LEAST_TOUCHES}",
+            next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
+        )
     fit = rounds_of_fit.start_fit(recordings, places, level_m, start)
+    fit.likely = likely
     fit.used = likely & np.isin(np.arange(len(recordings)), kept)
     rounds_of_fit.run_fit(fit, on_progress)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}

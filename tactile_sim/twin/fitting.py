@@ -80,13 +80,15 @@ class Fit:
     coefficients: Float64 = field(
         default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3)), repr=False
     )
+    likely: Bool = field(init=False)
     used: Bool = field(init=False)
     rms: Float64 = field(init=False)
     shrink: int = field(init=False, default=1)
 
     def __post_init__(self) -> None:
         count = len(self.recordings)
-        self.used, self.rms = np.ones(count, bool), np.full(count, np.nan)
+        self.likely, self.used = np.ones(count, bool), np.ones(count, bool)
+        self.rms = np.full(count, np.nan)
         self.typical = np.zeros(count)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))

@@ -19,6 +19,7 @@ _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 # How far poses are expected to be off: metres, metres, radians, metres.
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
+_MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
 _COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
 _COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
 _STEPS = (16, 10)
@@ -41,6 +42,8 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
     fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
+    if level_m is None:  # places were found by matching
+        spread[:, :3] = _MATCHED_SPREAD
     set_levels(fit, np.flatnonzero(missing), start)
     return fit
 
@@ -135,6 +138,8 @@ def _touch(fit: Fit, touch: int) -> dict[str, Any]:
         "error_levels": float(fit.rms[touch]),
         "used": bool(fit.used[touch]),
     }
+    if not fit.likely[touch]:
+        return {**values, "reason": "no place on the solid stands out against the others"}
     if not fit.used[touch]:
         return {
             **values,

@@ -17,6 +17,7 @@ from tactile_sim.twin import gel, gel_kernels, network, reader
 from tactile_sim.twin.calibration import model_of
 from tactile_sim.twin.fitting import COEFFICIENTS, Fit
 from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.matching import matched_places
 from tactile_sim.twin.rounds_of_fit import start_fit
 from tactile_sim.twin.twin import Twin, TwinOptics
 from tactile_toolkit.errors import InputError
@@ -321,3 +322,21 @@ def test_wrong_recordings_are_refused():
         tactile_sim.Recordings(images, np.zeros(2, int), solids, sensor_m=np.full((2, 3), np.inf))
     with pytest.raises(InputError, match="at least 32"):
         tactile_sim.Recordings(images[:, :20], np.zeros(2, int), solids)
+
+
+@pytest.mark.thorough
+def test_touches_without_poses_are_found_or_left_out():
+    """Of touches whose place counts as likely, most are right to 1.5 mm; a touch of nothing is left out."""
+    sensor = dataclasses.replace(draw_sensor(1, "phong", (80, 60)), noise=1.0, jpeg=0)
+    recording = sensor.record(digits(1), 7)
+    images = recording.images.copy()
+    images[6] = recording.backgrounds[0]
+    recordings = recordings_of(dataclasses.replace(recording, images=images))
+    blind = dataclasses.replace(recordings, sensor_m=None)
+    places, likely = matched_places(blind, tactile_sim.SENSORS["gelsight-mini"])
+    assert places.shape == (7, 3)
+    assert not likely[6]
+    known = recordings.places()
+    assert known is not None
+    away = np.hypot(*(places[:, :2] - known[:, :2]).T)
+    assert (away[likely] < 1.5e-3).mean() >= 0.5 or not likely.any()
