@@ -28,14 +28,14 @@ _SHARED, _OWN = len(Shape), 4
 _SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
 _SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
 _POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
-_SQUARE = 0.003  # how much the shape of a pixel is expected to differ from that of the guess
+_SQUARE = 0.001  # how much the shape of a pixel is expected to differ from that of the guess
 _HUBER = 3.0  # residuals beyond so many noise levels weigh less: dust, layer lines, shadows
 _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
 _ENTRY_COST, _DEPTH_COST, _REST_COST = 1e-3, 1e-2, 1e7
-ALIKE_PX = 50.0
+ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
@@ -118,7 +118,10 @@ class Fit:
         return 2 * self.half_m(shape) / self.size[::-1]
 
     def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
-        """Return how far the solid reaches into the gel at rest, metres, in the present size and a margin."""
+        """Return how far the solid reaches into the gel at rest, metres, in the present size.
+
+        As it is seen through the lens; with a margin, as it is on the gel.
+        """
         half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
         cosine, sine = np.cos(pose[2]), np.sin(pose[2])
         affine = np.array(
@@ -128,7 +131,7 @@ class Fit:
         span = np.array(out.shape[::-1]) / self.size[::-1]
         level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
         gel_kernels.sample_relief(
-            out, relief.heights_m, relief.corner, affine, span, shape[Shape.LENS], level_m
+            out, relief.heights_m, relief.corner, affine, span, 0.0 if margin else shape[Shape.LENS], level_m
         )
         return out
 
@@ -137,7 +140,7 @@ class Fit:
         pitch_m = self.pitch_m(shape)
         margin = gel.margin_px(self.size[1])
         soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
-        return gel.seen_features(soft, pitch_m)
+        return gel.seen_features(soft, pitch_m, shape[Shape.LENS])
 
     def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
         """Return how the image of a touch differs from the background, levels."""

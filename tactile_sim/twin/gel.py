@@ -47,6 +47,9 @@ LEAST = np.array([-1.0, -1.0, -0.3, 1e-4, 1e-4, 1e-5, 0.05, 1e-6])
 MOST = np.array([1.0, 1.0, 0.3, 0.05, 5e-3, 5e-4, 0.95, 5e-4])
 """Bounds of a geometry."""
 
+WHOLE = np.ones(2)
+"""Share of the image, along x and y, of a map that shows all of it."""
+
 Seen: TypeAlias = tuple[Int64, Float32]
 """Entries of the response that each pixel takes part in, and their shares."""
 
@@ -68,11 +71,14 @@ def margin_px(width_px: int) -> int:
     return round(_MARGIN * width_px)
 
 
-def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0) -> Float64:
-    """Return the surface of the gel, shape (H, W), metres, 0 at rest and negative where it is pressed in.
+def gel_surface(
+    indentation_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+) -> Float64:
+    """Return the surface of the gel as it is seen, shape (H, W), metres, 0 at rest, negative where pressed in.
 
     ``indentation_m`` is how far the solid reaches into the gel at rest, with ``margin`` pixels on each side,
-    where it counts as no higher than within the image; ``pitch_m`` the size of a pixel.
+    where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
+    the image that is shown. The lens is that of ``shape``.
     """
     if margin:
         inner = indentation_m[margin:-margin, margin:-margin]
@@ -81,17 +87,29 @@ def gel_surface(indentation_m: Float64, pitch_m: Float64, shape: Float64, margin
     edge_m = _EDGE * float(pitch_m[0])
     gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
     free = np.zeros(held.shape, np.bool_)
-    rows, columns = held.shape
     soft = held.copy()
     for level in range(_WIDTHS):
-        sigma_px = shape[Shape.WIDTH] * 0.5**level / pitch_m
-        _blur_gel(soft, sigma_px, free)
+        _blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m, free)
         gel_kernels.hold(soft, held, contact)
-    sigma_px = shape[Shape.LAST] / pitch_m
-    _blur_gel(soft, sigma_px, free)
-    if margin:
-        return np.ascontiguousarray(soft[margin:-margin, margin:-margin])
-    return soft
+    _blur_gel(soft, shape[Shape.LAST] / pitch_m, free)
+    return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
+
+
+def seen_through(
+    surface: Float64, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
+) -> Float64:
+    """Return a map with a margin as it is seen through the lens, without the margin."""
+    if not lens:
+        return np.ascontiguousarray(surface[margin : len(surface) - margin, margin : surface.shape[1] - margin])
+    out = np.empty(tuple(side - 2 * margin for side in surface.shape))
+    gel_kernels.bend_surface(out, surface, span, margin, lens, across_of(pitch_m, out.shape, span))
+    return out
+
+
+def across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64 = WHOLE) -> float:
+    """Return the share of the width in the square of the diagonal of the image, of a part of it (H, W)."""
+    wide, high = size[1] * pitch_m[0] / span[0], size[0] * pitch_m[1] / span[1]
+    return float(wide * wide / (wide * wide + high * high))
 
 
 def _blur_gel(soft: Float64, sigma_px: Float64, free: Bool) -> None:
@@ -100,11 +118,11 @@ def _blur_gel(soft: Float64, sigma_px: Float64, free: Bool) -> None:
     blur(soft, across, down, 1, free, soft)
 
 
-def seen_features(soft: Float64, pitch_m: Float64) -> Seen:
+def seen_features(soft: Float64, pitch_m: Float64, lens: float = 0.0) -> Seen:
     """Return which entries of the response each pixel of a surface takes part in."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    gel_kernels.features(soft, pitch_m, entries, shares)
+    gel_kernels.features(soft, pitch_m, lens, entries, shares)
     return entries, shares
 
 

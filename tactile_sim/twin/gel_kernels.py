@@ -72,14 +72,47 @@ def sample_relief(
 
 @compiled
 def _slope(soft: Float64, row: int, column: int, per_x: float, per_y: float) -> tuple[float, float]:
-    """Return the slopes along x and y (upwards) as tangents of half of the angle."""
+    """Return the slopes along x and y (upwards)."""
     rows, columns = soft.shape
     left, right = max(column - 1, 0), min(column + 1, columns - 1)
     above, below = max(row - 1, 0), min(row + 1, rows - 1)
     x = (soft[row, right] - soft[row, left]) * (per_x / (right - left))
     y = (soft[above, column] - soft[below, column]) * (per_y / (below - above))
-    scale = 1.0 / (1.0 + math.sqrt(1.0 + x * x + y * y))
-    return x * scale, y * scale
+    return x, y
+
+
+@compiled
+def _straight(x: float, y: float, u: float, v: float, lens: float, across: float) -> tuple[float, float]:
+    """Return the slopes on the gel of those that are seen through the lens at a position."""
+    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
+    bend = 1.0 + lens * (across * u * u + down * v * v)
+    xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
+    xy = 2.0 * lens * both * u * v
+    per_area = 1.0 / (xx * yy - xy * xy)
+    return (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
+
+
+@compiled
+def bend_surface(out: Float64, surface: Float64, span: Float64, margin: int, lens: float, across: float) -> None:
+    """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
+
+    ``across`` is the share of the width in the square of the diagonal.
+    """
+    rows, columns = out.shape
+    high, wide = surface.shape
+    for row in range(rows):
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for column in range(columns):
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            bend = lens * (across * u * u + (1.0 - across) * v * v)
+            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
+            y = row + margin + bend * (row + 0.5 - 0.5 * rows)
+            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
+            i, j = min(int(x), wide - 2), min(int(y), high - 2)
+            fx, fy = x - i, y - j
+            out[row, column] = (1.0 - fy) * ((1.0 - fx) * surface[j, i] + fx * surface[j, i + 1]) + fy * (
+                (1.0 - fx) * surface[j + 1, i] + fx * surface[j + 1, i + 1]
+            )
 
 
 @compiled
@@ -93,16 +126,23 @@ def _place(slope: float) -> tuple[int, float]:
 
 
 @compiled
-def features(soft: Float64, pitch: Float64, entries: Int64, shares: Float32) -> None:
+def features(soft: Float64, pitch: Float64, lens: float, entries: Int64, shares: Float32) -> None:
     """Write the entries that each pixel takes part in, and their shares.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
-    pressed in; ``pitch`` the size of a pixel, metres. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
+    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
     """
     rows, columns = soft.shape
+    wide, high = columns * pitch[0], rows * pitch[1]
+    across = wide * wide / (wide * wide + high * high)
     for row in range(rows):
+        v = 1.0 - (2.0 * row + 1.0) / rows
         for column in range(columns):
+            u = (2.0 * column + 1.0) / columns - 1.0
             x, y = _slope(soft, row, column, 1.0 / pitch[0], 1.0 / pitch[1])
+            x, y = _straight(x, y, u, v, lens, across)
+            scale = 1.0 / (1.0 + math.sqrt(1.0 + x * x + y * y))
+            x, y = x * scale, y * scale
             (i, fx), (j, fy) = _place(x), _place(y)
             at = row * columns + column
             node = j * NODES + i
@@ -185,7 +225,9 @@ def add_products(
 
 
 @compiled
-def _row_places(at_x: Float64, at_y: Float64, soft: Float64, row: int, pitch: Float64) -> None:
+def _row_places(
+    at_x: Float64, at_y: Float64, soft: Float64, row: int, pitch: Float64, span: Float64, lens: float, across: float
+) -> None:
     """Write where in the table the slopes of a row lie, in loops of which LLVM does several pixels at once."""
     rows, columns = soft.shape
     above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
@@ -197,8 +239,17 @@ def _row_places(at_x: Float64, at_y: Float64, soft: Float64, row: int, pitch: Fl
     at_x[columns - 1] = (line[columns - 1] - line[columns - 2]) / pitch[0]
     room, per_crowd = 0.5 * (NODES - 1), 1.0 / (2.0 * _CROWDED)
     crowd = 4.0 * _CROWDED * (1.0 + _CROWDED) / STEEPEST
+    v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
     for column in range(columns):
         x, y = at_x[column], (above[column] - below[column]) * per_y
+        # As `_straight` does.
+        u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+        bend = 1.0 + lens * (across * u * u + down * v * v)
+        xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
+        xy = 2.0 * lens * both * u * v
+        per_area = 1.0 / (xx * yy - xy * xy)
+        x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
         scale = crowd / (1.0 + math.sqrt(1.0 + x * x + y * y))
         far_x = (math.sqrt(1.0 + scale * abs(x)) - 1.0) * per_crowd
         far_y = (math.sqrt(1.0 + scale * abs(y)) - 1.0) * per_crowd
@@ -228,7 +279,7 @@ def render_response(
                 line[entry * 12 + 4 + colour] = held[1, colour] + y * held[4, colour]
                 line[entry * 12 + 8 + colour] = held[3, colour]
         deep_line, square_line = line[DEPTHS * 12 : DEPTHS * 12 + 12], line[DEPTHS * 12 + 12 :]
-        _row_places(at_x, at_y, soft, row, pitch)
+        _row_places(at_x, at_y, soft, row, pitch, span, lens, across)
         for column in range(columns):
             pixel = out[row, column]
             if at_x[column] == middle and at_y[column] == middle and soft[row, column] == 0.0:

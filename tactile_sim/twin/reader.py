@@ -209,7 +209,9 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     """Return the slopes of the gel, mm per pixel along x and y upwards, shape (H, W, 2)."""
     rows, columns = depth_mm.shape
     pitch_m = 2 * twin.half_m / [columns, rows]
-    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, twin.shape)
+    shape = twin.shape.copy()
+    shape[Shape.LENS] = 0.0  # depth is as it is seen
+    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
     down, across = np.gradient(soft)
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
@@ -226,7 +228,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float
         image = fit.recordings.images[touch].astype(np.float32)
         samples.append((image, (1e3 * depth_m).astype(np.float32), _REPEATED))
         left.append(image - fit.background - fit.rendered(int(touch), fit.poses[touch], fit.shape))
-    optics, reliefs = TwinOptics(twin, lens=False), list(fit.reliefs.values())
+    optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
     for number in range(_TOUCHES):
         relief = reliefs[rng.integers(len(reliefs))]
         if rng.random() < _PRIMITIVE:
@@ -234,7 +236,7 @@ def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float
         margin = gel.margin_px(twin.size_px[0])
         reach_m = _pressed(twin, relief, rng, presses, margin)
         clean = twin.background + optics.response(reach_m, margin=margin)
-        reach_m = reach_m[margin:-margin, margin:-margin]
+        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Shape.LENS]), margin)
         # What the fit leaves of real images: their noise, and what the twin does not render.
         noise = left[number % len(left)]
         image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
@@ -259,7 +261,7 @@ def _pressed(
     size = np.array(twin.size_px)
     out = np.empty(tuple((size + 2 * margin)[::-1]))
     span = (size + 2 * margin) / size
-    sample_relief(out, relief.heights_m, corner, affine, span, twin.shape[Shape.LENS], 0.0)
+    sample_relief(out, relief.heights_m, corner, affine, span, 0.0, 0.0)
     press_m = rng.uniform(0.7 * min(presses), 1.15 * max(presses))
     return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
 

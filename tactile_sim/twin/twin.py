@@ -84,7 +84,7 @@ class TwinOptics(Optics):
 
     def __init__(self, twin: Twin, *, lens: bool = True) -> None:
         self._twin = twin
-        self._lens = float(twin.shape[Shape.LENS]) if lens else 0.0
+        self._lens = lens
         self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
         self._coefficients[..., :3] = twin.coefficients
 
@@ -113,35 +113,26 @@ class TwinOptics(Optics):
         has ``margin`` pixels more on each side.
         """
         if span is None:
-            span = np.ones(2)
+            span = gel.WHOLE
         twin = self._twin
         rows, columns = (side - 2 * margin for side in reach_m.shape)
         out = np.zeros((rows, columns, 3))
         if not reach_m.any():
             return out
-        half_m = twin.half_m * span
-        pitch_m = 2 * half_m / [columns, rows]
-        if self._lens:
-            reach_m = _bent(reach_m, half_m, pitch_m, span, self._lens)
-        soft = gel.gel_surface(reach_m, pitch_m, twin.shape, margin)
-        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span)
-        gel.blur_colours(out, twin.shape[Shape.BLUR] / pitch_m)
+        pitch_m = 2 * twin.half_m * span / [columns, rows]
+        shape = twin.shape.copy()
+        if not self._lens:
+            shape[Shape.LENS] = 0.0
+        soft = gel.gel_surface(reach_m, pitch_m, shape, margin, span)
+        across = gel.across_of(pitch_m, soft.shape, span)
+        lens = float(twin.shape[Shape.LENS])
+        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across)
+        gel.blur_colours(out, shape[Shape.BLUR] / pitch_m)
         return out
 
     def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
         """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""
         return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
-
-
-def _bent(reach_m: Float64, half_m: Float64, pitch_m: Float64, span: Float64, lens: float) -> Float64:
-    """Return a map as it is seen through the lens."""
-    out = np.empty(reach_m.shape)
-    corner = np.array([*(pitch_m / 2 - half_m), *pitch_m])
-    affine = np.zeros((2, 3))
-    affine[0, 0], affine[1, 1] = half_m / span
-    relief = np.ascontiguousarray(reach_m[::-1], np.float32)
-    gel_kernels.sample_relief(out, relief, corner, affine, span, lens, 0.0)
-    return out
 
 
 def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
