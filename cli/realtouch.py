@@ -230,7 +230,7 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
 _convert = partial(add_conversion, app)
 _convert("clips-to-images", ClipsToImages, lazy("realtouch:clips_to_images"))
 _convert("resize", Resize, lazy("realtouch:resize"))
-_convert("depth", Depth, lazy("realtouch:read_depth"))
+_convert("depth", Depth, lazy("realtouch:add_depth"))
 _convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
 _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")

@@ -19,7 +19,7 @@ from cli.options import Making, Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import generate_set, print_set
-from cli.sensor_twins import check, download, show, upload
+from cli.sensor_twins import check, download_sensor, show_sensor, upload_sensor
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
@@ -289,7 +289,7 @@ def evaluate(
 command(app)(calibrate)
 command(app)(check)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-_own |= {"show": show, "upload": upload, "download": download}
+_own |= {"show": show_sensor, "upload": upload_sensor, "download": download_sensor}
 add_shared(
     app,
     KIND,
