@@ -16,8 +16,8 @@ import numpy as np
 
 from realtouch.exchange.oxt import INSTRUCTION, PICTURE, SENSOR, TIMES
 from realtouch.exchange.picture_arrays import StoredArray, columns_of
-from realtouch.exchange.replay import ENDS
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.exchange.zarr_groups import ENDS
 from realtouch.exchange.zarr_recordings import DATA, data_arrays, episode_ends, group_in
 from realtouch.finding import Finding
 from tactile_toolkit import store

@@ -41,7 +41,6 @@ _UNREADABLE = (
     *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
     *(zlib.error, zipfile.BadZipFile),
 )
-_LEVEL = 1
 
 
 def _deflated(data: bytes, size: int) -> bytes:
@@ -280,39 +279,3 @@ class ZarrGroup:
             expected = f"expected {layout.chunk_bytes:,} bytes unpacked"
             raise self.refused(name, f"a damaged chunk; {expected}") from error
         return stored.transpose(np.argsort(layout.axes))
-
-
-class ZarrWriter(zipfile.ZipFile):
-    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        super().__init__(stream, "w")
-        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
-            self.add_json(path, {"zarr_format": 2})
-
-    def describe(self, path: str, shape: Sequence[int], length: int, dtype: np.dtype[Any]) -> None:
-        """Write what Zarr states of an array, given how many rows a chunk holds."""
-        stated = {
-            "zarr_format": 2,
-            "shape": list(shape),
-            "chunks": [length, *shape[1:]],
-            "dtype": dtype.str,
-            "order": "C",
-            "compressor": {"id": "zlib", "level": _LEVEL},
-            "fill_value": "" if dtype.kind == "U" else 0,
-            "filters": None,
-        }
-        self.add_json(f"{path}/.zarray", stated, indent=4)
-
-    def chunk(self, path: str, number: int, length: int, values: AnyArray) -> None:
-        """Write a chunk of ``length`` rows, with the other axes completely; zeros follow the last row."""
-        name = ".".join([str(number), *"0" * (values.ndim - 1)])
-        content = values.tobytes().ljust(length * values[:1].nbytes, b"\0")
-        self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
-
-    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
-        """Write a file of JSON."""
-        self._add(path, json.dumps(stated, indent=indent).encode())
-
-    def _add(self, path: str, content: bytes) -> None:
-        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
