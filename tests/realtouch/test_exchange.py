@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import shard_tasks
-from realtouch.exchange import flat, lerobot
+from realtouch.exchange import lerobot, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -101,7 +101,7 @@ def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     largest = max(len(row["image"]) for row in expected(single_folder))
-    monkeypatch.setattr(flat, "_GROUP_BYTES", 5 * largest)
+    monkeypatch.setattr(touch_rows, "_GROUP_BYTES", 5 * largest)
     realtouch.export(single_folder, tmp_path, "flat", split="train")
     (file,) = (pq.ParquetFile(path).metadata for path in (tmp_path / "data").iterdir())
     rows = [file.row_group(number).num_rows for number in range(file.num_row_groups)]
