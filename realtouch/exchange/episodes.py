@@ -6,12 +6,13 @@ before they are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch import depth_maps
 from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
 from realtouch.poses import Poses
@@ -27,8 +28,11 @@ from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 CONTACT = "in_contact"
 """Column that marks the frames from the first to the last contact of a clip."""
-_POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
+DEPTH = "observation.images.depth"
+"""Column of maps of depth, of rounds of single images that have some."""
+
+_POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
 _Episode = tuple[int | None, list[memoryview], dict[str, object]]
 """The touch that a clip is (None: all of a round), the images of its frames, and columns."""
@@ -39,6 +43,7 @@ class Episodes:
     """Step of the export: the frames of the episodes of a row, numbered within each.
 
     ``split`` is the only one, ``size`` that of all images (height, width), ``number`` the type of poses.
+    ``depth_of`` makes the files of the maps of depth of a round, of that size; without it, they are left out.
     """
 
     split: str
@@ -48,6 +53,7 @@ class Episodes:
     names: tuple[str, ...]
     extras: tuple[ExtraColumn, ...]
     number: pa.DataType
+    depth_of: Callable[[StoredRound, tuple[int, int]], pa.Array] | None = None
 
     @classmethod
     def of(cls, source: Source, choices: Choices, what: str, number: pa.DataType) -> Episodes:
@@ -91,6 +97,8 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
+        if self.depth_of is not None:
+            wanted[DEPTH] = (MEDIA_TYPE, (depth_maps.DEPTH,))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
         return pa.schema([*schema_of(source, wanted), *extras])
 
@@ -124,6 +132,8 @@ class Episodes:
             columns[STATE] = self._states(row.poses())
         if row.has("pos_in_cell"):
             columns[ACTION] = self._vectors(row.intended_positions())
+        if self.depth_of is not None and row.has(depth_maps.DEPTH):
+            columns[DEPTH] = self.depth_of(row, self.size)
         yield None, list(map(images.encoded, range(len(images)))), columns
 
     def _clips(self, row: StoredRound) -> Iterator[_Episode]:

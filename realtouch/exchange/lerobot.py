@@ -6,22 +6,24 @@ episodes; ``meta`` says where each episode begins, what the features are, and th
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Made, Source, with_files
-from realtouch.exchange.episodes import IMAGE, Episodes
+from realtouch.exchange import lerobot_depth
+from realtouch.exchange.episodes import DEPTH, Episodes
 from realtouch.exchange.lerobot_info import FILE_BYTES, FILES_PER_CHUNK, FOLDER, META_STYLE, WriteMeta
 from realtouch.exchange.lerobot_statistics import columns_of_episodes
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import with_features
+from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 _GROUP_BYTES = 16 << 20
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
@@ -34,6 +36,7 @@ def plan_lerobot(
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
+    step = replace(step, depth_of=lerobot_depth.depth_of)
     chosen = choices[step.split]
     counts = _episode_lengths(source, step)[[each.row for each in chosen]]
     ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
@@ -42,6 +45,9 @@ def plan_lerobot(
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     if (dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
+    frame_bytes = source.image_bytes()
+    if DEPTH in step.schema(source.schema).names:
+        frame_bytes += lerobot_depth.NUMBER_BYTES * math.prod(step.size)
     return Conversion(
         source,
         "export",
@@ -52,7 +58,7 @@ def plan_lerobot(
         rows_per_group=1 << 12,
         extra_dirs=(FOLDER,),
         write_files=WriteMeta(step, tasks),
-        pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // source.image_bytes())),
+        pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // frame_bytes)),
     )
 
 
@@ -106,7 +112,8 @@ class _PackEpisodes:
             **{name: rows[name].take(firsts) for name in _OF_READERS if name in rows.schema.names},
             **columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
-        encodings = ((f"{IMAGE}.bytes", "PLAIN"),)
+        pictures = [each.name for each in rows.schema if each.type == MEDIA_TYPE]
+        encodings = tuple((f"{name}.bytes", "PLAIN") for name in pictures)
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
         index |= {name: rows[name].take(firsts) for name in _OF_EPISODE if name in rows.schema.names}

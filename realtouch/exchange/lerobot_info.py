@@ -11,7 +11,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.convert.conversion import checksums, files_of, write_changed
-from realtouch.exchange.episodes import ACTION, STATE, Episodes
+from realtouch.exchange import lerobot_depth
+from realtouch.exchange.episodes import ACTION, DEPTH, STATE, Episodes
 from realtouch.exchange.lerobot_mark import Mark
 from realtouch.exchange.lerobot_statistics import statistics_of_all
 from tactile_toolkit import read, store
@@ -23,6 +24,7 @@ FILE_BYTES = 100 << 20
 _VERSION = "v3.0"
 META_STYLE = store.ParquetStyle(rows_per_group=1 << 12, compression_level=3)
 _POSE = ("x_m", "y_m", "z_m", "qx", "qy", "qz", "qw")
+_AXES = ("height", "width", "channels")
 _COMPONENTS = {STATE: _POSE, ACTION: _POSE[:2]}
 
 
@@ -70,7 +72,9 @@ class WriteMeta:
 
     def _feature(self, each: pa.Field) -> dict[str, object]:
         if each.type == MEDIA_TYPE:
-            return {"dtype": "image", "shape": [*self.step.size, 3], "names": ["height", "width", "channels"]}
+            picture: dict[str, object] = {"dtype": "image", "shape": [*self.step.size, 3], "names": [*_AXES]}
+            depth = {"shape": [*self.step.size, 1], "info": lerobot_depth.INFO}
+            return picture | (depth if each.name == DEPTH else {})
         names, width, leaf = _COMPONENTS.get(each.name), 1, each.type
         if pa.types.is_fixed_size_list(leaf):
             width, leaf = leaf.list_size, leaf.value_type

@@ -14,6 +14,8 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from realtouch.exchange.episodes import DEPTH
+from realtouch.exchange.lerobot_depth import counted_depths
 from realtouch.stored_images import decoded
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Float64, Int64
@@ -31,32 +33,42 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
     """Return the statistics of each feature in each episode, as columns ``stats/FEATURE/STATISTIC``."""
     columns = {}
     for name in _counted(frames.schema):
-        whole = frames.column(name).combine_chunks()
-        found = [_episode(whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
-        data_type = pa.list_(pa.float64())
+        whole, data_type = frames.column(name).combine_chunks(), pa.list_(pa.float64())
+        found = [_episode(name, whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
         if whole.type == MEDIA_TYPE:
             data_type = pa.list_(pa.list_(data_type))
         types = {**dict.fromkeys(_NAMES, data_type), "count": pa.list_(pa.int64())}
         for statistic, stored in types.items():
-            values = [each[statistic] for each in found]
-            columns[f"stats/{name}/{statistic}"] = pa.array(values, stored)
+            columns[f"stats/{name}/{statistic}"] = pa.array([each[statistic] for each in found], stored)
     return columns
 
 
-def _episode(values: pa.Array) -> dict[str, object]:
-    """Return the statistics of a feature in an episode; those of images are of a sample, from 0 to 1."""
+def _episode(name: str, values: pa.Array) -> dict[str, object]:
+    """Return the statistics of a feature in an episode; those of images are of a sample."""
     if values.type != MEDIA_TYPE:
         numbers = _flat_rows(values)
         found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
-        return {**{name: [each[name] for each in found] for name in found[0]}, "count": [len(values)]}
+        return {**_transposed(found), "count": [len(values)]}
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
-    counts = np.zeros((3, _LEVELS), np.int64)
-    for number in seen:
-        image = values[number].as_py()
-        pixels = Image.fromarray(decoded(image["bytes"], image["path"]))
-        counts += np.reshape(pixels.histogram(), (3, _LEVELS))
-    found = [_statistics(np.flatnonzero(each) / (_LEVELS - 1), each[each > 0]) for each in counts]
-    return {**{name: [[[each[name]]] for each in found] for name in found[0]}, "count": [len(seen)]}
+    images = [values[number].as_py() for number in seen]
+    if name == DEPTH:
+        channels = [counted_depths(image["bytes"] for image in images)]
+    else:
+        counts = np.zeros((3, _LEVELS), np.int64)
+        for image in images:
+            pixels = Image.fromarray(decoded(image["bytes"], image["path"]))
+            counts += np.reshape(pixels.histogram(), (3, _LEVELS))
+        # Colours are scaled to 1.
+        channels = [(np.flatnonzero(each) / (_LEVELS - 1), each[each > 0]) for each in counts]
+    found = [_statistics(*each) for each in channels]
+    return {
+        **{key: [[[each]] for each in column] for key, column in _transposed(found).items()},
+        "count": [len(seen)],
+    }
+
+
+def _transposed(found: Sequence[dict[str, float]]) -> dict[str, list[float]]:
+    return {name: [each[name] for each in found] for name in found[0]}
 
 
 def _statistics(values: Float64, counts: Int64) -> dict[str, float]:
@@ -98,8 +110,7 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
             parts = [_flat_rows(shard.column(name))[:, start : start + step] for shard in frames]
             for column in np.concatenate(parts).T:
                 columns.append(_statistics(*np.unique(column, return_counts=True)))
-        numbers = {statistic: [column[statistic] for column in columns] for statistic in columns[0]}
-        found[name] = {**numbers, "count": [total]}
+        found[name] = {**_transposed(columns), "count": [total]}
     return found
 
 
