@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pyarrow as pa
@@ -16,13 +16,13 @@ import pyarrow as pa
 from realtouch.contact import ContactMethod
 from realtouch.convert.conversion import Choices, Conversion, Made, Source, with_files
 from realtouch.exchange import lerobot_depth
+from realtouch.exchange.episode_numbers import EpisodeNumbers
 from realtouch.exchange.episodes import DEPTH, Episodes
 from realtouch.exchange.lerobot_info import FILE_BYTES, FILES_PER_CHUNK, FOLDER, META_STYLE, WriteMeta
 from realtouch.exchange.lerobot_statistics import columns_of_episodes
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 _GROUP_BYTES = 16 << 20
@@ -37,11 +37,7 @@ def plan_lerobot(
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
     step = replace(step, depth_of=lerobot_depth.depth_of)
-    chosen = choices[step.split]
-    counts = _episode_lengths(source, step)[[each.row for each in chosen]]
-    ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
-    # Numbers of the first episode and frame of each shard, and of one more.
-    starts = ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist()
+    numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
     if (dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
@@ -58,29 +54,15 @@ def plan_lerobot(
         rows_per_group=1 << 12,
         extra_dirs=(FOLDER,),
         write_files=WriteMeta(step, tasks),
-        pack=_PackEpisodes(starts, tasks, max(1, _GROUP_BYTES // frame_bytes)),
+        pack=_PackEpisodes(numbers, tasks, max(1, _GROUP_BYTES // frame_bytes)),
     )
-
-
-def _episode_lengths(source: Source, step: Episodes) -> Int64:
-    """Return the number of episodes and of frames of each row, shape (n, 2)."""
-    if not step.are_clips:
-        counts = dataset_of(source.shards[step.split]).touch_counts
-        return np.column_stack([counts > 0, counts]).astype(np.int64)
-    found = []
-    for shard in source.shards[step.split]:
-        if "video_length_frames" not in shard.types:
-            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
-        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
-        found += [(len(each), sum(each)) for each in lengths]
-    return np.array(found, np.int64).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
 class _PackEpisodes:
     """Packs the frames of a shard and the table of its episodes; keeps an index of episodes."""
 
-    starts: Sequence[Sequence[int]] = field(repr=False)
+    numbers: EpisodeNumbers
     tasks: tuple[str, ...]
     rows_per_group: int
 
@@ -91,8 +73,7 @@ class _PackEpisodes:
         """
         rows = rows.combine_chunks()
         firsts = np.flatnonzero(rows["frame_index"].to_numpy() == 0)
-        self._require_all(shard, [len(firsts), len(rows)], skipped)
-        episode, frame = self.starts[shard.index]
+        episode, frame = self.numbers.of_shard(shard, [len(firsts), len(rows)], skipped)
         episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
         frames = self._frames(rows, np.repeat(episodes, lengths), frame)
         chunk, number = divmod(shard.index, FILES_PER_CHUNK)
@@ -124,25 +105,6 @@ class _PackEpisodes:
                 f"{FOLDER}/meta/episodes/{place}": store.encode_parquet(pa.table(meta), META_STYLE),
             },
         )
-
-    def _require_all(
-        self, shard: store.ShardName, counts: Sequence[int], skipped: Sequence[store.Skipped]
-    ) -> None:
-        """Refuse a shard that lacks rounds, or has other counts than were planned (IntegrityError)."""
-        if skipped:
-            raise IntegrityError(
-                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
-                "nothing of this file was written",
-                next="leave the round out first (`realtouch select`)",
-            )
-        planned = np.subtract(self.starts[shard.index + 1], self.starts[shard.index]).tolist()
-        if planned != counts:
-            episodes, frames = counts
-            raise IntegrityError(
-                f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
-                "'video_length_frames' stated when the export was planned; nothing of this file was written",
-                next="run `realtouch verify` on the source",
-            )
 
     def _frames(self, rows: pa.Table, episodes: Int64, first: int) -> pa.Table:
         """Return the frames of a shard with their numbers, the first of which is ``first``."""

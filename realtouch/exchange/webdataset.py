@@ -36,7 +36,7 @@ def tar_of(samples: Iterable[Sample]) -> bytes:
 
 
 def _header(member: str, size: int) -> bytes:
-    """Return the header of a file as `tarfile` writes it, ten times as fast; that of a long name by itself."""
+    """Return the header of a file as `tarfile` writes it, ten times as fast unless its name is long."""
     name, digits = member.encode(), b"%011o" % size
     if len(name) > _NAME_BYTES:
         header = tarfile.TarInfo(member)
