@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import pyarrow as pa
 
@@ -77,22 +78,16 @@ class TouchFormat:
             rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
-            pack=self.pack and _PackShard(self.pack, self.no_gaps),
+            pack=self.pack and partial(self._pack_shard, self.pack),
         )
 
-
-@dataclass(frozen=True)
-class _PackShard:
-    """Packs the touches of a shard, and keeps their plain columns as an index."""
-
-    pack: PackTouches
-    no_gaps: bool
-
-    def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
-        """Return the files of a shard; an empty shard has none."""
+    def _pack_shard(
+        self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
+    ) -> Made:
+        """Return the files of a shard, and plain columns as its index; an empty shard has no files."""
         index = rows.drop_columns([_IMAGE])
         if len(rows):
-            return self.pack(shard, index, _images_of(rows[_IMAGE]))
+            return pack(shard, index, _images_of(rows[_IMAGE]))
         if self.no_gaps:
             raise IntegrityError(
                 f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "

@@ -14,6 +14,7 @@ import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import IO
 
 import numpy as np
@@ -72,78 +73,76 @@ class GroupFormat:
         """Plan a group; reads footers and one header. InputError for several splits."""
         step = Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
-        write = _WriteGroup(self, step)
+        write = partial(self._write_group, step)
         return Conversion(
             source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
         )
 
+    def _write_group(
+        self, step: Episodes, folder: store.DataFolder, manifest: store.Manifest
+    ) -> dict[str, str]:
+        """Write a zipped group of all frames, once those of all shards are there.
 
-@dataclass(frozen=True)
-class _WriteGroup:
-    """Writes a zipped group of all frames, once those of all shards are there."""
-
-    form: GroupFormat
-    step: Episodes
-
-    def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
-        """Return the checksum of the file by its path; an unchanged file is not written again."""
+        Returns the checksum of the file by its path; an unchanged file is not written again.
+        """
         shards = [
             read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
         ]
-        path = f"{self.form.folder}/touches.zarr.zip"
+        path = f"{self.folder}/touches.zarr.zip"
         with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
-            self._write(made, shards)
+            self._write(step, made, shards)
             made.seek(0)
             digest = hashlib.file_digest(made, "sha256").hexdigest()
             if not store.is_unchanged(folder, path, digest):
                 folder.write(path, lambda stream: _copy(made, stream))
         return {path: digest}
 
-    def _write(self, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+    def _write(self, step: Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
         table = pa.concat_tables(
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
-        arrays, attributes = self._arrays(table)
-        path, size = f"data/{self.form.pictures}", self.step.size
-        rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.form.sensors, *size, 3)
+        arrays, attributes = self._arrays(step, table)
+        path, size = f"data/{self.pictures}", step.size
+        rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.sensors, *size, 3)
         with ZarrWriter(stream) as group:
             group.add_json(ATTRIBUTES, attributes)
             for name, values in arrays.items():
                 group.add_array(name, values)
-            blocks = (each.reshape(-1, *shape[1:]) for each in self._pictures(rows, shards))
+            blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
             group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
 
-    def _arrays(self, table: pa.Table) -> tuple[dict[str, AnyArray], dict[str, object]]:
+    def _arrays(self, step: Episodes, table: pa.Table) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays but the pictures, and what is said of them: the attributes of ``meta``."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
-        known = {name: array for name, array in self.form.arrays.items() if name in columns}
+        known = {name: array for name, array in self.arrays.items() if name in columns}
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
-        for extra in self.step.extras:
+        for extra in step.extras:
             known[extra.name] = array = extra.name.removeprefix(FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
             of_clips += [own_name] * extra.stored.startswith(EXTRA_PREFIX["touch"])
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
-        stated = self.form.add(self.step, table, arrays)
+        stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
         found = {f"data/{name}": values for name, values in arrays.items()}
         for name in (ROUND, TOUCH):
             if name in columns:
                 found[f"meta/{name}"] = _numbers(columns[name].take(starts))
         found[ENDS] = np.append(starts[1:], len(table)).astype("<i8")
-        return found, {CLASSES: self.step.names, COLUMNS: kept, PER_CLIP: of_clips, **stated}
+        return found, {CLASSES: step.names, COLUMNS: kept, PER_CLIP: of_clips, **stated}
 
-    def _pictures(self, rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
-        """Yield the pixels of all frames, so many at a time, each time in the same memory."""
-        block, at = np.empty((rows, *self.step.size, 3), np.uint8), 0
-        for row in stored_rows(shards, [IMAGE]):
-            image = row.group.table[IMAGE][row.index].as_py()
-            decoded(image["bytes"], image["path"], block[at])
-            at = (at + 1) % rows
-            if not at:
-                yield block
-        if at:
-            yield block[:at]
+
+def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
+    """Yield the pixels of all frames, so many at a time, each time in the same memory."""
+    block, at = np.empty((rows, *size, 3), np.uint8), 0
+    for row in stored_rows(shards, [IMAGE]):
+        image = row.group.table[IMAGE][row.index].as_py()
+        decoded(image["bytes"], image["path"], block[at])
+        at = (at + 1) % rows
+        if not at:
+            yield block
+    if at:
+        yield block[:at]
 
 
 def _copy(source: IO[bytes], target: IO[bytes]) -> None:
