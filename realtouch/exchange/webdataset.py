@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import json
+import re
 import tarfile
 from collections.abc import Iterable, Iterator, Mapping
 
+import msgspec
 import pyarrow as pa
 
 from realtouch.convert.conversion import Made, with_files
@@ -14,6 +16,11 @@ from tactile_toolkit import store
 
 _FOLDER = "webdataset"
 _WITHOUT_NAN = json.JSONEncoder(ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+_encode = msgspec.json.Encoder().encode
+# What msgspec, which takes a tenth of the time, writes in another way than `json`: infinity, and numbers that
+# one of them writes with an exponent.
+_OTHERWISE = (b"null", b"0.0000")
+_EXPONENT = re.compile(rb"e[-\d]")
 # Of a header (POSIX.1-1988, ustar): name, size and checksum, which is the sum of all bytes with blanks there.
 _NAME_BYTES, _SIZE, _SUM = 100, slice(124, 135), slice(148, 154)
 _HEADER = tarfile.TarInfo().tobuf(tarfile.USTAR_FORMAT)
@@ -53,6 +60,10 @@ def _header(member: str, size: int) -> bytes:
 
 
 def _json_of(fields: Mapping[str, object]) -> bytes:
+    """Return fields as `json` writes them; a missing number is null in JSON, which has no NaN."""
+    content = _encode(fields)
+    if not (any(each in content for each in _OTHERWISE) or _EXPONENT.search(content)):
+        return content
     try:
         return _WITHOUT_NAN.encode(fields).encode()
     except ValueError:
@@ -61,7 +72,6 @@ def _json_of(fields: Mapping[str, object]) -> bytes:
 
 
 def _without_nan(value: object) -> object:
-    """Return a JSON value; a missing number is null in JSON, which has no NaN."""
     if isinstance(value, list):
         return list(map(_without_nan, value))
     return None if value != value else value
