@@ -9,12 +9,13 @@ one file, because numba's cache on disk looks at the file of a kernel only.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, TypeAlias
 
 import numpy as np
 from llvmlite import ir
 from numba import types
+from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
@@ -50,23 +51,29 @@ _LEVEL_M = 1e-12  # an edge of the window that rises by less is level
 _BATCH = 64  # triangles that are prepared at once
 _FLOAT, _INDEX = ir.FloatType(), ir.IntType(32)
 
+Context: TypeAlias = Any
+"""A numba context, which has no types."""
+
+Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
+"""Writes the instructions of a function for LLVM."""
+
 
 def _raise_block(
-    _typing: Any,
-    heights: Any,
-    places: Any,
-    b: Any,
-    c: Any,
-    b_up: Any,
-    c_up: Any,
-    b_step: Any,
-    c_step: Any,
-    b_slack: Any,
-    c_slack: Any,
-    low: Any,
-    b_rise: Any,
-    c_rise: Any,
-) -> tuple[Any, Any]:
+    _typing: object,
+    heights: types.Type,
+    places: types.Type,
+    b: types.Type,
+    c: types.Type,
+    b_up: types.Type,
+    c_up: types.Type,
+    b_step: types.Type,
+    c_step: types.Type,
+    b_slack: types.Type,
+    c_slack: types.Type,
+    low: types.Type,
+    b_rise: types.Type,
+    c_rise: types.Type,
+) -> tuple[Signature, Build]:
     """Raise :data:`ROWS` rows of :data:`LANES` neighbouring pixels to a triangle, where it covers them.
 
     ``heights`` is contiguous, float32, and ``places`` say where in it each row begins. The weights of the
@@ -86,7 +93,9 @@ def _raise_block(
     """
     signature = types.void(heights, places, *[types.float64] * 4, *[types.float32] * 7)
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         pixels = context.make_array(signature.args[0])(context, builder, given[0])
         rows = [
             builder.bitcast(
@@ -112,10 +121,12 @@ def _raise_block(
     return signature, build
 
 
-raise_block: Any = intrinsic(_raise_block)
+raise_block: Callable[..., None] = intrinsic(_raise_block)
 
 
-def _raised(builder: Any, held: Any, weights: Any, rest: Any, lanes: Any) -> Any:
+def _raised(
+    builder: ir.IRBuilder, held: ir.Value, weights: ir.Value, rest: ir.Value, lanes: ir.Value
+) -> ir.Value:
     """Return heights of pixels of a triangle where it covers them and is higher, else those held."""
     b_step, c_step, b_slack, c_slack, low, b_rise, c_rise = rest
     zero, one = (_constant([value] * held.type.count) for value in (0.0, 1.0))
@@ -142,7 +153,7 @@ def _indices(numbers: Iterable[int]) -> ir.Constant:
     return ir.Constant(ir.VectorType(_INDEX, len(chosen)), chosen)
 
 
-def _spread(builder: Any, values: list[Any], times: int) -> Any:
+def _spread(builder: ir.IRBuilder, values: list[ir.Value], times: int) -> ir.Value:
     """Put each number into so many lanes."""
     lanes = ir.Constant(_vector(len(values)), ir.Undefined)
     for number, value in enumerate(values):
@@ -151,7 +162,7 @@ def _spread(builder: Any, values: list[Any], times: int) -> Any:
     return builder.shuffle_vector(lanes, lanes, chosen)
 
 
-def _joined(builder: Any, parts: list[Any]) -> Any:
+def _joined(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
     """Put vectors of equal lengths one behind the other."""
     while len(parts) > 1:
         both = _indices(range(2 * parts[0].type.count))

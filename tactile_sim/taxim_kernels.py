@@ -8,12 +8,15 @@ kernels lie in this one file, because numba's cache on disk looks at the file of
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 from llvmlite import ir
 from numba import types
 from numba.core import cgutils
+from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
@@ -24,10 +27,16 @@ LANES = 16
 
 _FOLDED = 0.41421356237309503  # tan(pi / 8)
 
-_BUILD: Any = cgutils
+_BUILD: ModuleType = cgutils
 _PIXELS, _MASK = (ir.VectorType(kind, LANES) for kind in (ir.DoubleType(), ir.IntType(8)))
 
 _COLOURS = ir.VectorType(ir.DoubleType(), 4)
+
+Context: TypeAlias = Any
+"""A numba context, which has no types."""
+
+Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
+"""Writes the instructions of a function for LLVM."""
 
 Pair: TypeAlias = tuple[Float64, Float64]
 """Halves of Gaussian kernels across and down, from the middle on."""
@@ -71,16 +80,16 @@ class PictureTables(NamedTuple):
 
 
 def _weigh_pixels(
-    _typing: Any,
-    out: Any,
-    at: Any,
-    source: Any,
-    middle: Any,
-    step: Any,
-    weights: Any,
-    kept: Any,
-    kept_at: Any,
-) -> tuple[Any, Any]:
+    _typing: object,
+    out: types.Type,
+    at: types.Type,
+    source: types.Type,
+    middle: types.Type,
+    step: types.Type,
+    weights: types.Type,
+    kept: types.Type,
+    kept_at: types.Type,
+) -> tuple[Signature, Build]:
     """Weigh :data:`LANES` neighbouring values of ``source`` and those on both sides of each.
 
     ``out``, ``source`` and ``weights`` are contiguous, float64; ``kept``, bool, says which values of ``out``
@@ -97,16 +106,18 @@ def _weigh_pixels(
     place = types.int64
     signature = types.void(out, place, source, place, place, weights, kept, place)
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         arrays = [context.make_array(signature.args[n])(context, builder, given[n]) for n in (0, 2, 5, 6)]
         written, read, weighed, mask = (array.data for array in arrays)
         count = _BUILD.unpack_tuple(builder, arrays[2].shape, 1)[0]
         one = ir.Constant(count.type, 1)
 
-        def values(place: Any) -> Any:
+        def values(place: ir.Value) -> ir.Value:
             return builder.load(builder.bitcast(builder.gep(read, [place]), _PIXELS.as_pointer()), align=8)
 
-        def weight(tap: Any) -> Any:
+        def weight(tap: ir.Value) -> ir.Value:
             return spread(builder, builder.load(builder.gep(weighed, [tap])), _PIXELS)
 
         stays = builder.bitcast(builder.gep(mask, [given[7]]), _MASK.as_pointer())
@@ -128,12 +139,18 @@ def _weigh_pixels(
     return signature, build
 
 
-weigh_pixels: Any = intrinsic(_weigh_pixels)
+weigh_pixels: Callable[..., None] = intrinsic(_weigh_pixels)
 
 
 def _colour_pixel(
-    _typing: Any, out: Any, at: Any, tables: Any, first: Any, x: Any, y: Any
-) -> tuple[Any, Any]:
+    _typing: object,
+    out: types.Type,
+    at: types.Type,
+    tables: types.Type,
+    first: types.Type,
+    x: types.Type,
+    y: types.Type,
+) -> tuple[Signature, Build]:
     """Write three colours of a pixel, from six coefficients of each, and a fourth value.
 
     In plain numba::
@@ -145,7 +162,9 @@ def _colour_pixel(
     """
     signature = types.void(out, types.int64, tables, types.int64, types.float64, types.float64)
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         written, read = (
             context.make_array(signature.args[n])(context, builder, given[n]).data for n in (0, 2)
         )
@@ -167,14 +186,14 @@ def _colour_pixel(
     return signature, build
 
 
-colour_pixel: Any = intrinsic(_colour_pixel)
+colour_pixel: Callable[..., None] = intrinsic(_colour_pixel)
 
 
-def _colours_at(builder: Any, values: Any, place: Any) -> Any:
+def _colours_at(builder: ir.IRBuilder, values: ir.Value, place: ir.Value) -> ir.Value:
     return builder.bitcast(builder.gep(values, [place]), _COLOURS.as_pointer())
 
 
-def spread(builder: Any, value: Any, lanes: ir.VectorType) -> Any:
+def spread(builder: ir.IRBuilder, value: ir.Value, lanes: ir.VectorType) -> ir.Value:
     """Put one number into all lanes."""
     empty, first = ir.Constant(lanes, ir.Undefined), ir.Constant(ir.IntType(32), 0)
     single = builder.insert_element(empty, value, first)

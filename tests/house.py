@@ -19,6 +19,8 @@ from statistics import median
 NOT_COUNTED = ("data_cards", "tests")
 MANY_NAMES = 30
 LATE_CONSTANTS = 3
+# Documented names that begin with an underscore: of named tuples, and of `os`.
+PUBLIC_UNDERSCORED = {"_replace", "_asdict", "_fields", "_exit"}
 
 _ANY = re.compile(r"\bAny\b")
 _FUNCTIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
@@ -90,6 +92,7 @@ class Module:
         return sum(
             node.attr.startswith("_")
             and not node.attr.startswith("__")
+            and node.attr not in PUBLIC_UNDERSCORED
             and not (isinstance(node.value, ast.Name) and node.value.id in own)
             for node in self.every(ast.Attribute)
         )

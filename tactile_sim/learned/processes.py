@@ -53,9 +53,12 @@ def joined_processes(device: str, *, deterministic: bool) -> Iterator[Process]:
         torch.cuda.set_device(chosen)
     if count > 1:
         torch.distributed.init_process_group({"cpu": "gloo"}.get(chosen, "nccl"))
+    process = Process(rank, count, chosen)
     try:
         with _determinism(deterministic=deterministic):
-            yield Process(rank, count, chosen)
+            yield process
+        # The first process serves the store that the others use until they leave.
+        process.wait()
     finally:
         if count > 1:
             torch.distributed.destroy_process_group()
