@@ -226,7 +226,8 @@ class HubRepository:
         """Fetch files, several at once, into the Hub's cache or a folder; the first failure ends all.
 
         Each file is compared with the digest of the manifest, or else that of the Hub. ``on_bytes`` gets the
-        total number of bytes that have arrived, from one thread at a time. Raises IntegrityError for a file
+        total number of bytes that have arrived, from one thread at a time. Other threads may still be at work
+        when this returns, and only this one changes a local folder. Raises IntegrityError for a file
         that arrived damaged twice (nothing of it is kept), HubError, StorageError.
         """
         lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
@@ -242,21 +243,26 @@ class HubRepository:
                 arrived[file.path] = size_bytes
                 on_bytes(total)
 
-        def fetch_one(file: store.HubFile) -> None:
+        def fetch_one(file: store.HubFile) -> str:
             place = self._fetch_checked(file, stage, partial(count, file))
             if folder is not None and not folder.is_local:
                 folder.upload(file.path, place)
                 place.unlink()
+            return file.path
 
         with contextlib.ExitStack() as stack:
-            stage = None
-            if folder is not None:
-                stage = Path(folder.root) if folder.is_local else stack.enter_context(store.scratch_folder())
+            stage, inside = None, ""
+            if isinstance(folder, store.LocalFolder):
+                inside = stack.enter_context(folder.stage())
+                stage = folder.local_path(inside)
+            elif folder is not None:
+                stage = stack.enter_context(store.scratch_folder())
             stack.callback(stopped.set)
             # Daemon threads; at exit, the interpreter waits for those of an executor.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
-                for _ in pool.imap_unordered(fetch_one, files):
-                    pass
+                for path in pool.imap_unordered(fetch_one, files):
+                    if isinstance(folder, store.LocalFolder):
+                        folder.move(f"{inside}/{path}", path)
 
     def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""

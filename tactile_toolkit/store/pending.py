@@ -107,6 +107,7 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
 
 def remove_pending(folder: DataFolder, kept: Collection[str] = ()) -> None:
     """Remove all pending records, report rows and temporary files but those to be kept."""
+    folder.remove_temporaries()
     for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
         if is_pending(path) and path not in kept:
             folder.remove(path)
