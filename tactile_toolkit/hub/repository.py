@@ -274,6 +274,8 @@ class HubRepository:
         options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
         options |= counting_options(count)
         cached = Path(self.folder.address(path))
+        if folder is None:
+            self._wait_for_another(path)
         # An intact file may have been fetched by another process meanwhile.
         for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
             fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
@@ -294,6 +296,16 @@ class HubRepository:
             "nothing of it was kept",
             next="try again later or through another network",
         )
+
+    def _wait_for_another(self, path: str) -> None:
+        """Wait for a process that fetches a file into the cache; BusyError if that process was stopped."""
+        # The client would wait on the same lock for ever, without a word.
+        cache = _cache_of(self.repo_id)
+        lock = cache.parent / ".locks" / cache.name / f"{self.remote[path].digest}.lock"
+        with contextlib.suppress(OSError):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            with store.locked(lock, is_patient=True):
+                pass
 
 
 def open_repository(
