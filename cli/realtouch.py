@@ -152,7 +152,7 @@ def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
 
     Example: realtouch reproduce real-single-64x64
     """
-    place = opening.open(sink, name)
+    place = opening.open(sink, name).require(KIND, "reproduce")
     announce_fetching(sink, place, None)
     source = realtouch.Source.open(place)
     numbers = realtouch.paper_numbers(

@@ -283,9 +283,8 @@ def _open_source(
     if given is not None:
         return "the source", given
     assert not isinstance(source, Mapping), "meshes in memory are given solids"
-    place = opened(source)
+    place = opened(source).require_meshes("tactile-sim generate").require_complete()
     mesh.refuse_unit(unit, place.name)
-    place.require_complete()
     return place.name, {split: open_split(place, split) for split in place.splits}
 
 

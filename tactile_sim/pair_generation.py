@@ -59,7 +59,7 @@ class PairsGenerator(generation.RowGenerator):
     @classmethod
     def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsGenerator:
         """Open both sources; InputError for a source of another kind, or without meshes."""
-        solids = open_split(places.open_place(objects), split)
+        solids = open_split(places.open_place(objects).require_meshes("tactile-sim pairs"), split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(real, split)

@@ -12,12 +12,17 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from tactile_toolkit import hub, read, store
+from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
 from tactile_toolkit.places.hub_files import hub_shards
-from tactile_toolkit.places.kinds_of_rows import command_or_load, kind_of_rows, require_kind
+from tactile_toolkit.places.kinds_of_rows import (
+    command_or_load,
+    kind_of_rows,
+    require_kind,
+    wrong_kind,
+)
 from tactile_toolkit.places.published import kind_of_published
 from tactile_toolkit.places.split_files import USUAL_SPLIT, files_of_split, split_of_file, unknown_split
 from tactile_toolkit.wording import with_count
@@ -157,6 +162,16 @@ class Place:
             )
         else:
             self._require_columns(kind, command)
+        return self
+
+    def require_meshes(self, asked: str) -> Place:
+        """Return the place if it holds meshes of some kind, or rows of no kind, whose columns are not read.
+
+        ``asked`` is a command, such as ``"tactile-sim generate"``, or a function. Raises InputError.
+        """
+        if self.kind is not None and mesh.FACES not in self.kind.needs:
+            raise wrong_kind(self.kind, self.name, asked, "meshes")
+        self._refuse_files_for_others()
         return self
 
     def _require_columns(self, kind: DatasetKind, command: str) -> None:
