@@ -9,6 +9,7 @@ from tactile_toolkit.places.split_files import (
     CARD_FILE,
     PARQUET,
     USUAL_SPLIT,
+    missing_files,
     parquet_paths,
     split_of_file,
     splits_by_card,
@@ -52,6 +53,8 @@ def repository_place(
     if paths and CARD_FILE in repository.remote and not path:
         card = repository.local_paths((CARD_FILE,))[0].read_bytes()
         found = splits_by_card(card, paths, config, name)
+    if found and not any(found.values()) and not repository.is_cache:
+        raise missing_files(found, name)
     if found is None:
         relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
         found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}

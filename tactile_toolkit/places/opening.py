@@ -11,7 +11,7 @@ from typing import TypeAlias
 from tactile_toolkit import hub, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.hub_place import hub_place
-from tactile_toolkit.places.other_files import is_parquet_file, not_a_set
+from tactile_toolkit.places.other_files import is_interrupted, is_parquet_file, not_a_set
 from tactile_toolkit.places.place import Place, shards_by_split
 from tactile_toolkit.places.published import published_set
 from tactile_toolkit.places.split_files import (
@@ -19,6 +19,7 @@ from tactile_toolkit.places.split_files import (
     PARQUET,
     USUAL_SPLIT,
     has_shards,
+    missing_files,
     split_of_file,
     splits_by_card,
     splits_by_name,
@@ -165,9 +166,13 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
     manifest = store.manifest_so_far(folder)
     if manifest is not None:
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
+    if is_interrupted(folder):
+        raise not_a_set(folder, name)
     found = None
     if folder.exists(CARD_FILE):
         found = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
+    if found and not any(found.values()):
+        raise missing_files(found, name)
     if found is None:
         in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
         if not has_shards(in_data):

@@ -28,6 +28,7 @@ from tactile_toolkit.places.split_files import USUAL_SPLIT, files_of_split, spli
 from tactile_toolkit.wording import with_count
 
 _COLUMNS_SHOWN = 8
+_TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
 
 
 @dataclass(frozen=True)
@@ -197,8 +198,10 @@ class Place:
                 next="give the data set that it was made of, or open this one with `datasets`",
             )
 
-    def require_complete(self, split: str | None = None) -> Place:
+    def require_complete(self, split: str | None = None, *, may_take: bool = True) -> Place:
         """Return the place if it, or one split of it, is finished, or an unfinished one is allowed.
+
+        ``may_take`` is whether the command has an option to allow one, for the message.
 
         Raises
         ------
@@ -206,7 +209,7 @@ class Place:
             A run that makes it is under way or was interrupted.
         """
         if not (self.complete or self.allow_incomplete or (split is not None and self._is_whole(split))):
-            raise self._not_finished()
+            raise self._not_finished(may_take)
         return self
 
     def require_manifest(self, kind: DatasetKind) -> store.Manifest:
@@ -224,7 +227,7 @@ class Place:
                 f"no {store.MANIFEST_FILE} in {self.name!r}",
                 next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
             )
-        self.require_complete()
+        self.require_complete(may_take=False)
         return self.manifest
 
     def _is_whole(self, split: str) -> bool:
@@ -233,20 +236,23 @@ class Place:
         records = self.manifest.shards_of(split)
         return bool(records) and len(records) == records[0].shard.count
 
-    def _not_finished(self) -> IntegrityError:
+    def _not_finished(self, may_take: bool = True) -> IntegrityError:
+        otherwise = ""
+        if may_take and not self.allow_incomplete:
+            otherwise = _TAKE_FINISHED
         again, record = "run the same command again", self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
         return IntegrityError(
             f"the run that makes {self.name!r} is not finished ({self.unfinished})",
-            next=f"{again}, it continues; or take what is finished with --allow-incomplete "
-            "(allow_incomplete=True)",
+            next=f"{again}, it continues{otherwise}",
         )
 
     def split(self, split: str | None) -> str:
-        """Return a split, or the only one if none is named."""
+        """Return a split, or the only one of a finished data set if none is named."""
         if split is not None:
             return split
+        self.require_complete()
         if not self.splits:
             raise self._not_finished()
         if len(self.splits) > 1:

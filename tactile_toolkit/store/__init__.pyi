@@ -86,6 +86,7 @@ from .parquet import (
 )
 from .pending import (
     manifest_so_far as manifest_so_far,
+    pending_shards as pending_shards,
 )
 from .plan import (
     BuildPlan as BuildPlan,

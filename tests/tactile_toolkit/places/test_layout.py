@@ -185,6 +185,10 @@ def test_a_split_of_the_card_without_files_is_named(tmp_path):
     assert place.splits == ("train",)
     with pytest.raises(IntegrityError, match="has 0 of 1 file of split 'test'; expected all"):
         place.shards("test")
+    (tmp_path / "monday.parquet").unlink()
+    said = "README.md of .* names the files of train, test; none of them is a Parquet file there"
+    with pytest.raises(InputError, match=said):
+        open_place(folder)
 
 
 @given(
