@@ -187,7 +187,8 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
 def missing_files(splits: Iterable[str], where: str) -> InputError:
     """Return the error for a data card that names only files that are not there."""
     return InputError(
-        f"{CARD_FILE} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file there",
+        f"{CARD_FILE} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file "
+        "there",
         next=f"correct {CARD_FILE}, or give a Parquet file",
     )
 
