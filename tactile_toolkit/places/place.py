@@ -117,10 +117,7 @@ class Place:
         """
         if self.is_kind_stated:
             return self._stated_kind
-        try:
-            return kind_of_rows(self._first_shard().schema)
-        except IntegrityError:
-            return None  # reading the rows reports the damage
+        return _kind_of(self._first_shard())
 
     @property
     def is_kind_stated(self) -> bool:
@@ -139,7 +136,7 @@ class Place:
         found = next(iter(self._found.values()), None)
         return (found or self.shards(self.splits[0]))[0]
 
-    def require(self, kind: DatasetKind, command: str = "") -> Place:
+    def require(self, kind: DatasetKind, command: str = "", shard: read.Shard | None = None) -> Place:
         """Return the place if it holds data of a kind, or of one that is opened by the same package.
 
         Parameters
@@ -148,21 +145,28 @@ class Place:
             Expected kind.
         command : str
             Command of the user, such as ``"export"``; without one, ``load`` of the package.
+        shard : Shard, optional
+            File whose rows count if the kind is not stated; by default the first.
 
         Raises
         ------
         InputError
             It holds another kind, or a manifest names one that is not installed.
         """
-        if self.kind is not None:
-            require_kind(self.kind, kind, self.name, command)
+        if isinstance(self.source, tuple):
+            for part in self.source:
+                part.require(kind, command)
+            return self
+        found = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
+        if found is not None:
+            require_kind(found, kind, self.name, command)
         elif self.manifest is not None:
             raise InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
                 next="install the package that made it",
             )
         else:
-            self._require_columns(kind, command)
+            self._require_columns(shard or self._first_shard(), kind, command)
         return self
 
     def require_meshes(self, asked: str) -> Place:
@@ -175,10 +179,10 @@ class Place:
         self._refuse_files_for_others()
         return self
 
-    def _require_columns(self, kind: DatasetKind, command: str) -> None:
+    def _require_columns(self, shard: read.Shard, kind: DatasetKind, command: str) -> None:
         """Refuse rows without the columns that a kind needs; readers report damaged files."""
         with suppress(IntegrityError):
-            names = read.column_names(self._first_shard().schema)
+            names = read.column_names(shard.schema)
             if not any(name in names for name in kind.needs):
                 shown = ", ".join(names[:_COLUMNS_SHOWN])
                 if len(names) > _COLUMNS_SHOWN:
@@ -298,7 +302,7 @@ class Place:
         if (chosen, streaming) not in self._found:
             self._found[chosen, streaming] = self._find(chosen, streaming)
         if kind is not None:
-            self.require(kind)
+            self.require(kind, shard=self._found[chosen, streaming][0])
         return self._found[chosen, streaming]
 
     def all_shards(self) -> dict[str, tuple[read.Shard, ...]]:
@@ -361,6 +365,13 @@ class Place:
                 for record in records
             ]
         )
+
+
+def _kind_of(shard: read.Shard) -> DatasetKind | None:
+    """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
+    with suppress(IntegrityError):
+        return kind_of_rows(shard.schema)
+    return None
 
 
 def shards_by_split(manifest: store.Manifest) -> dict[str, tuple[str, ...]]:

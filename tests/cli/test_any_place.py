@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -13,7 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import mnist3d
+import realtouch
+import starstruck_gen
 from cli.shared import _COMMANDS
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import SHARED_COMMANDS, DatasetKind, kinds
 from tests.command_line import call
 from tests.realtouch import factories
@@ -366,6 +371,41 @@ def test_rows_of_no_kind_are_refused(tmp_path, capsys):
             code, said = asked(capsys, program, command, str(tmp_path), *words)
             assert code == 2
             assert "holds rows of no kind of this toolkit (columns x, y); " in said
+
+
+def file_of(folder: Path) -> Path:
+    return next(iter(sorted((folder / "data").iterdir())))
+
+
+def test_each_of_several_files_and_each_split_is_of_the_kind(sets, tmp_path):
+    """The first file does not decide for others: a scene read as a digit would have another class."""
+    loaders = {"digits": mnist3d.load, "scenes": starstruck_gen.load, "single": realtouch.load}
+    for name, load in loaders.items():
+        for other, words in (("digits", "digits"), ("scenes", "scenes"), ("single", "touches")):
+            files = [str(file_of(sets / each)) for each in (name, other)]
+            if name != other:
+                with pytest.raises(InputError, match=rf"holds {words}; `\w+.load` is for "):
+                    load(files)
+            else:
+                assert len(load(files)) == 2 * len(load(files[0]))
+    (tmp_path / "data").mkdir()
+    for split, name in (("train", "digits"), ("test", "scenes")):
+        shutil.copy(file_of(sets / name), tmp_path / "data" / f"{split}-00000-of-00001.parquet")
+    assert len(mnist3d.load(tmp_path, "train")) == 10
+    with pytest.raises(InputError, match=r"holds scenes; `mnist3d.load` is for digits"):
+        mnist3d.load(tmp_path, "test")
+
+
+def test_files_of_several_sets_have_the_same_classes(sets, tmp_path):
+    table = pq.read_table(file_of(sets / "digits"))
+    features = json.loads(table.schema.metadata[b"huggingface"])
+    features["info"]["features"]["label"]["names"] = ["b", "a"]
+    other = table.replace_schema_metadata({"huggingface": json.dumps(features)})
+    pq.write_table(other, tmp_path / "other.parquet")
+    with pytest.raises(
+        InputError, match=r"has the classes 0, 1, .* and b, a; next: open files of one data set"
+    ):
+        mnist3d.load([file_of(sets / "digits"), tmp_path / "other.parquet"])
 
 
 def test_files_for_other_programs_are_no_source(sets, tmp_path, capsys):
