@@ -25,6 +25,7 @@ from tactile_toolkit.hub.calls import (
     counting_options,
     has_answered,
     not_cached,
+    require_addresses,
 )
 
 _PREFIX = "hf://datasets/"
@@ -89,6 +90,7 @@ def remember_commit(repo_id: str, revision: str, commit: str) -> None:
 
 
 def _cache_of(repo_id: str) -> Path:
+    require_addresses()  # which the client reads when it is imported
     from huggingface_hub import constants
 
     return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"
