@@ -97,7 +97,7 @@ def plan_download(
     repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
     if out is not None and repository.is_cache:  # which may list a part of the files only
         raise hub.not_cached(repository.repo_id, "the present list of files")
-    place = places.repository_place(repository, repository.repo_id, config=config)
+    place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
     return _plan(repository, place.files, splits, None if out is None else store.open_folder(out))

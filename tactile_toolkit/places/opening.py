@@ -6,7 +6,7 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from tactile_toolkit import hub, store
 from tactile_toolkit.errors import InputError
@@ -19,7 +19,7 @@ from tactile_toolkit.places.split_files import (
     PARQUET,
     USUAL_SPLIT,
     has_shards,
-    missing_files,
+    require_some,
     split_of_file,
     splits_by_card,
     splits_by_name,
@@ -66,15 +66,12 @@ def open_place(
     """
     if isinstance(name, Place):
         return name
-    if not isinstance(name, (str, os.PathLike)):
-        return _several(name, revision)
-    text = os.fsdecode(name)
-    local = _local(_without_short_name(text))
-    if local is not None:
-        found = _local_place(text, *local, config)
-    else:
-        found = hub_place(text, revision, config)
-    return replace(found, allow_incomplete=allow_incomplete)
+    found = _several(name, revision)
+    if found is None:
+        text = os.fsdecode(cast(Name, name))
+        local = _local(_without_short_name(text))
+        found = _local_place(text, *local, config) if local else hub_place(text, revision, config)
+    return replace(found.require_config(config), allow_incomplete=allow_incomplete)
 
 
 def folder_place(folder: store.DataFolder) -> Place:
@@ -82,8 +79,10 @@ def folder_place(folder: store.DataFolder) -> Place:
     return _local_place(folder.address(), folder, "", None)
 
 
-def _several(names: object, revision: str | None) -> Place:
-    """Return the place of several files that belong together, each of any split."""
+def _several(names: object, revision: str | None) -> Place | None:
+    """Return the place of several files that belong together, each of any split; None for a single name."""
+    if isinstance(names, (str, os.PathLike)):
+        return None
     files = [names]
     if isinstance(names, Iterable) and not isinstance(names, (bytes, bytearray)):
         files = list(names)
@@ -168,17 +167,15 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
     if is_interrupted(folder):
         raise not_a_set(folder, name)
-    found = None
     if folder.exists(CARD_FILE):
-        found = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
-    if found and not any(found.values()):
-        raise missing_files(found, name)
-    if found is None:
-        in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
-        if not has_shards(in_data):
-            in_data = _walked(folder)
-        found = splits_by_name(in_data, name)
-    if not any(found.values()):
+        named = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
+        if named is not None:
+            return Place(name, folder, require_some(named, name), config=config)
+    in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
+    if not has_shards(in_data):
+        in_data = _walked(folder)
+    found = splits_by_name(in_data, name)
+    if not found:
         raise not_a_set(folder, name)
     return Place(name, folder, found)
 

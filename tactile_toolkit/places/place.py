@@ -51,6 +51,8 @@ class Place:
         Whether files were named, not a folder; they are opened as any split.
     allow_incomplete : bool
         Whether :meth:`shards` gives the finished shards of an unfinished split.
+    config : str or None
+        Configuration of the data card that was asked for.
     """
 
     name: str
@@ -60,6 +62,7 @@ class Place:
     complete: bool = True
     is_file: bool = False
     allow_incomplete: bool = False
+    config: str | None = None
     _found: dict[tuple[str, bool], tuple[read.Shard, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -193,6 +196,14 @@ class Place:
                     f"{' or '.join(map(repr, kind.needs))}",
                     next=f"look at a row with `{kind.command} show {shlex.quote(self.name)}`",
                 )
+
+    def require_config(self, config: str | None) -> Place:
+        """Return the place if a configuration that was asked for decided its files; else raise InputError."""
+        if self.config == config:
+            return self
+        raise InputError(
+            f"{self.name!r} has no configurations, {config!r} was asked for", next="leave it out"
+        )
 
     def _refuse_files_for_others(self) -> None:
         if is_for_others(self.manifest):

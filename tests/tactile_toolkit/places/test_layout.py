@@ -15,6 +15,8 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import Place, open_place
 from tactile_toolkit.places.split_files import splits_by_card, splits_by_name
+from tactile_toolkit.store import build, open_folder
+from tests.tactile_toolkit.toy import toy_plan
 
 
 def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:
@@ -125,6 +127,18 @@ def test_several_configurations_need_a_choice(tmp_path):
     assert ids_of(open_place(folder / "small")) == {"train": [0, 1]}
     with pytest.raises(InputError, match=r"has no configurations, 'small' was asked for|has files of split"):
         open_place(folder, config="small")
+
+
+def test_a_configuration_is_refused_where_none_decides(tmp_path):
+    """Otherwise what is opened would not be what was asked for."""
+    plain = folder_of(tmp_path / "plain", {"train.parquet": 2})
+    file = plain / "train.parquet"
+    build(open_folder(str(tmp_path / "ours")), toy_plan())
+    said = folder_of(tmp_path / "said", {"train.parquet": 2}, "---\ntags: [x]\n---\n")
+    for name in (plain, file, [file], tmp_path / "ours", said):
+        with pytest.raises(InputError, match="has no configurations, 'small' was asked for; next: leave it"):
+            open_place(name, config="small")
+        assert open_place(name).splits
 
 
 @pytest.mark.parametrize(
