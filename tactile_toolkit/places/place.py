@@ -223,7 +223,8 @@ class Place:
         IntegrityError
             A run that makes it is under way or was interrupted.
         """
-        if not (self.complete or self.allow_incomplete or (split is not None and self._is_whole(split))):
+        is_taken = self.allow_incomplete and self.splits  # some of its shards are finished
+        if not (self.complete or is_taken or (split is not None and self._is_whole(split))):
             raise self._not_finished(may_take)
         return self
 
@@ -269,7 +270,7 @@ class Place:
             return split
         self.require_complete()
         if not self.splits:
-            raise self._not_finished()
+            raise unknown_split("", (), self.name)
         if len(self.splits) > 1:
             raise InputError(
                 f"{self.name!r} has the splits {', '.join(self.splits)}; expected one of them",

@@ -246,6 +246,30 @@ def test_unfinished_touches_are_opened_only_if_that_is_allowed(half_touches, cap
         assert asked(capsys, "realtouch", "load", half_touches, *words)[0] == 0
 
 
+@pytest.mark.parametrize("program", ["realtouch", "starstruck"])
+def test_a_run_that_has_finished_nothing_yet_has_nothing_to_take(
+    sets, half_touches, tmp_path, capsys, program
+):
+    place = Path(half_touches)
+    if program == "starstruck":
+        place = Path(shutil.copytree(sets / "unfinished", tmp_path / "scenes"))
+    for record in (place / ".pending").glob("*.json"):
+        record.unlink()
+    for command in (*commands_of(program), "show"):
+        if command not in ("info", "verify", "card"):
+            words = options_of(command, tmp_path / "out")
+            if command != "show":
+                words = (*words, "--allow-incomplete")
+            code, said = asked(capsys, program, command, str(place), *words)
+            assert code == 3, (command, said)
+            assert re.search(
+                r"is not finished \(0 of \d shards\); next: run the same command again, it conti", said
+            )
+            assert not said.endswith("=True)\n"), "that was given"
+        assert not (tmp_path / "out").exists()
+    assert call(program, "info", str(place)) == 0
+
+
 def test_a_next_step_names_no_option_that_the_command_lacks(half_touches, sets, capsys):
     for program, command, place in (
         ("realtouch", "card", half_touches),
