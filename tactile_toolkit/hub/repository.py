@@ -6,7 +6,6 @@ Files are kept in the cache of the Hub's own client, so that other programs find
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import threading
@@ -147,16 +146,10 @@ class HubRepository:
         """Manifest of a data set made by the toolkit; None for other data sets, IntegrityError if damaged."""
         if store.MANIFEST_FILE not in self.remote:
             return None
-        text = self.local_paths((store.MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
-        try:
-            values = json.loads(text)
-        except ValueError:
+        content = self.local_paths((store.MANIFEST_FILE,))[0].read_bytes()
+        if store.is_of_others(content):
             return None
-        # Other tools write files of that name too.
-        is_ours = isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
-        if is_ours:
-            return store.Manifest.from_json(text, f"{self.repo_id}/{store.MANIFEST_FILE}")
-        return None
+        return store.Manifest.from_json(content, f"{self.repo_id}/{store.MANIFEST_FILE}")
 
     @cached_property
     def _listed(self) -> dict[str, store.HubFile]:

@@ -243,3 +243,17 @@ def test_a_data_set_in_a_folder_is_not_of_that_folder(tmp_path):
     pq.write_table(pa.table({"id": [7]}), tmp_path / ".hidden" / "train.parquet")
     (tmp_path / "._train.parquet").write_bytes(b"of a Mac")
     assert ids_of(open_place(tmp_path)) == {"train": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("text", "is_ours"), [('{"name": "x"}', False), ("[7]", False), ('{"shards": []}', True)]
+)
+def test_a_manifest_of_another_program_is_none(tmp_path, text, is_ours):
+    """On this machine as on the Hub; one of ours, of which bytes were changed, is damaged."""
+    folder = folder_of(tmp_path, {"train.parquet": 2})
+    (folder / "manifest.json").write_text(text)
+    if is_ours:
+        with pytest.raises(IntegrityError, match="is damaged"):
+            open_place(folder)
+    else:
+        assert ids_of(open_place(folder)) == {"train": [0, 1]}
