@@ -135,7 +135,7 @@ def _is_oxt(stream: IO[bytes]) -> bool:
 
 def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of what this toolkit exported, as its manifest states."""
-    if not home.exists(store.MANIFEST_FILE):
+    if store.manifest_so_far(home) is None:
         return None
     place = places.folder_place(home).require(KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):

@@ -387,6 +387,21 @@ def test_a_folder_of_data_sets_names_them(sets, capsys):
     assert "holds 10 data sets (clips, copied, digits); expected" in said
 
 
+def test_a_manifest_of_another_program_changes_nothing(sets, tmp_path, capsys):
+    place = Path(shutil.copytree(sets / "single", tmp_path / "single"))
+    (place / "manifest.json").write_text('{"name": "a web page"}')
+    for command in ("info", "verify", "check", "card", "merge", "show"):
+        words = options_of(command, tmp_path / command)
+        code, said = asked(capsys, "realtouch", command, str(place), *words)
+        assert code == 0, said
+    solids = Path(shutil.copytree(sets / "solids", tmp_path / "solids"))
+    (solids / "manifest.json").write_text("[]")
+    code, said = asked(capsys, "mnist3d", "info", str(solids))
+    assert "is a folder of meshes (2, such as " in said
+    words = words_of("tactile-sim", "generate", solids, sets, tmp_path / "out")
+    assert asked(capsys, *words)[0] == 0
+
+
 def test_rows_of_no_kind_are_refused(tmp_path, capsys):
     pq.write_table(pa.table({"x": np.arange(3), "y": ["a", "b", "c"]}), tmp_path / "train.parquet")
     for program in PROGRAMS:
