@@ -71,6 +71,11 @@ def open_place(
         text = os.fsdecode(cast(Name, name))
         local = _local(_without_short_name(text))
         found = _local_place(text, *local, config) if local else hub_place(text, revision, config)
+        if local and revision is not None:
+            raise InputError(
+                f"{text!r} is not on the Hub and has no revisions; {revision!r} was asked for",
+                next="leave it out, or name a repository",
+            )
     return replace(found.require_config(config), allow_incomplete=allow_incomplete)
 
 

@@ -138,6 +138,8 @@ def test_a_configuration_is_refused_where_none_decides(tmp_path):
     for name in (plain, file, [file], tmp_path / "ours", said):
         with pytest.raises(InputError, match="has no configurations, 'small' was asked for; next: leave it"):
             open_place(name, config="small")
+        with pytest.raises(InputError, match="is not on the Hub and has no revisions; 'main' was asked for"):
+            open_place(name, revision="main")
         assert open_place(name).splits
 
 
