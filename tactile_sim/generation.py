@@ -288,8 +288,9 @@ def _open_source(
     if given is not None:
         return "the source", given, ""
     assert not isinstance(source, Mapping), "meshes in memory are given solids"
-    place = opened(source).require_meshes("tactile-sim generate").require_complete()
+    place = opened(source)
     mesh.refuse_unit(unit, place.name)
+    place.require_meshes("tactile-sim generate").require_complete()
     return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
 
 
