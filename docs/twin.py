@@ -108,7 +108,6 @@ def learning(folder: Path) -> tactile_sim.SensorModel:
         axes.set(xlabel="touches", ylabel=words, ylim=(0, None))
         axes.spines[["top", "right"]].set_visible(False)
     save(figure, folder / "twin_learning.png")
-    (folder / "twin_scores.txt").write_text("\n".join(str(made) for made, _ in found) + "\n")
     return found[-1][1]
 
 

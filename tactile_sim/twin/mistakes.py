@@ -1,8 +1,8 @@
 """What is wrong with recordings, found before anything is fitted.
 
 Colours are compared with those of the gel at rest. Poses and solids are judged by where they say that an
-image must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis, another
-solid, another unit) are compared by the correlation of those slopes with the change of the image.
+image must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis,
+another solid, another unit) are compared by the correlation of those slopes with the change of the image.
 """
 
 from __future__ import annotations
