@@ -105,7 +105,7 @@ def learning(folder: Path) -> tactile_sim.SensorModel:
     depths_um = [made.depth_um for made, _ in found]
     for axes, values, words in ((left, image_errors, "image error / noise"), (right, depths_um, "depth, µm")):
         axes.plot(LEARNING, values, "C0", marker="o")
-        axes.set(xlabel="touches", ylabel=words, ylim=(0, None))
+        axes.set(xlabel="touches", ylabel=words, ylim=(0, 1.1 * max(values)))
         axes.spines[["top", "right"]].set_visible(False)
     save(figure, folder / "twin_learning.png")
     return found[-1][1]

@@ -1,4 +1,4 @@
-"""Files of arrays (.npz) of which equal arrays give equal bytes, and that are checked before they are read."""
+"""Files of arrays (.npz): equal arrays give equal bytes, and sizes are checked before anything is read."""
 
 from __future__ import annotations
 

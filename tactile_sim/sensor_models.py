@@ -1,8 +1,8 @@
 """Sensors: their geometry, of presets or from a file, and the twins of those that were calibrated.
 
-The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; of other sensors there are depth images
-until ``tactile-sim calibrate`` made a twin. Commands import this module for their options, so it imports
-nothing heavy.
+The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; of other sensors there are depth
+images until ``tactile-sim calibrate`` made a twin. Commands import this module for their options, so it
+imports nothing heavy.
 """
 
 from __future__ import annotations
@@ -79,7 +79,7 @@ class SensorModel:
 
     @classmethod
     def named(cls, word: str) -> SensorModel:
-        """Return the sensor that an option names: one of :data:`SENSORS`, a JSON file, or a calibrated one."""
+        """Return the sensor that an option names: a known one, a JSON file, or a calibrated one."""
         known = SENSORS.get(word)
         if known is not None:
             return known
@@ -174,7 +174,7 @@ class SensorModel:
         return found
 
     def render_read(self, depth_m: Float32) -> UInt8:
-        """Return images of depth (N, H, W) as :meth:`read_depth_m` gives it, pixel for pixel, without the lens."""
+        """Return images of depth (N, H, W) as :meth:`read_depth_m` gives it: the lens is in it already."""
         optics: Any = _twin_optics(self._require_twin(), lens=False)
         found: UInt8 = optics.reached(depth_m, self.sensor)
         return found

@@ -237,8 +237,8 @@ class GenerateSpec:
         metavar=f"{'|'.join(SENSORS)}|FILE|DIR",
         shown=GELSIGHT_MINI.name,
         read=SensorModel.named,
-        help="The sensor: a known one, as in a JSON file, or as `tactile-sim calibrate` wrote it. Others than "
-        "the Mini have images if they were calibrated, else --optics depth.",
+        help="The sensor: a known one, as in a JSON file, or as `tactile-sim calibrate` wrote it. Others "
+        "than the Mini have images if they were calibrated, else --optics depth.",
     )
     ids: IdChoice | None = None
     labels: Sequence[str] | None = None

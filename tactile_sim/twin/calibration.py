@@ -51,7 +51,7 @@ def calibrate(
     Raises
     ------
     InputError
-        The recordings are wrong in a way that :func:`find_mistakes` names, or agree with none of their solids.
+        The recordings are wrong in a way that :func:`find_mistakes` names, or agree with none of the solids.
 
     Notes
     -----
@@ -105,7 +105,7 @@ def _first_poses(
 
 
 def _residual_levels(twin: Twin, fit: Fit) -> float:
-    """Return the median over touches of what is left of an image by the depth that is read from it, levels."""
+    """Return what the depth that is read leaves of an image, levels: the median over touches."""
     render = partial(TwinOptics(twin, lens=False).response)
     left = []
     for touch in np.flatnonzero(fit.used):

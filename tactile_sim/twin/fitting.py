@@ -1,9 +1,9 @@
 """Fits geometry, response and poses of a twin to touches of known solids.
 
 For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
-Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is left:
-the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken touch
-by touch, so memory does not grow with their number. The blur of the camera is left out of the derivatives by
+Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
+left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
+touch by touch, so memory does not grow with their number. The blur of the camera is left out of the derivatives by
 the coefficients alone, and is in everything else.
 """
 
@@ -161,7 +161,7 @@ class Fit:
         return base, left, weights
 
     def step(self, moving: tuple[Shape, ...] = ()) -> float:
-        """Take a step; poses move if any of the geometry does. Return how far, in parts of what is expected."""
+        """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
         sums = _Sums(len(self.poses))
         for touch in np.flatnonzero(self.used):
             self._add(sums, int(touch), moving)
@@ -187,11 +187,11 @@ class Fit:
                 shape[each] += _SHAPE_STEP[each]
                 columns.append((self.rendered(touch, self.poses[touch], shape) - base) / _SHAPE_STEP[each])
                 places.append(int(each))
-            for each in range(_OWN):
+            for own in range(_OWN):
                 pose = self.poses[touch].copy()
-                pose[each] += _POSE_STEP[each]
-                columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[each])
-                places.append(_SHARED + _OWN * touch + each)
+                pose[own] += _POSE_STEP[own]
+                columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
+                places.append(_SHARED + _OWN * touch + own)
         sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places)
 
     def refresh_background(self) -> None:

@@ -55,8 +55,7 @@ Seen: TypeAlias = tuple[Int64, Float32]
 
 
 def half_kernel(sigma_px: float, longest: int, reach: float = _CAMERA_REACH) -> Float64:
-    """Return half of a Gaussian kernel from the middle on, of at most ``longest`` weights, the same bytes
-    everywhere."""
+    """Return half of a Gaussian kernel from the middle on, of at most ``longest`` weights."""
     taps = min(int(np.ceil(reach * sigma_px)) + 1, longest)
     place = np.arange(max(taps, 1)) / max(sigma_px, 1e-3)
     weights = exp_neg(0.5 * place * place)
@@ -74,7 +73,7 @@ def margin_px(width_px: int) -> int:
 def gel_surface(
     indentation_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
 ) -> Float64:
-    """Return the surface of the gel as it is seen, shape (H, W), metres, 0 at rest, negative where pressed in.
+    """Return the surface of the gel as it is seen, (H, W), metres, 0 at rest, negative where pressed in.
 
     ``indentation_m`` is how far the solid reaches into the gel at rest, with ``margin`` pixels on each side,
     where it counts as no higher than within the image; ``pitch_m`` the size of a pixel; ``span`` the share of
@@ -100,7 +99,9 @@ def seen_through(
 ) -> Float64:
     """Return a map with a margin as it is seen through the lens, without the margin."""
     if not lens:
-        return np.ascontiguousarray(surface[margin : len(surface) - margin, margin : surface.shape[1] - margin])
+        return np.ascontiguousarray(
+            surface[margin : len(surface) - margin, margin : surface.shape[1] - margin]
+        )
     out = np.empty(tuple(side - 2 * margin for side in surface.shape))
     gel_kernels.bend_surface(out, surface, span, margin, lens, across_of(pitch_m, out.shape, span))
     return out

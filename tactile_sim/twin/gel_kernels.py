@@ -2,7 +2,7 @@
 
 The response of a colour is a table over the slope of the gel, whose entries are quadratic in the place in the
 image, and the same for the depth of the gel. A pixel lies between four entries of the table, which share it
-bilinearly. All kernels lie in this one file, because numba's cache on disk looks at the file of a kernel only.
+bilinearly. All kernels lie in this one file, because numba's cache looks at the file of a kernel only.
 """
 
 from __future__ import annotations
@@ -93,7 +93,9 @@ def _straight(x: float, y: float, u: float, v: float, lens: float, across: float
 
 
 @compiled
-def bend_surface(out: Float64, surface: Float64, span: Float64, margin: int, lens: float, across: float) -> None:
+def bend_surface(
+    out: Float64, surface: Float64, span: Float64, margin: int, lens: float, across: float
+) -> None:
     """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
 
     ``across`` is the share of the width in the square of the diagonal.
@@ -130,7 +132,8 @@ def features(soft: Float64, pitch: Float64, lens: float, entries: Int64, shares:
     """Write the entries that each pixel takes part in, and their shares.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
-    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
+    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera. ``entries`` and
+    ``shares`` have the shape (H W, ACTIVE).
     """
     rows, columns = soft.shape
     wide, high = columns * pitch[0], rows * pitch[1]
@@ -226,9 +229,16 @@ def add_products(
 
 @compiled
 def _row_places(
-    at_x: Float64, at_y: Float64, soft: Float64, row: int, pitch: Float64, span: Float64, lens: float, across: float
+    at_x: Float64,
+    at_y: Float64,
+    soft: Float64,
+    row: int,
+    pitch: Float64,
+    span: Float64,
+    lens: float,
+    across: float,
 ) -> None:
-    """Write where in the table the slopes of a row lie, in loops of which LLVM does several pixels at once."""
+    """Write where in the table the slopes of a row lie, in loops that LLVM does for several pixels."""
     rows, columns = soft.shape
     above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
     per_y = 1.0 / (pitch[1] * (min(row + 1, rows - 1) - max(row - 1, 0)))
@@ -260,7 +270,13 @@ def _row_places(
 
 @compiled
 def render_response(
-    out: Float64, soft: Float64, pitch: Float64, coefficients: Float32, span: Float64
+    out: Float64,
+    soft: Float64,
+    pitch: Float64,
+    coefficients: Float32,
+    span: Float64,
+    lens: float,
+    across: float,
 ) -> None:
     """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
 

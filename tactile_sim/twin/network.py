@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import pairwise
 
 import numpy as np
 
@@ -39,13 +40,13 @@ def train(
     rng: np.random.Generator,
     steps: int,
 ) -> dict[str, Float32]:
-    """Train a network by Adam; ``slope`` is the derivative of the loss by outputs, from outputs and targets."""
+    """Train a network by Adam; ``slope`` takes outputs and targets to the derivative of the loss."""
     mean = inputs.mean(axis=0)
     scale = 1 / (inputs.std(axis=0) + np.float32(1e-6))
     sizes = (inputs.shape[1], *hidden, outputs)
     found: dict[str, Float32] = {f"{name}_mean": mean, f"{name}_scale": scale}
     layers: list[Float32] = []
-    for wide, narrow in zip(sizes[:-1], sizes[1:], strict=True):
+    for wide, narrow in pairwise(sizes):
         layers += [
             rng.normal(0, np.sqrt(2 / wide), (wide, narrow)).astype(np.float32),
             np.zeros(narrow, np.float32),

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from tactile_sim.twin.gel import Shape
 from tactile_sim.twin.gel_kernels import sample_relief
 from tactile_sim.twin.relief import Relief
 from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
-from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
+from tactile_toolkit.array_types import Float32, Float64, UInt8
 
 _WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
 _TOUCHES = 240
@@ -61,7 +62,7 @@ def reader_shapes() -> dict[str, tuple[int, ...]]:
         for kind, inputs, hidden in nets:
             name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
             shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
-            for layer, (wide, narrow) in enumerate(zip(sizes[:-1], sizes[1:], strict=True)):
+            for layer, (wide, narrow) in enumerate(pairwise(sizes)):
                 shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
     return shapes
 

@@ -120,8 +120,8 @@ def _require_images(images: AnyArray, name: str) -> None:
         )
     if min(shape[1:3]) < _LEAST_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MOST_BYTES:
         raise InputError(
-            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_LEAST_PX} pixels a "
-            f"side and at most {_MOST_BYTES >> 20} MiB in all",
+            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_LEAST_PX} pixels "
+            f"a side and at most {_MOST_BYTES >> 20} MiB in all",
             next="scale the images, or take fewer",
         )
 

@@ -12,7 +12,7 @@ from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Shape
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.relief import Relief
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 
 # First guesses: as Taxim's calibration of the GelSight Mini has them.
 _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
@@ -41,13 +41,17 @@ def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, 
     fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
     missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
     spread[missing, 3] = _UNKNOWN_PRESS_M
-    press_m = start.gel_mm / 1e3 - start.press_m
-    for touch in np.flatnonzero(missing):
-        # Nothing lies below this level, so heights come back as they are.
-        fit.level_m[touch] = shape[Shape.GEL]
-        highest_m = fit.indentation(int(touch), poses[touch], shape).max()
-        fit.level_m[touch] = highest_m - press_m + shape[Shape.GEL]
+    set_levels(fit, np.flatnonzero(missing), start)
     return fit
+
+
+def set_levels(fit: Fit, touches: Int64, start: SensorModel) -> None:
+    """Set the heights of the sensor at some touches so that half of the gel is pressed in."""
+    for touch in touches:
+        # Nothing lies below this level, so heights come back as they are.
+        fit.level_m[touch] = fit.shape[Shape.GEL] + fit.poses[touch, 3]
+        highest_m = fit.indentation(int(touch), fit.poses[touch], fit.shape).max()
+        fit.level_m[touch] = highest_m - (start.gel_mm / 1e3 - start.press_m) + fit.shape[Shape.GEL]
 
 
 def first_background(recordings: Recordings) -> Float32:

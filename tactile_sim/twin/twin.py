@@ -92,9 +92,10 @@ class TwinOptics(Optics):
         """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
         span = np.array(sensor.window_m) / (2 * self._twin.half_m)
         if (span > 1.0 + 1e-6).any():
+            asked_mm, shown_mm = 1e3 * np.array(sensor.window_m), 2e3 * self._twin.half_m
             raise InputError(
-                f"the window is {1e3 * sensor.window_m[0]:.3f} x {1e3 * sensor.window_m[1]:.3f} mm, and the image "
-                f"of the sensor shows {2e3 * self._twin.half_m[0]:.3f} x {2e3 * self._twin.half_m[1]:.3f} mm of its gel",
+                f"the window is {asked_mm[0]:.3f} x {asked_mm[1]:.3f} mm; expected at most what the sensor shows, "
+                f"{shown_mm[0]:.3f} x {shown_mm[1]:.3f} mm",
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
@@ -107,7 +108,7 @@ class TwinOptics(Optics):
         return out
 
     def response(self, reach_m: Float64, span: Float64 | None = None, margin: int = 0) -> Float64:
-        """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel at rest.
+        """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
 
         ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
         has ``margin`` pixels more on each side.

@@ -60,7 +60,7 @@ def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
         with store.open_regular(file, place) as stream:
             document = json.loads(stream.read(_MOST_BYTES))
         if (document["format"], document["version"]) != (_FORMAT, _VERSION):
-            problem = f"its format is {document['format']!r} {document['version']!r}; expected {_FORMAT!r} {_VERSION}"
+            problem = f"its format is not {_FORMAT!r} {_VERSION}"
             raise ValueError(problem)
         geometry = dict(document["sensor"])
         arrays, _ = read_npz(place / ARRAYS_FILE)
@@ -89,9 +89,9 @@ def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
         **{f"reader_{name}": (np.float32, shape) for name, shape in reader_shapes().items()},
     }
     for name in [*expected, *arrays]:
-        array, (kind, shape) = arrays.get(name), expected.get(name, (None, ()))
-        if array is None or array.dtype != kind or array.shape != shape or not np.isfinite(array).all():
-            problem = f"{name} is not of finite numbers, {kind} of the shape {shape}"
+        array, (kind, sides) = arrays.get(name), expected.get(name, (None, ()))
+        if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
+            problem = f"{name} is not of finite numbers, {kind} of the shape {sides}"
             raise ValueError(problem)
     shape, half_m = arrays["shape"], arrays["half_m"]
     if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
