@@ -3,8 +3,8 @@
 For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
 Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
 left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
-touch by touch, so memory does not grow with their number. The blur of the camera is left out of the derivatives by
-the coefficients alone, and is in everything else.
+touch by touch, so memory does not grow with their number. The blur of the camera is left out of the
+derivatives by the coefficients alone, and is in everything else.
 """
 
 from __future__ import annotations
@@ -90,7 +90,7 @@ class Fit:
         self.typical = np.zeros(count)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
-        self._penalty = _penalty()
+        self.penalty = _penalty()
         self.look(1)
 
     def look(self, shrink: int) -> None:
@@ -229,7 +229,7 @@ class Fit:
         before = self.coefficients.reshape(COEFFICIENTS, 3)
         errors = []
         for ridge in RIDGES:
-            cost = ridge * train.scale * self._penalty
+            cost = ridge * train.scale * self.penalty
             factor = linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
             change = linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
             errors.append(np.sum(change * (held.full() @ change)) - 2 * np.sum(change * held.products[:, 0]))
@@ -275,7 +275,7 @@ class _Sums:
         """Change the response of a fit, and return how its geometry and poses move."""
         from scipy import linalg  # takes a quarter of a second to import
 
-        penalty = fit.ridge * self.scale * fit._penalty
+        penalty = fit.ridge * self.scale * fit.penalty
         before = fit.coefficients.reshape(COEFFICIENTS, 3)
         factor = linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
         right = self.products

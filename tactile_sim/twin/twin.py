@@ -94,8 +94,8 @@ class TwinOptics(Optics):
         if (span > 1.0 + 1e-6).any():
             asked_mm, shown_mm = 1e3 * np.array(sensor.window_m), 2e3 * self._twin.half_m
             raise InputError(
-                f"the window is {asked_mm[0]:.3f} x {asked_mm[1]:.3f} mm; expected at most what the sensor shows, "
-                f"{shown_mm[0]:.3f} x {shown_mm[1]:.3f} mm",
+                f"the window is {asked_mm[0]:.3f} x {asked_mm[1]:.3f} mm; expected at most what the sensor "
+                f"shows, {shown_mm[0]:.3f} x {shown_mm[1]:.3f} mm",
                 next="take the window of `model.sensor`",
             )
         size = depth_m.shape[1:]
