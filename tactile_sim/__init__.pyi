@@ -1,5 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .elastic import Contact as Contact, Gel as Gel, solve_contact as solve_contact
 from .generation import TouchGenerator as TouchGenerator, generate as generate
 from .optics import make_optics as make_optics
 from .pair_generation import PairsGenerator as PairsGenerator, make_pairs as make_pairs
