@@ -7,20 +7,19 @@ The gel is a linear elastic layer without side faces, bonded to a rigid plate. C
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from functools import lru_cache
+from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_sim import elastic_layer
 from tactile_toolkit.array_types import AnyArray, Bool, Float64
 from tactile_toolkit.builtin_values import to_builtin
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
-_PASSES = 2  # of pressure and shear, each with the displacement that the other one makes
-_MOST_STEPS = 400
+_TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
+_SHEAR_TOLERANCE = 1e-3  # error of the displacement along the surface, relative to its largest
+_LEAST_DEPTH_M = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -165,46 +164,65 @@ def solve_contact(
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
+    return _solve(heights, pixel, gel, float(thickness_m), *target, slide, int(block_px))
+
+
+def _solve(
+    heights: Float64,
+    pixel_m: tuple[float, float],
+    gel: Gel,
+    thickness_m: float,
+    target: float,
+    is_force: bool,
+    motion: tuple[float, float, float],
+    block_px: int,
+) -> Contact:
+    # Importing numba takes half a second.
+    from tactile_sim import elastic_kernels, elastic_layer
+
     coarse = heights
     if block_px > 1:
-        blocks = heights.reshape(
-            heights.shape[0] // block_px, block_px, heights.shape[1] // block_px, block_px
-        )
-        coarse = blocks.mean((1, 3))
+        coarse = elastic_kernels.block_means(heights, block_px)
+    rows, columns = coarse.shape
+    width_m, height_m = (size * block_px for size in pixel_m)
+    area_m2 = width_m * height_m
+    layer = elastic_layer.layer_of(
+        (rows, columns), (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
+    )
+    highest = heights.max()
     # The highest point of the body lies higher than the highest mean.
-    higher = float(heights.max() - coarse.max())
-    value, is_force = target
+    higher = highest - coarse.max()
+    wanted = target / area_m2
     if not is_force:
-        value = max(value - higher, 1e-9)
-    solver = _prepared(coarse.shape, (pixel[0] * block_px, pixel[1] * block_px), gel, float(thickness_m))
-    found = solver.solve(coarse[::-1], value, is_force, slide)
-    if block_px == 1:
-        return found
-    return _brought_up(found, heights, higher, block_px)
-
-
-def _brought_up(coarse: Contact, heights: Float64, higher: float, block_px: int) -> Contact:
-    """Bring a solution up to the size of the heights; in the contact the surface is that of the body."""
-    from scipy.ndimage import zoom
-
-    def linear(field: AnyArray) -> Float64:
-        size = (block_px, block_px, *(1,) * (field.ndim - 2))
-        return np.asarray(zoom(field.astype(np.float64), size, order=1, grid_mode=True, mode="nearest"))
-
-    depth = coarse.depth_m + higher
-    body = depth - (heights.max() - heights)
-    moved = linear(coarse.displacement_m)
-    pressure, traction = linear(coarse.pressure_pa), linear(coarse.traction_pa)
-    is_contact = (linear(coarse.is_contact) > 0.5) | (body > moved[..., 2])
-    moved[..., 2] = np.where(is_contact, body, moved[..., 2])
-    return replace(
-        coarse,
-        depth_m=depth,
-        pressure_pa=pressure,
-        traction_pa=traction,
-        displacement_m=moved,
-        is_contact=is_contact,
-        is_stick=is_contact & (linear(coarse.is_stick) > 0.5),
+        wanted = max(target - higher, _LEAST_DEPTH_M)
+    fields, is_contact, is_stick, depth, error, steps = elastic_kernels.solve(
+        coarse.max() - coarse,
+        (width_m, height_m),
+        wanted,
+        is_force,
+        gel.friction,
+        motion,
+        layer,
+        elastic_layer.field_width(columns),
+        gel.youngs_modulus_pa / min(thickness_m, math.sqrt(area_m2) * columns),
+        (_TOLERANCE, _SHEAR_TOLERANCE),
+    )
+    force_n, torque_nm = elastic_kernels.resultants(fields, (width_m, height_m))
+    depth += higher
+    if block_px > 1:
+        fields, is_contact, is_stick = elastic_kernels.bring_up(fields, is_contact, is_stick, block_px)
+    elastic_kernels.follow_body(fields, is_contact, depth - (highest - heights))
+    return Contact(
+        depth,
+        fields[..., 0],
+        fields[..., 1:3],
+        fields[..., 3:],
+        is_contact,
+        is_stick & is_contact,
+        force_n,
+        torque_nm,
+        steps,
+        error,
     )
 
 
@@ -245,183 +263,3 @@ def _checked_finite(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
     found = to_builtin(values)
     _require(all(map(math.isfinite, found)), f"{name} are {values!r}; expected finite numbers")
     return tuple(map(float, found))
-
-
-@lru_cache(maxsize=8)
-def _prepared(shape: tuple[int, int], pixel_m: tuple[float, float], gel: Gel, thickness_m: float) -> _Solver:
-    return _Solver(shape, pixel_m, gel, thickness_m)
-
-
-class _Solver:
-    """Plain solvers in double precision; y grows with the rows here."""
-
-    def __init__(
-        self, shape: tuple[int, int], pixel_m: tuple[float, float], gel: Gel, thickness_m: float
-    ) -> None:
-        from scipy.fft import next_fast_len, rfft2
-
-        self.shape, self.pixel_m, self.gel = shape, pixel_m, gel
-        self.area_m2 = pixel_m[0] * pixel_m[1]
-        kernels = elastic_layer.pixel_kernels(
-            shape, pixel_m, gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
-        )
-        self.padded = tuple(next_fast_len(2 * count - 1, True) for count in shape)
-        self.at_zero = {name: float(kernel[0, 0]) for name, kernel in kernels.items()}
-        parity = {"zz": (1, 1), "xx": (1, 1), "yy": (1, 1), "xy": (-1, -1), "xz": (1, -1), "yz": (-1, 1)}
-        self.spectra = {}
-        for name, kernel in kernels.items():
-            whole = np.zeros(self.padded)
-            rows, columns = shape
-            whole[:rows, :columns] = kernel
-            whole[:rows, -columns + 1 :] = parity[name][1] * kernel[:, :0:-1]
-            whole[-rows + 1 :] = parity[name][0] * whole[rows - 1 : 0 : -1]
-            self.spectra[name] = rfft2(whole)
-        y, x = (
-            (np.arange(count) - (count - 1) / 2) * size
-            for count, size in zip(shape, pixel_m[::-1], strict=True)
-        )
-        self.x, self.y = x[None, :], y[:, None]
-
-    def transform(self, field: Float64) -> AnyArray:
-        from scipy.fft import rfft2
-
-        return rfft2(field, self.padded)
-
-    def back(self, spectrum: AnyArray) -> Float64:
-        from scipy.fft import irfft2
-
-        return irfft2(spectrum, self.padded)[: self.shape[0], : self.shape[1]]
-
-    def normal(self, pressure: Float64) -> Float64:
-        return self.back(self.transform(pressure) * self.spectra["zz"])
-
-    def tangential(self, traction: AnyArray) -> AnyArray:
-        x, y = self.transform(traction.real), self.transform(traction.imag)
-        s = self.spectra
-        return self.back(s["xx"] * x + s["xy"] * y) + 1j * self.back(s["xy"] * x + s["yy"] * y)
-
-    def sideways(self, pressure: Float64) -> AnyArray:
-        p = self.transform(pressure)
-        return self.back(self.spectra["xz"] * p) + 1j * self.back(self.spectra["yz"] * p)
-
-    def lifted(self, traction: AnyArray) -> Float64:
-        x, y = self.transform(traction.real), self.transform(traction.imag)
-        return -self.back(self.spectra["xz"] * x + self.spectra["yz"] * y)
-
-    def solve(
-        self,
-        heights: Float64,
-        target: float,
-        is_force: bool,
-        slide: tuple[float, ...],
-        tolerance: float = 1e-7,
-    ) -> Contact:
-        below = heights.max() - heights
-        friction = self.gel.friction
-        wanted = slide[0] - slide[2] * self.y + 1j * (slide[1] + slide[2] * self.x)
-        traction = np.zeros(self.shape, complex)
-        pressure, lift = None, np.zeros(self.shape)
-        steps = 0
-        for _ in range(_PASSES if friction else 1):
-            pressure, depth, residual, used = self.press(below + lift, target, is_force, pressure, tolerance)
-            steps += used
-            if friction:
-                across = self.sideways(pressure)
-                traction, used = self.shear(friction * pressure, wanted - across, traction, tolerance)
-                steps += used
-                lift = self.lifted(traction)
-        moved = self.tangential(traction) + self.sideways(pressure)
-        displacement = np.stack([moved.real, moved.imag, self.normal(pressure) + self.lifted(traction)], 2)
-        is_contact = pressure > 0
-        is_stick = is_contact & (np.abs(traction) < friction * pressure * (1 - 1e-6))
-        force_z = pressure * self.area_m2
-        force_x, force_y = traction.real * self.area_m2, traction.imag * self.area_m2
-        return Contact(
-            float(depth),
-            pressure[::-1].copy(),
-            np.stack([traction.real, traction.imag], 2)[::-1].copy(),
-            displacement[::-1].copy(),
-            is_contact[::-1].copy(),
-            is_stick[::-1].copy(),
-            (float(force_x.sum()), float(force_y.sum()), float(force_z.sum())),
-            (
-                float((self.y * force_z).sum()),
-                float(-(self.x * force_z).sum()),
-                float((self.x * force_y - self.y * force_x).sum()),
-            ),
-            steps,
-            float(residual),
-        )
-
-    def press(
-        self, below: Float64, target: float, is_force: bool, start: Float64 | None, tolerance: float
-    ) -> tuple[Float64, float, float, int]:
-        """Polonsky and Keer 1999, by conjugate gradients."""
-        total = target / self.area_m2
-        if start is not None:
-            p = start
-        elif is_force:
-            p = np.full(self.shape, total / below.size)
-        else:
-            p = np.maximum(target - below, 0.0) * self.gel.youngs_modulus_pa / target
-        t, old, keep, depth = np.zeros(self.shape), 1.0, 0.0, target
-        error = math.inf
-        for step in range(_MOST_STEPS):
-            gap = self.normal(p) + below
-            contact = p > 0
-            depth = gap[contact].mean() if is_force else target
-            gap -= depth
-            error = np.abs(gap[contact]).max() / depth if contact.any() else math.inf
-            if step and error < tolerance and gap.min() > -tolerance * depth:
-                break
-            square = float((gap[contact] ** 2).sum())
-            t = np.where(contact, gap + keep * (square / old) * t, 0.0)
-            old = square
-            r = self.normal(t)
-            if is_force:
-                r -= r[contact].mean()
-            tau = float((gap * t)[contact].sum() / (r * t)[contact].sum())
-            p = np.maximum(np.where(contact, p - tau * t, 0.0), 0.0)
-            joined = (p == 0) & (gap < 0)
-            keep = 0.0 if joined.any() else 1.0
-            p[joined] -= tau * gap[joined]
-            if is_force:
-                p *= total / p.sum()
-        return p, depth, error, step
-
-    def shear(
-        self, bound: Float64, wanted: AnyArray, start: AnyArray, tolerance: float
-    ) -> tuple[AnyArray, int]:
-        """Least energy of the shear with |q| <= bound, by projected conjugate gradients."""
-        free = bound > 0
-        q = np.where(free, start, 0)
-        size = np.abs(q)
-        over = size > bound
-        q[over] *= bound[over] / size[over]
-        rest = np.where(free, wanted - self.tangential(q), 0)
-        limit = tolerance * np.abs(wanted[free]).max()
-        c0 = (self.at_zero["xx"] + self.at_zero["yy"]) / 2
-        d, old, before = np.zeros_like(q), 1.0, None
-        for step in range(_MOST_STEPS):
-            out = q / np.where(free, bound, 1.0)
-            outward = (rest * out.conj()).real
-            slip = free & (np.abs(out) >= 1 - 1e-9) & (outward > 0)
-            g = np.where(slip, rest - outward * out, rest)
-            if np.abs(g).max() <= limit:
-                break
-            curved = np.where(slip, outward / np.where(free, bound, 1.0), 0.0)
-            z = g / (c0 + curved)
-            if before is None or (slip != before).any():
-                keep = 0.0
-            else:
-                keep = max(float((z.conj() * (g - last)).real.sum()) / old, 0.0)
-            d = z + keep * np.where(slip, d - (d * out.conj()).real * out, d)
-            old, last, before = float((z.conj() * g).real.sum()), g, slip
-            bend = self.tangential(d)
-            tau = float((g.conj() * d).real.sum() / ((d.conj() * (bend + curved * d)).real.sum()))
-            q = np.where(free, q + tau * d, 0)
-            size = np.abs(q)
-            over = (size > bound) | slip
-            q[over] *= bound[over] / size[over]
-            rest = np.where(free, wanted - self.tangential(q), 0)
-        return q, step
