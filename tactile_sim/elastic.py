@@ -18,8 +18,9 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
-_SHEAR_TOLERANCE = 1e-3  # error of the displacement along the surface, relative to its largest
+_SHEAR_TOLERANCE = 3e-4  # root mean square of the error along the surface, relative to the largest motion
 _LEAST_DEPTH_M = 1e-9
+_HALF = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,11 +179,11 @@ def _solve(
     block_px: int,
 ) -> Contact:
     # Importing numba takes half a second.
-    from tactile_sim import elastic_kernels, elastic_layer
+    from tactile_sim import elastic_kernels, elastic_layer, elastic_surface
 
     coarse = heights
     if block_px > 1:
-        coarse = elastic_kernels.block_means(heights, block_px)
+        coarse = elastic_surface.block_means(heights, block_px)
     rows, columns = coarse.shape
     width_m, height_m = (size * block_px for size in pixel_m)
     area_m2 = width_m * height_m
@@ -207,16 +208,18 @@ def _solve(
         gel.youngs_modulus_pa / min(thickness_m, math.sqrt(area_m2) * columns),
         (_TOLERANCE, _SHEAR_TOLERANCE),
     )
-    force_n, torque_nm = elastic_kernels.resultants(fields, (width_m, height_m))
+    force_n, torque_nm = elastic_surface.resultants(fields, (width_m, height_m))
     depth += higher
     if block_px > 1:
-        fields, is_contact, is_stick = elastic_kernels.bring_up(fields, is_contact, is_stick, block_px)
-    elastic_kernels.follow_body(fields, is_contact, depth - (highest - heights))
+        masks = np.stack([is_contact, is_stick]).astype(np.float64)
+        is_contact, is_stick = elastic_surface.bring_up(masks, block_px) > _HALF
+        fields = elastic_surface.bring_up(fields, block_px)
+    elastic_surface.follow_body(fields[5], is_contact, depth - (highest - heights))
     return Contact(
         depth,
-        fields[..., 0],
-        fields[..., 1:3],
-        fields[..., 3:],
+        fields[0],
+        np.moveaxis(fields[1:3], 0, 2),
+        np.moveaxis(fields[3:], 0, 2),
         is_contact,
         is_stick & is_contact,
         force_n,

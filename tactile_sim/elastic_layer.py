@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim import elastic_kernels
+from tactile_sim import elastic_kernels, elastic_tables
 from tactile_toolkit import arithmetic
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
@@ -153,7 +153,7 @@ def _layer_correction(
         ]
     )
     scale = pixel_m[0] * pixel_m[1] / (2.0 * math.pi * layer_m)
-    tables = elastic_kernels.bessel_integrals(radii, waves, scale * weights * integrands)
+    tables = elastic_tables.bessel_integrals(radii, waves, scale * weights * integrands)
     pressed, even, inward, oval = (_interpolated(table, far * _RADII_PER_LAYER) for table in tables)
     x, y = (np.divide(each, far, out=np.zeros_like(far), where=far > 0) for each in (x, y))
     turned = (x * x - y * y) * oval
@@ -283,8 +283,8 @@ def layer_of(
 
     def spectrum(name: str) -> Float32:
         odd_y, odd_x = name in ("xy", "yz"), name in ("xy", "xz")
-        rows = elastic_kernels.product(tables[odd_y][0], kernels[name])
-        found = scale * elastic_kernels.product(rows, np.ascontiguousarray(tables[odd_x][1].T))
+        rows = elastic_tables.product(tables[odd_y][0], kernels[name])
+        found = scale * elastic_tables.product(rows, np.ascontiguousarray(tables[odd_x][1].T))
         if name == "xy":
             found = -found
         lanes = found.reshape(-1, elastic_kernels.LANES, across.length).transpose(0, 2, 1)
