@@ -143,7 +143,7 @@ def solve_contact(
     twist_rad : float
         How far it turns about the centre of the window, radians, counter-clockwise as seen in the image.
     block_px : int
-        Heights are averaged over blocks of this many pixels squared, and the result is brought up to the size of
+        Side of the blocks of pixels whose mean heights are solved, with a result in the size of
         ``height_m``; 1 solves every pixel. H and W are multiples of it.
 
     Returns
@@ -158,7 +158,7 @@ def solve_contact(
     """
     heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
     target = _checked_target(depth_m, force_n)
-    slide = _checked_finite("slide_m and twist_rad", (*slide_m, twist_rad))
+    slide = _checked_motion(slide_m, twist_rad)
     _require(thickness_m > 0, f"thickness_m is {thickness_m!r}; expected a number above 0")
     _require(
         block_px >= 1 and not any(count % block_px for count in heights.shape),
@@ -262,7 +262,11 @@ def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float
     return float(value), name == "force_n"
 
 
-def _checked_finite(name: str, values: tuple[float, ...]) -> tuple[float, ...]:
-    found = to_builtin(values)
-    _require(all(map(math.isfinite, found)), f"{name} are {values!r}; expected finite numbers")
-    return tuple(map(float, found))
+def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
+    motion = to_builtin((*slide_m, twist_rad))
+    _require(
+        len(motion) == 3 and all(isinstance(each, int | float) and math.isfinite(each) for each in motion),
+        f"slide_m is {slide_m!r} and twist_rad is {twist_rad!r}; expected two finite numbers and one",
+    )
+    along_x, along_y, twist = map(float, motion)
+    return along_x, along_y, twist

@@ -1,12 +1,7 @@
-"""Kernels of the elastic gel, in numba: response of a layer to loads, contact, friction.
+"""Kernels of the elastic gel, in numba: contact and friction on a layer.
 
-Each operation is an IEEE one in a fixed order, so results do not depend on the processor. Numba's cache on disk
-looks at the file of a kernel only: those that call one another lie in this file.
-
-Fields have shape (1 or 2, R * W): y grows with the R rows, W is a multiple of 32, and columns beyond those of
-the window are never in contact. Two real fields, or the two halves of one, are transformed as one complex
-field: along y at first, LANES columns at once, then along x, LANES wave numbers at once. Transforms are done in
-place: frequencies come out in the order of their reversed digits, and go in so.
+Each operation is an IEEE one in a fixed order, so results do not depend on the processor. Columns of fields
+beyond those of the window are never in contact; see :mod:`tactile_sim.elastic_response`.
 """
 
 from __future__ import annotations
@@ -17,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_sim import elastic_vectors as vectors
+from tactile_sim.elastic_response import Layer, Work, respond, work_of
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
-
-LANES = vectors.LANES
 
 _MOST_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
 _FIRST_PASS = 5.0  # times the tolerance: the first pass is only a start for the others
@@ -32,209 +26,7 @@ _PROJECTED = 6  # steps after which tractions are put back to their limits
 _STICKS = 1.0 - 1e-5  # share of the largest traction below which a pixel is not at its limit; float32
 _FAR_M = 1e6
 
-# Names of this module, which numba can read.
-forward_2, forward_3, forward_4 = vectors.forward_2, vectors.forward_3, vectors.forward_4
-backward_2, backward_3, backward_4 = vectors.backward_2, vectors.backward_3, vectors.backward_4
-transpose, split_fields, join_fields = vectors.transpose, vectors.split_fields, vectors.join_fields
-
-
-class Transform(NamedTuple):
-    """Transform of one length: radices, twiddle factors of all stages, and where each frequency lies."""
-
-    length: int
-    radices: Int64
-    twiddles: Float32
-    places: Int64
-
-
-class Layer(NamedTuple):
-    """An elastic layer under a window of pixels.
-
-    ``across`` and ``down`` are the transforms along x and y. Spectra of the kernels, in the order of the
-    transform, (groups, length of ``across``, LANES): those of "xz" and "yz" without the factor -i. ``near`` is
-    the kernel "zz" in space, (2 R - 1, 2 W - 1), and ``own_shear`` the displacement of a pixel by its own
-    traction.
-    """
-
-    across: Transform
-    down: Transform
-    zz: Float32
-    xx: Float32
-    yy: Float32
-    xy: Float32
-    xz: Float32
-    yz: Float32
-    near: Float32
-    own_shear: float
-
-
-class _Work(NamedTuple):
-    """Arrays of a convolution, real and imaginary: field, spectrum along y, along both, and of the answer."""
-
-    field: Float32
-    down: Float32
-    both: Float32
-    answer: Float32
-
-
-@compiled
-def _forward(re: Float32, im: Float32, plan: Transform, groups: int) -> None:
-    """Transform along the middle axis of (groups, length, LANES), given flat."""
-    for group in range(groups):
-        start, length, twiddle = group * plan.length * LANES, plan.length, 0
-        for radix in plan.radices:
-            step = length // radix
-            for block in range(start, start + plan.length * LANES, length * LANES):
-                for number in range(step):
-                    at, first = block + number * LANES, twiddle + 2 * (radix - 1) * number
-                    if radix == 4:
-                        forward_4(re, im, plan.twiddles, at, step * LANES, first)
-                    elif radix == 3:
-                        forward_3(re, im, plan.twiddles, at, step * LANES, first)
-                    else:
-                        forward_2(re, im, plan.twiddles, at, step * LANES, first)
-            twiddle += 2 * (radix - 1) * step
-            length = step
-
-
-@compiled
-def _backward(re: Float32, im: Float32, plan: Transform, groups: int) -> None:
-    """Undo :func:`_forward`, but for the factor of the length."""
-    for group in range(groups):
-        start, step, twiddle = group * plan.length * LANES, 1, len(plan.twiddles)
-        for radix in plan.radices[::-1]:
-            length = step * radix
-            twiddle -= 2 * (radix - 1) * step
-            for block in range(start, start + plan.length * LANES, length * LANES):
-                for number in range(step):
-                    at, first = block + number * LANES, twiddle + 2 * (radix - 1) * number
-                    if radix == 4:
-                        backward_4(re, im, plan.twiddles, at, step * LANES, first)
-                    elif radix == 3:
-                        backward_3(re, im, plan.twiddles, at, step * LANES, first)
-                    else:
-                        backward_2(re, im, plan.twiddles, at, step * LANES, first)
-            step = length
-
-
-@compiled
-def _work_of(layer: Layer, width: int) -> _Work:
-    kept = len(layer.zz) // layer.across.length  # wave numbers along y, a multiple of LANES
-    return _Work(
-        np.empty((2, width * layer.down.length), np.float32),
-        np.zeros((2, 2 * width * kept), np.float32),
-        np.empty((2, 2 * len(layer.zz)), np.float32),
-        np.empty((2, 2 * len(layer.zz)), np.float32),
-    )
-
-
-@compiled
-def _spectra(load: Float32, layer: Layer, work: _Work, width: int) -> None:
-    """Transform one real field, its halves as one complex field, or two."""
-    down, across, size = layer.down, layer.across, len(layer.zz)
-    kept, fields, rows = size // across.length, len(load), load.shape[1] // width
-    columns = width * fields // 2
-    groups = columns // LANES
-    for part in range(2):
-        source, first = load[part * (fields - 1)], part * (2 - fields) * columns
-        for group in range(groups):
-            for row in range(rows):
-                at, place = (group * down.length + row) * LANES, row * width + first + group * LANES
-                work.field[part, at : at + LANES] = source[place : place + LANES]
-            start = group * down.length
-            work.field[part, (start + rows) * LANES : (start + down.length) * LANES] = 0.0
-    _forward(work.field[0], work.field[1], down, groups)
-    for group in range(groups):
-        start, a, b = group * down.length, group * kept, (groups + group) * kept
-        for wave in range(down.length // 2 + 1):
-            at, mirror = down.places[wave], down.places[(down.length - wave) % down.length]
-            split_fields(
-                work.field[0],
-                work.field[1],
-                work.down[0],
-                work.down[1],
-                (start + at) * LANES,
-                (start + mirror) * LANES,
-                (a + wave) * LANES,
-                (b + wave) * LANES,
-            )
-    each = 2 * groups // fields
-    for part in range(2):
-        for field in range(fields):
-            for waves in range(kept // LANES):
-                to = field * size + waves * across.length * LANES
-                for group in range(each):
-                    at = ((field * each + group) * kept + waves * LANES) * LANES
-                    transpose(work.down[part], work.both[part], at, to + group * LANES * LANES)
-                work.both[part, to + each * LANES * LANES : to + across.length * LANES] = 0.0
-    _forward(work.both[0], work.both[1], across, fields * (kept // LANES))
-
-
-@compiled
-def _fields(out: Float32, layer: Layer, work: _Work, width: int) -> None:
-    """Transform the spectra of the answer back to one real field or two."""
-    down, across, size = layer.down, layer.across, len(layer.zz)
-    kept, fields, rows = size // across.length, len(out), out.shape[1] // width
-    columns = width * fields // 2
-    groups = columns // LANES
-    _backward(work.answer[0], work.answer[1], across, fields * (kept // LANES))
-    each = 2 * groups // fields
-    for part in range(2):
-        for field in range(fields):
-            for waves in range(kept // LANES):
-                at = field * size + waves * across.length * LANES
-                for group in range(each):
-                    to = ((field * each + group) * kept + waves * LANES) * LANES
-                    transpose(work.answer[part], work.down[part], at + group * LANES * LANES, to)
-    for group in range(groups):
-        start, a, b = group * down.length, group * kept, (groups + group) * kept
-        for wave in range(down.length // 2 + 1):
-            at, mirror = down.places[wave], down.places[(down.length - wave) % down.length]
-            join_fields(
-                work.down[0],
-                work.down[1],
-                work.field[0],
-                work.field[1],
-                (start + at) * LANES,
-                (start + mirror) * LANES,
-                (a + wave) * LANES,
-                (b + wave) * LANES,
-            )
-    _backward(work.field[0], work.field[1], down, groups)
-    for part in range(2):
-        target, first = out[part * (fields - 1)], part * (2 - fields) * columns
-        for group in range(groups):
-            for row in range(rows):
-                at, place = (group * down.length + row) * LANES, row * width + first + group * LANES
-                target[place : place + LANES] = work.field[part, at : at + LANES]
-
-
-@compiled
-def _weighted(out: Float32, a: Float32, one: Float32, b: Float32, two: Float32, sign: float) -> None:
-    factor = np.float32(sign)
-    for place in range(len(one)):
-        out[place] = factor * (a[place] * one[place] + b[place] * two[place])
-
-
-@compiled
-def respond(load: Float32, out: Float32, layer: Layer, work: _Work, width: int) -> None:
-    """Write displacements (metres) by loads (Pa): one field is along z, two are along x and y."""
-    _spectra(load, layer, work, width)
-    size, none = len(layer.zz), np.zeros_like(layer.zz)
-    for part in range(2):
-        source, crossed, answer = work.both[part], work.both[1 - part], work.answer[part]
-        sign = 1.0 - 2.0 * part
-        if len(load) == len(out) == 1:
-            _weighted(answer, source, layer.zz, source, none, 1.0)
-        elif len(load) == len(out):
-            _weighted(answer, source, layer.xx, source[size:], layer.xy, 1.0)
-            _weighted(answer[size:], source, layer.xy, source[size:], layer.yy, 1.0)
-        elif len(load) == 1:  # times -i
-            _weighted(answer, crossed, layer.xz, crossed, none, sign)
-            _weighted(answer[size:], crossed, layer.yz, crossed, none, sign)
-        else:  # the mirror image
-            _weighted(answer, crossed, layer.xz, crossed[size:], layer.yz, -sign)
-    _fields(out, layer, work, width)
+keep_apart = vectors.keep_apart
 
 
 @compiled
@@ -245,15 +37,16 @@ def press(
     target: float,
     is_force: bool,
     layer: Layer,
-    work: _Work,
+    work: Work,
     width: int,
     tolerance: float,
 ) -> tuple[float, float, int]:
     """Solve for pressure, from ``p`` on: Polonsky and Keer, Wear 231, 1999, section 3.
 
     ``target`` is the sum of the pressure, or the depth; ``below`` how far the body lies below its highest
-    point. ``u`` gets the displacement. Returned are depth, largest error of the gap relative to it, and steps.
+    point. ``u`` gets the displacement. Returned are depth, largest error of the gap relative to it, steps.
     """
+    keep_apart()
     t, r, gap = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
     old, keep, depth, error, step, is_stale = 1.0, 0.0, target, np.inf, 0, True
     while True:
@@ -304,7 +97,7 @@ def _gaps(
             error = max(error, abs(value))
         else:
             lowest = min(lowest, value)
-    return depth, square, error, lowest
+    return depth, square, error, float(lowest)
 
 
 @compiled
@@ -342,6 +135,7 @@ def _take_step(
     Returned are 1 if no pixel joined the contact, 0 otherwise, and whether the displacement is stale: as
     too many pixels joined or left.
     """
+    keep_apart()
     changed, added = np.empty(_MOST_CHANGED, np.int64), np.empty(_MOST_CHANGED, np.float32)
     count, keep, tau = 0, 1.0, np.float32(length)
     # The first step of a contact of one pixel has no length: what overlaps joins with that of its own.
@@ -394,7 +188,7 @@ def shear(
     wanted: Float32,
     slips: Bool,
     layer: Layer,
-    work: _Work,
+    work: Work,
     width: int,
     tolerance: float,
 ) -> int:
@@ -405,6 +199,7 @@ def shear(
     Numerical Optimization, 2006, section 12.5). Returned is the number of steps; ``slips`` gets the pixels
     at their limit.
     """
+    keep_apart()
     places = np.nonzero(bound > 0.0)[0]
     count = len(places)
     pairs = (2, count)
@@ -494,6 +289,7 @@ def _outward(state: _Shear, number: int) -> tuple[float, float, float]:
 @compiled
 def _free_part(state: _Shear) -> float:
     """Write the part of what is left that tractions may still follow; return its root mean square."""
+    keep_apart()
     left = 0.0
     for number in range(len(state.places)):
         bound = state.bound[number]
@@ -513,6 +309,7 @@ def _free_part(state: _Shear) -> float:
 @compiled
 def _direction(state: _Shear, own: float, old: float) -> float:
     """Write the next direction: preconditioned, conjugate to the last one (Polak and Ribiere)."""
+    keep_apart()
     new, changed = 0.0, 0.0
     for number in range(len(state.places)):
         inverse = 1.0 / (own + state.curved[number])
@@ -536,7 +333,8 @@ def _direction(state: _Shear, own: float, old: float) -> float:
 
 @compiled
 def _move(state: _Shear, bend: Float32) -> float:
-    """Go along the direction to the least energy; return the share of the tractions that is off its bounds."""
+    """Go along the direction to the least energy; return the share of tractions that is off the bounds."""
+    keep_apart()
     along, bent = 0.0, 0.0
     for number in range(len(state.places)):
         at, curved = state.places[number], state.curved[number]
@@ -573,21 +371,21 @@ def solve(
 ) -> tuple[Float64, Bool, Bool, float, float, int]:
     """Press, then move along x and y and turn; see :func:`tactile_sim.solve_contact`.
 
-    ``below_m`` (R, C) is how far the body lies below its highest point, row 0 at the greatest y; rows of fields
-    are counted from the least y. ``start`` is the pressure per depth of the first guess. Returned are pressure,
-    traction and displacement (6, R, C), the masks of contact and stick, the depth, and error and steps.
+    ``below_m`` (R, C) is how far the body lies below its highest point, row 0 at the greatest y; rows of
+    fields are counted from the least y. ``start`` is the pressure per depth of the first guess. Returned are
+    pressure, traction and displacement (6, R, C), the masks of contact and stick, depth, error and steps.
     """
     rows, columns = below_m.shape
     size, kind = rows * width, np.float32
-    work = _work_of(layer, width)
+    work = work_of(layer, width)
     below = np.full((1, size), _FAR_M, kind)
     for row in range(rows):
         for column in range(columns):
             below[0, row * width + column] = below_m[rows - 1 - row, column]
     one, two = (1, size), (2, size)
     p, u, lifted, before = np.zeros(one, kind), np.empty(one, kind), np.zeros(one, kind), np.zeros(one, kind)
-    q, side, wanted, bound = np.zeros(two, kind), np.empty(two, kind), np.empty(two, kind), np.zeros(size, kind)
-    slips = np.zeros(size, np.bool_)
+    q, side, wanted = np.zeros(two, kind), np.empty(two, kind), np.empty(two, kind)
+    bound, slips = np.zeros(size, kind), np.zeros(size, np.bool_)
     _first_guess(p[0], below[0], target, is_force, start)
     steps, depth, error = 0, 0.0, 0.0
     for number in range(_MOST_PASSES):
@@ -635,6 +433,7 @@ def solve(
 @compiled
 def _first_guess(p: Float32, below: Float32, target: float, is_force: bool, start: float) -> None:
     """Write the pressure of a bed of springs, ``start`` Pa per metre."""
+    keep_apart()
     depth = target
     if is_force:
         # The depth lies between those of one pixel and of all.

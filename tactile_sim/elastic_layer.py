@@ -1,7 +1,7 @@
 """How the surface of an elastic layer answers a load: influence of one loaded pixel on all others.
 
-The kernel of a pixel is that of the half-space in closed form (Love 1929; Cerruti; Johnson, Contact Mechanics,
-sections 3.2 and 3.6) and a smooth correction for the layer, bonded to a rigid base, of thickness h.
+The kernel of a pixel is that of the half-space in closed form (Love 1929; Cerruti; Johnson, Contact
+Mechanics, sections 3.2 and 3.6) and a smooth correction for the layer of thickness h, bonded to a rigid base.
 Directions: x along columns, y upwards, z into the gel. A kernel states the displacement at an offset from
 the pixel that bears 1 Pa: "xz" is the displacement along x by pressure; that along z by a traction along x is
 its mirror image (reciprocity).
@@ -16,7 +16,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim import elastic_kernels, elastic_tables
+from tactile_sim import elastic_response, elastic_tables
 from tactile_toolkit import arithmetic
 from tactile_toolkit.array_types import Float32, Float64, Int64
 
@@ -93,8 +93,8 @@ def pixel_kernels(
     Returns
     -------
     dict
-        Kernels by name, float64, shape ``shape``: "zz", "xx", "yy" are even along both axes, "xy" is odd along
-        both, "xz" odd along x and "yz" odd along y.
+        Kernels by name, float64, shape ``shape``: "zz", "xx", "yy" are even along both axes, "xy" is odd
+        along both, "xz" odd along x and "yz" odd along y.
     """
     kernels = _half_space(shape, pixel_m, poisson_ratio)
     if math.isfinite(layer_m):
@@ -231,7 +231,7 @@ def _exponential(exponents: Float64) -> Float64:
     return total
 
 
-def transform_of(count: int) -> elastic_kernels.Transform:
+def transform_of(count: int) -> elastic_response.Transform:
     """Return the plan of a transform that is long enough to convolve ``count`` pixels with a kernel."""
     length = min(
         2**twos * 3**threes
@@ -254,7 +254,7 @@ def transform_of(count: int) -> elastic_kernels.Transform:
         for number, power in itertools.product(range(reach), range(1, radix)):
             cosine, sine = arithmetic.cosine_sine(2.0 * math.pi * number * power / whole)
             twiddles += [cosine, -sine]
-    return elastic_kernels.Transform(
+    return elastic_response.Transform(
         length, np.array(radices, np.int64), np.array(twiddles, np.float32), places
     )
 
@@ -266,13 +266,13 @@ def layer_of(
     shear_pa: float,
     poisson_ratio: float,
     layer_m: float,
-) -> elastic_kernels.Layer:
+) -> elastic_response.Layer:
     """Return a layer whose kernels are transformed; those of the last few windows are kept."""
     kernels = pixel_kernels(shape, pixel_m, shear_pa, poisson_ratio, layer_m)
     down, across = (transform_of(count) for count in shape)
     # Two fields are transformed as one, and come out twice as large.
     scale = 0.5 / (down.length * across.length)
-    waves = np.arange(_padded(down.length // 2 + 1, elastic_kernels.LANES))
+    waves = np.arange(_padded(down.length // 2 + 1, elastic_response.LANES))
     waves[down.length // 2 + 1 :] = 0
     frequencies = np.empty(across.length, np.int64)
     frequencies[across.places] = np.arange(across.length)
@@ -287,7 +287,7 @@ def layer_of(
         found = scale * elastic_tables.product(rows, np.ascontiguousarray(tables[odd_x][1].T))
         if name == "xy":
             found = -found
-        lanes = found.reshape(-1, elastic_kernels.LANES, across.length).transpose(0, 2, 1)
+        lanes = found.reshape(-1, elastic_response.LANES, across.length).transpose(0, 2, 1)
         return np.ascontiguousarray(lanes, np.float32).reshape(-1)
 
     width = field_width(shape[1])
@@ -295,12 +295,13 @@ def layer_of(
     rows, columns = (np.abs(np.arange(1 - count, count)) for count in shape)
     near[:, width - shape[1] : width + shape[1] - 1] = kernels["zz"][rows[:, None], columns[None]]
     own = float(kernels["xx"][0, 0] + kernels["yy"][0, 0]) / 2
-    return elastic_kernels.Layer(across, down, *map(spectrum, NAMES), near.reshape(-1), own)
+    spectra = {name: spectrum(name) for name in NAMES}
+    return elastic_response.Layer(across, down, **spectra, near=near.reshape(-1), own_shear=own)
 
 
 def field_width(columns: int) -> int:
     """Return the width of a field: each half of it is made of whole vectors."""
-    return _padded(columns, 2 * elastic_kernels.LANES)
+    return _padded(columns, 2 * elastic_response.LANES)
 
 
 def _padded(count: int, step: int) -> int:
@@ -308,13 +309,14 @@ def _padded(count: int, step: int) -> int:
 
 
 def _even_waves(frequencies: Int64, count: int, length: int) -> Float64:
-    cosines = _circle(length)[0][np.outer(frequencies, np.arange(count)) % length]
+    cosines: Float64 = _circle(length)[0][np.outer(frequencies, np.arange(count)) % length]
     cosines[:, 1:] *= 2.0
     return cosines
 
 
 def _odd_waves(frequencies: Int64, count: int, length: int) -> Float64:
-    return 2.0 * _circle(length)[1][np.outer(frequencies, np.arange(count)) % length]
+    sines: Float64 = _circle(length)[1][np.outer(frequencies, np.arange(count)) % length]
+    return 2.0 * sines
 
 
 def _circle(length: int) -> Float64:

@@ -1,10 +1,10 @@
-"""Kernels in numba around the solution of a contact: means of blocks, fields in the size of an image, forces."""
+"""Kernels in numba around the solution of a contact: means of blocks, fields of an image, forces."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from tactile_toolkit.array_types import Bool, Float64
+from tactile_toolkit.array_types import Bool, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
 
@@ -42,7 +42,7 @@ def bring_up(fields: Float64, block_px: int) -> Float64:
 
 
 @compiled
-def _places(count: int, block_px: int) -> tuple[Float64, Float64]:
+def _places(count: int, block_px: int) -> tuple[Int64, Float64]:
     """Return the block before each pixel, and how far the pixel lies on the way to the next one."""
     first, part = np.empty(count * block_px, np.int64), np.empty(count * block_px)
     for number in range(count * block_px):

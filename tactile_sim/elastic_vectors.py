@@ -1,7 +1,8 @@
-"""Steps of Fourier transforms on vectors of numbers, written in LLVM's instructions, which numba does not use.
+"""Steps of Fourier transforms on vectors of numbers, in LLVM's instructions, which numba does not use.
 
-Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector lies at any place
-of them. Numba's cache on disk does not look at this file: when it changes, change ``elastic_kernels.py``, too.
+Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector lies at any
+place of them. Numba's cache on disk does not look at this file: when it changes, change
+``elastic_response.py`` and ``elastic_kernels.py``, too.
 """
 
 from __future__ import annotations
@@ -142,6 +143,20 @@ forward_2, forward_3, forward_4 = (_butterfly(radix, -1) for radix in (2, 3, 4))
 backward_2, backward_3, backward_4 = (_butterfly(radix, 1) for radix in (2, 3, 4))
 
 
+def _copy(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
+    """Copy LANES numbers from ``at`` on, to ``to``."""
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        lanes = _Lanes(context, builder, signature.args[:2], given[:2])
+        lanes.store(lanes.load(0, given[2]), 1, given[3])
+        return context.get_dummy_value()
+
+    return types.void(source, target, types.int64, types.int64), build
+
+
+copy_vector: Any = intrinsic(_copy)
+
+
 def _transpose(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
     """Transpose LANES x LANES numbers, contiguous from ``at`` on, to ``to``."""
 
@@ -218,3 +233,16 @@ def _join(
 
 
 join_fields: Any = intrinsic(_join)
+
+
+def _keep_apart(_typing: Any) -> tuple[Any, Callable[..., Any]]:
+    """Keep LLVM from copying the function that calls this into others, which then compile much longer."""
+
+    def build(context: Any, builder: Any, _signature: Any, _given: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), build
+
+
+keep_apart: Any = intrinsic(_keep_apart)
