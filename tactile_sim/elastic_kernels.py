@@ -223,7 +223,8 @@ def shear(
     largest = 0.0
     for number in range(count):
         _project(state.q, state.bound, number, False)
-        largest = max(largest, math.hypot(state.wanted[0, number], state.wanted[1, number]))
+        x, y = state.wanted[0, number], state.wanted[1, number]
+        largest = max(largest, x * x + y * y)
     q[:] = 0.0
     bend, old, step, since, is_stale = np.empty_like(q), 1.0, 0, 0, True
     while True:
@@ -232,7 +233,7 @@ def shear(
             respond(q, bend, layer, work, width)
             _rest(state, bend)
             since = 0
-        is_done = _free_part(state) <= tolerance * largest or step == _MOST_STEPS
+        is_done = _free_part(state) <= tolerance * math.sqrt(largest) or step == _MOST_STEPS
         if is_done and since == 0:
             break
         off = 0.0

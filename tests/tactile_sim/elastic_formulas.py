@@ -41,7 +41,7 @@ def line_peak(force_per_m, radius_m, modulus_pa):
 
 
 def layer_waves(wave, poisson_ratio):
-    """Response of a bonded layer (G = h = 1) to a wave of load, by the exponential of the equations over depth.
+    """Response of a bonded layer (G = h = 1) to a wave of load, by the exponential of its equations.
 
     The state is u_x / i, u_z, sigma_xz / i and sigma_zz, for exp(i k x); at the base it is 0, 0 and two
     unknown numbers. Returned are Z, A, N (twice: by pressure and by traction) and B times k.

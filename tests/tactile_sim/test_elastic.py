@@ -14,37 +14,24 @@ import tactile_sim
 from tactile_sim import elastic, elastic_layer
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim import elastic_formulas as formulas
+from tests.tactile_sim.elastic_bodies import (
+    E_PA,
+    FREE,
+    LAYER_M,
+    PIXEL_M,
+    REDUCED_PA,
+    area_radius_m,
+    bumps,
+    grid,
+    grid_of,
+    punch,
+    punch_on_layer,
+    shear_pa,
+    sphere,
+)
 from tests.tactile_sim.elastic_reference import PlainSolver
 
-E_PA, LAYER_M = 0.2e6, 4.25e-3
-FREE = tactile_sim.Gel(E_PA, 0.3, 0.0)
-REDUCED_PA = E_PA / (1 - 0.3**2)
-
 thorough = pytest.mark.thorough
-
-
-def grid(count, pixel_m):
-    """Return x and y of a square window, as its rows lie: y from the greatest."""
-    x = (np.arange(count) - (count - 1) / 2) * pixel_m
-    return np.meshgrid(x, -x)
-
-
-def sphere(count, pixel_m, radius_m):
-    x, y = grid(count, pixel_m)
-    return -(x**2 + y**2) / (2 * radius_m)
-
-
-def punch(count, pixel_m, radius_m):
-    x, y = grid(count, pixel_m)
-    return np.where(x**2 + y**2 <= radius_m**2, 0.0, -1.0)
-
-
-def shear_pa(poisson_ratio):
-    return E_PA / (2 * (1 + poisson_ratio))
-
-
-def area_radius_m(mask, pixel_m):
-    return math.sqrt(mask.sum() / math.pi) * pixel_m
 
 
 @pytest.mark.parametrize("count", [128, pytest.param(256, marks=thorough)])
@@ -101,14 +88,6 @@ STIFFNESS = {
 }
 """Of a flat punch on a bonded layer, for a / h of 0.2, 0.4, 1 and 2: values of another solution of Fredholm's
 equation."""
-
-
-def punch_on_layer(ratio, poisson_ratio, count, room=1.06):
-    """Press a punch of radius ``ratio`` layers by 0.01 mm; return its force."""
-    pixel_m = 2 * room * ratio * LAYER_M / count
-    heights = punch(count, pixel_m, ratio * LAYER_M)
-    gel = tactile_sim.Gel(E_PA, poisson_ratio, 0.0)
-    return tactile_sim.solve_contact(heights, pixel_m, gel, thickness_m=LAYER_M, depth_m=1e-5).force_n[2]
 
 
 @pytest.mark.parametrize("poisson_ratio", STIFFNESS)
@@ -235,19 +214,6 @@ def test_twist_of_a_sphere(inner):
         assert torque_nm == pytest.approx(3 * math.pi * 0.4 * force_n * contact_m / 16, rel=0.01)
 
 
-def bumps(seed, shape=(40, 52)):
-    """Return heights of a body with a few round bumps, metres."""
-    rng = np.random.default_rng(seed)
-    y, x = np.mgrid[: shape[0], : shape[1]]
-    heights = np.full(shape, -3e-3)
-    for _ in range(rng.integers(1, 5)):
-        at_y, at_x = rng.uniform(0, shape[0]), rng.uniform(0, shape[1])
-        top = rng.uniform(-5e-4, 0) - ((y - at_y) ** 2 + (x - at_x) ** 2) * rng.uniform(2e-6, 2e-5)
-        heights = np.maximum(heights, top)
-    return heights
-
-
-PIXEL_M = (3e-4, 2.5e-4)
 MOTIONS = st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4), st.floats(-0.1, 0.1))
 
 
@@ -285,12 +251,6 @@ def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
     np.testing.assert_allclose(contact.torque_nm, turned, atol=1e-9)
     # The work of the loads is positive.
     assert (loads * moved).sum() > 0
-
-
-def grid_of(shape):
-    x = (np.arange(shape[1]) - (shape[1] - 1) / 2) * PIXEL_M[0]
-    y = ((shape[0] - 1) / 2 - np.arange(shape[0])) * PIXEL_M[1]
-    return np.meshgrid(x, y)
 
 
 @settings(max_examples=8)
