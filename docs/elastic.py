@@ -58,7 +58,7 @@ def main() -> None:
     rows += draw_twist(axes[7])
     rows += draw_elements(axes[8])
     FigureCanvasAgg(figure).print_figure(DOCS / "elastic.png", metadata={"Software": None})
-    table = markdown_table(("case", "reference", "formula", "here", "differs by, at most"), rows)
+    table = markdown_table(("case", "reference", "formula", "here", "difference (tolerance)"), rows)
     page = DOCS / "elastic.md"
     text = page.read_text(encoding="utf-8")
     between = re.compile(f"(?<={re.escape(MARKS[0])}\n).*(?={re.escape(MARKS[1])})", re.DOTALL)
@@ -90,7 +90,7 @@ def draw_sphere(left: Any, right: Any) -> list[Row]:
     pixel_m = 0.016 / count
     heights = sphere(count, pixel_m, RADIUS_M)
     contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m)
-    force_n, contact_m, peak_pa = formulas.hertz(depth_m - heights.max() * 0, RADIUS_M, REDUCED_PA)
+    force_n, contact_m, peak_pa = formulas.hertz(depth_m - heights.max(), RADIUS_M, REDUCED_PA)
     x = grid(count, pixel_m)[0][0]
     line = count // 2
     dense = np.linspace(-1, 1, 401)
@@ -195,7 +195,7 @@ def draw_thin_layers(axes: Any) -> list[Row]:
         found_rows.append(
             row(case, "thin layers; Fredholm's equation", expected, found[list(places).index(at)], "", within)
         )
-    label(axes, "thin layer: force over its limit, nu = 0.4999 and 0.3", "a / h", "")
+    label(axes, "thin layer, nu = 0.4999 and 0.3: force / limit", "a / h", "")
     return found_rows
 
 
@@ -213,7 +213,7 @@ def draw_slide(axes: Any) -> list[Row]:
     """Draw force and stick radius over the slide of a sphere."""
     shear = shear_pa(0.5)
     contact_m = on_a_sphere(32)[1]
-    dense = np.linspace(0, 1, 101)
+    dense = 1 - np.linspace(1, 0, 101) ** 3  # the last pixels slip all at once
     slides, inner = formulas.mindlin_slide(dense, FRICTION, FORCE_N, contact_m, shear, 0.5)
     axes.plot(1e6 * slides, dense, **FORMULA)
     axes.plot(1e6 * slides, inner, **FORMULA)

@@ -17,8 +17,8 @@ from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
 _MOST_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
-_FIRST_PASS = 5.0  # times the tolerance: the first pass is only a start for the others
-_COUPLED = 0.1  # times the tolerance: change of the coupled displacement that ends the passes
+_FIRST_PASS = 10.0  # times the tolerance: the first pass is only a start for the others
+_COUPLED = 0.3  # times the tolerance: change of the coupled displacement that ends the passes
 _MOST_STEPS = 300
 _MOST_CHANGED = 40  # pixels that join or leave the contact; for more of them a convolution is cheaper
 _OFF_BOUNDS = 0.01  # share of the tractions that may be off their limits

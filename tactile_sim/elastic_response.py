@@ -213,6 +213,13 @@ def _fields(out: Float32, layer: Layer, work: Work, width: int) -> None:
 
 
 @compiled
+def _times(out: Float32, a: Float32, kernel: Float32, sign: float) -> None:
+    factor = np.float32(sign)
+    for place in range(len(kernel)):
+        out[place] = factor * a[place] * kernel[place]
+
+
+@compiled
 def _weighted(out: Float32, a: Float32, one: Float32, b: Float32, two: Float32, sign: float) -> None:
     keep_apart()
     factor = np.float32(sign)
@@ -225,18 +232,18 @@ def respond(load: Float32, out: Float32, layer: Layer, work: Work, width: int) -
     """Write displacements (metres) by loads (Pa): one field is along z, two are along x and y."""
     keep_apart()
     _spectra(load, layer, work, width)
-    size, none = len(layer.zz), np.zeros_like(layer.zz)
+    size = len(layer.zz)
     for part in range(2):
         source, crossed, answer = work.both[part], work.both[1 - part], work.answer[part]
         sign = 1.0 - 2.0 * part
         if len(load) == len(out) == 1:
-            _weighted(answer, source, layer.zz, source, none, 1.0)
+            _times(answer, source, layer.zz, 1.0)
         elif len(load) == len(out):
             _weighted(answer, source, layer.xx, source[size:], layer.xy, 1.0)
             _weighted(answer[size:], source, layer.xy, source[size:], layer.yy, 1.0)
         elif len(load) == 1:  # times -i
-            _weighted(answer, crossed, layer.xz, crossed, none, sign)
-            _weighted(answer[size:], crossed, layer.yz, crossed, none, sign)
+            _times(answer, crossed, layer.xz, sign)
+            _times(answer[size:], crossed, layer.yz, sign)
         else:  # the mirror image
             _weighted(answer, crossed, layer.xz, crossed[size:], layer.yz, -sign)
     _fields(out, layer, work, width)

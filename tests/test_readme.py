@@ -20,6 +20,7 @@ PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 PAGES = (
     "docs/tour.md",
     "docs/touches.md",
+    "docs/elastic.md",
     "docs/concepts/folder.md",
     "docs/howto/print.md",
     "docs/howto/handwriting.md",
