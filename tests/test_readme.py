@@ -29,6 +29,8 @@ PAGES = (
     "docs/howto/exchange.md",
     "docs/howto/check.md",
     "docs/howto/your_sensor.md",
+    "docs/howto/forces.md",
+    "docs/elastic.md",
     "docs/howto/libraries.md",
     "docs/howto/environments.md",
     "docs/howto/train_agent.md",
