@@ -8,10 +8,10 @@ from typing import Any
 
 import typer
 
-import cli.hub
 import tactile_sim
+from cli import hub as hub_commands
 from cli.application import EXIT_FAILED
-from cli.contents import show as show_row
+from cli.contents import show
 from cli.options import ANY_SET, FOLDER, WORKERS, Opening, argument, local_place, parse_address
 from cli.output import Sink
 from tactile_sim.sensor_models import SENSORS, SensorModel
@@ -34,7 +34,7 @@ def is_sensor(name: str) -> bool:
     return not store.is_remote(name) and (store.expanded(name) / SENSOR_FILE).is_file()
 
 
-def show(
+def show_sensor(
     *,
     name: str = ANY_SET,
     row: int = integer(0, help="Row of the split, counted from 0."),
@@ -47,7 +47,7 @@ def show(
     Examples: show DIR --row 3 --split test;  show my-sensor;  show digit
     """
     if name not in SENSORS and not is_sensor(name):
-        show_row(name=name, row=row, split=split, opening=opening, sink=sink)
+        show(name=name, row=row, split=split, opening=opening, sink=sink)
         return
     model = SensorModel.named(name)
     sink.document({"sensor": model.to_dict(), "report": dict(model.report)})
@@ -107,7 +107,7 @@ def check(
         raise typer.Exit(EXIT_FAILED)
 
 
-def upload(
+def upload_sensor(
     *,
     kind: DatasetKind,
     folder: str = FOLDER,
@@ -125,9 +125,9 @@ def upload(
     """
     if not is_sensor(folder):
         given: dict[str, Any] = {"kind": kind, "options": options, "workers": workers, "sink": sink}
-        cli.hub.upload(folder=folder, repository=repository, dry_run=dry_run, yes=yes, **given)
+        hub_commands.upload(folder=folder, repository=repository, dry_run=dry_run, yes=yes, **given)
         return
-    cli.hub.quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
+    hub_commands.quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
     model, root = SensorModel.load(folder), store.open_folder(folder)
     files = {name: root.read_bytes(name) for name in _FILES}
     files[cards.CARD_FILE] = _card(model, repository).encode()
@@ -136,7 +136,7 @@ def upload(
         files, repository, options, what=what, dry_run=dry_run, on_wait=sink.info
     )
     lines = [f"next: tactile-sim download {repository} --out my-sensor"]
-    cli.hub.finish_upload(sink, prepared, lambda _revision: lines, dry_run=dry_run, yes=yes)
+    hub_commands.finish_upload(sink, prepared, lambda _revision: lines, dry_run=dry_run, yes=yes)
 
 
 def _card(model: SensorModel, repository: str) -> str:
@@ -145,7 +145,7 @@ def _card(model: SensorModel, repository: str) -> str:
     return cards.render_card(_CARD_TEMPLATE, {**values, "rows": rows})
 
 
-def download(
+def download_sensor(
     *,
     kind: DatasetKind,
     name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
@@ -168,13 +168,13 @@ def download(
     """
     repository = None
     if out is not None and not split and places.kind_of_published(name) is None:
-        cli.hub.quiet_client(is_all=True)
+        hub_commands.quiet_client(is_all=True)
         named = places.repository_named(name, revision)
         repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=sink.info)
     if repository is None or out is None or SENSOR_FILE not in repository.remote:
         given: dict[str, Any] = {"kind": kind, "split": split, "out": out, "sink": sink}
         given |= {"revision": revision, "config_name": config_name}
-        cli.hub.download(name=name, dry_run=dry_run, yes=yes, **given)
+        hub_commands.download(name=name, dry_run=dry_run, yes=yes, **given)
         return
     files = [repository.file(path) for path in _FILES]
     sizes = sum(file.size_bytes for file in files)

@@ -19,7 +19,7 @@ from .convert.media_conversions import (
     resize as resize,
 )
 from .convert.picture_files import frames as frames
-from .convert.reading_depth import read_depth as read_depth
+from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
 from .faults.checking import CheckResult as CheckResult, check as check
 from .finding import Finding as Finding

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.depth_maps import DEPTH, DEPTH_ERROR, SUFFIX, encode_depth
+from realtouch.depth_maps import DEPTH, DEPTH_ERROR, SUFFIX, encode_map
 from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
@@ -30,7 +30,7 @@ _BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
 _load_sensor = lazy("tactile_sim.sensor_models:SensorModel.load")
 
 
-class DepthReading(Protocol):
+class DepthAndError(Protocol):
     """Depth of some images, (N, H, W), float32, metres, and its expected error."""
 
     depth_m: Float32
@@ -40,7 +40,7 @@ class DepthReading(Protocol):
 class DepthReader(Protocol):
     """What reads depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
 
-    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthReading:
+    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
         """Return how far each point of the gel is pressed in."""
         ...
 
@@ -49,7 +49,7 @@ class DepthReader(Protocol):
         ...
 
 
-def read_depth(
+def add_depth(
     source: places.Name | places.Place,
     out: str | PathLike[str],
     sensor: str | PathLike[str],
@@ -135,8 +135,8 @@ class AddDepth:
                 images.batch(slice(start, start + _BATCH)), fast=self.fast
             )
             for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
-                maps[DEPTH].append(encode_depth(depth_m))
-                maps[DEPTH_ERROR].append(encode_depth(error_m))
+                maps[DEPTH].append(encode_map(depth_m))
+                maps[DEPTH_ERROR].append(encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
         columns: dict[str, Any] = dict(zip(flat.column_names, flat.columns, strict=True))

@@ -12,8 +12,8 @@ import numpy as np
 
 from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.replay import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.importing.fields import NUMBERED
 from realtouch.importing.found_touches import source_of
 from realtouch.importing.recordings import Recording

@@ -94,6 +94,19 @@ def gel_surface(
     return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
 
 
+def own_surface(
+    pressed_m: Float64, pitch_m: Float64, shape: Float64, margin: int = 0, span: Float64 = WHOLE
+) -> Float64:
+    """Return the surface of an elastic gel as it is seen; arguments are as of :func:`gel_surface`.
+
+    ``pressed_m`` is how far the gel itself is pressed in, negative where it rises; only the last blur, which
+    is of the skin of the gel, is added.
+    """
+    soft = np.ascontiguousarray(-pressed_m)
+    _blur_gel(soft, shape[Shape.LAST] / pitch_m, np.zeros(soft.shape, np.bool_))
+    return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
+
+
 def seen_through(
     surface: Float64, pitch_m: Float64, lens: float, margin: int = 0, span: Float64 = WHOLE
 ) -> Float64:

@@ -22,8 +22,8 @@ from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
-MOST_TOUCHES = 200
-"""Touches that are taken at most; 20 are enough, and time grows with their number."""
+MOST_TOUCHES = 60
+"""Touches that are taken at most, evenly spaced; 20 are enough, and time grows with their number."""
 
 _SENSOR = ("x_m", "y_m", "z_m")
 _OBJECT = ("object_x_m", "object_y_m", "object_turn_rad")
@@ -90,7 +90,7 @@ def read_recordings(
         touches = _of_data_set(opened(source))
     if not touches:
         raise InputError(f"{str(source)!r} holds no touches", next="give images, or another data set")
-    touches = touches[:MOST_TOUCHES]
+    touches = [touches[place] for place in spaced(len(touches), MOST_TOUCHES)]
     meshes = _solids(solids, {each.object_id for each in touches}, unit, opened)
     ids = [_solid_of(each, meshes) for each in touches]
     shapes = {each.image.shape for each in touches}
@@ -172,15 +172,16 @@ def _number(value: Any, name: str, where: str) -> float:
         raise InputError(f"{where}: {name} is {value!r}; expected a number") from error
 
 
+def spaced(count: int, most: int) -> list[int]:
+    """Return at most so many numbers below a count, evenly spaced."""
+    return [int(each) for each in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
 def _of_data_set(place: places.Place) -> list[_Touched]:
-    """Read the touches of a data set, of all splits; their poses, or columns of the names of a table."""
-    found = []
-    for split in place.splits:
-        for each in KIND.load(place, split).touches():
-            found.append(_of_touch(each))
-            if len(found) == MOST_TOUCHES:
-                return found
-    return found
+    """Read touches of a data set, of all splits; their poses, or columns of the names of a table."""
+    parts = [KIND.load(place, split).touches() for split in place.splits]
+    flat = [(each, number) for each in parts for number in range(len(each))]
+    return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MOST_TOUCHES)]
 
 
 def _of_touch(each: Any) -> _Touched:

@@ -88,7 +88,9 @@ class TwinOptics(Optics):
         self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
         self._coefficients[..., :3] = twin.coefficients
 
-    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
         """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
         span = np.array(sensor.window_m) / (2 * self._twin.half_m)
         if (span > 1.0 + 1e-6).any():
@@ -102,16 +104,20 @@ class TwinOptics(Optics):
         behind = _part_of(self._twin.background, span, size)
         out = np.empty((*depth_m.shape, 3), np.float32)
         for number, each in enumerate(depth_m):
-            # What of the solid lies deeper than the gel is thick does not touch it.
-            reach_m = np.maximum(sensor.gel_m - each, 0.0)
-            gel_kernels.lay_over(out[number], self.response(reach_m, span), behind)
+            reach_m = sensor.gel_m - each
+            if not is_surface:
+                # What of the solid lies deeper than the gel is thick does not touch it.
+                reach_m = np.maximum(reach_m, 0.0)
+            gel_kernels.lay_over(out[number], self.response(reach_m, span, is_surface=is_surface), behind)
         return out
 
-    def response(self, reach_m: Float64, span: Float64 | None = None, margin: int = 0) -> Float64:
+    def response(
+        self, reach_m: Float64, span: Float64 | None = None, margin: int = 0, *, is_surface: bool = False
+    ) -> Float64:
         """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
 
         ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
-        has ``margin`` pixels more on each side.
+        has ``margin`` pixels more on each side. With ``is_surface``, it is that of an elastic gel itself.
         """
         if span is None:
             span = gel.WHOLE
@@ -124,7 +130,8 @@ class TwinOptics(Optics):
         shape = twin.shape.copy()
         if not self._lens:
             shape[Shape.LENS] = 0.0
-        soft = gel.gel_surface(reach_m, pitch_m, shape, margin, span)
+        surface = gel.own_surface if is_surface else gel.gel_surface
+        soft = surface(reach_m, pitch_m, shape, margin, span)
         across = gel.across_of(pitch_m, soft.shape, span)
         lens = float(twin.shape[Shape.LENS])
         gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across)

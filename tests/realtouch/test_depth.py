@@ -15,7 +15,7 @@ from PIL import Image
 
 import realtouch
 from realtouch.convert import reading_depth
-from realtouch.depth_maps import decode_depth, encode_depth
+from realtouch.depth_maps import decode_map, encode_map
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch import factories
@@ -52,18 +52,18 @@ def images(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_maps_keep_micrometres_and_refuse_what_they_cannot_hold() -> None:
     rng = np.random.default_rng(3)
     depth_m = rng.uniform(0, 0.065, (13, 17)).astype(np.float32)
-    back = decode_depth(encode_depth(depth_m))
+    back = decode_map(encode_map(depth_m))
     assert back.dtype == np.float32
     assert np.abs(back - depth_m).max() < 0.51e-6
-    assert (decode_depth(encode_depth(np.full((2, 2), -1.0))) == 0).all()
+    assert (decode_map(encode_map(np.full((2, 2), -1.0))) == 0).all()
     for wrong in (np.array([[np.nan]]), np.array([[0.07]])):
         with pytest.raises(InputError, match=r"expected finite numbers of at most 0\.065535 m"):
-            encode_depth(wrong)
+            encode_map(wrong)
     stream = io.BytesIO()
     Image.new("L", (4, 4)).save(stream, "PNG")
-    for other in (stream.getvalue(), b"", encode_depth(depth_m)[:60]):
+    for other in (stream.getvalue(), b"", encode_map(depth_m)[:60]):
         with pytest.raises(ValueError, match="expected a"):
-            np.asarray(decode_depth(other))
+            np.asarray(decode_map(other))
 
 
 @pytest.mark.parametrize("fast", [False, True])
@@ -98,7 +98,7 @@ def test_a_set_gains_depth_in_metres_and_keeps_all_else(images: Path, tmp_path: 
 def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(
     images: Path, tmp_path: Path
 ) -> None:
-    realtouch.read_depth(images, tmp_path / "depths", "a")
+    realtouch.add_depth(images, tmp_path / "depths", "a")
     realtouch.select(tmp_path / "depths", tmp_path / "some", split="train", limit=1)
     realtouch.resize(tmp_path / "depths", tmp_path / "small", 24, 18)
     (kept,) = realtouch.load(tmp_path / "some", "train")
@@ -108,7 +108,7 @@ def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(
     assert small.sensor_image[0].shape[:2] == (18, 24)
     assert small.depth_m[0].shape == kept.depth_m[0].shape
     # Read again, the maps are replaced.
-    realtouch.read_depth(tmp_path / "depths", tmp_path / "again", "a", fast=True)
+    realtouch.add_depth(tmp_path / "depths", tmp_path / "again", "a", fast=True)
     assert realtouch.load(tmp_path / "again", "train")[0].depth_error_m[0][0, 0] == pytest.approx(2e-5)
 
 
@@ -118,6 +118,6 @@ def test_what_has_no_depth_is_said(images: Path, tmp_path: Path) -> None:
         _ = touch.depth_m
     clips = factories.bare_set(tmp_path / "clips", "seq")
     with pytest.raises(InputError, match=r"holds clips.*clips-to-images"):
-        realtouch.read_depth(clips, tmp_path / "out", "a")
+        realtouch.add_depth(clips, tmp_path / "out", "a")
     with pytest.raises(InputError, match="no calibrated sensor"):
-        realtouch.read_depth(images, tmp_path / "out", "missing")
+        realtouch.add_depth(images, tmp_path / "out", "missing")
