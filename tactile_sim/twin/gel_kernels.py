@@ -22,6 +22,8 @@ STEEPEST = 0.6
 
 _CROWDED = 1.0  # entries lie three times as close where the gel is level, which most of it is
 
+_RUN = 3  # pixels over which the slope at an edge is taken
+
 PLACES = 6
 """Terms of an entry: 1, x, y, x^2, x y, y^2, where x and y go from -1 to 1 across the image."""
 
@@ -354,3 +356,33 @@ def lay_over(out: Float32, response: Float64, behind: Float64) -> None:
         shade = (change[at] + below[at]) * (1.0 / 255.0)
         shade = shade if shade > 0.0 else 0.0
         flat[at] = np.float32(shade if shade < 1.0 else 1.0)
+
+
+@compiled
+def extend(out: Float64, reached: Float64, margin: int) -> None:
+    """Write a map with ``margin`` pixels more on each side, where its slopes at the edge go on.
+
+    Values stay between 0 and the greatest of the map.
+    """
+    rows, columns = reached.shape
+    greatest = 0.0
+    for row in range(rows):
+        line, wide = reached[row], out[row + margin]
+        for column in range(columns):
+            greatest = max(greatest, line[column])
+            wide[column + margin] = line[column]
+        first = (line[_RUN] - line[0]) / _RUN
+        last = (line[columns - 1] - line[columns - 1 - _RUN]) / _RUN
+        for far in range(1, margin + 1):
+            wide[margin - far] = line[0] - far * first
+            wide[margin + columns - 1 + far] = line[columns - 1] + far * last
+    bottom = margin + rows - 1
+    for column in range(columns + 2 * margin):
+        first = (out[margin + _RUN, column] - out[margin, column]) / _RUN
+        last = (out[bottom, column] - out[bottom - _RUN, column]) / _RUN
+        for far in range(1, margin + 1):
+            out[margin - far, column] = out[margin, column] - far * first
+            out[bottom + far, column] = out[bottom, column] + far * last
+    for row in range(len(out)):
+        for column in range(columns + 2 * margin):
+            out[row, column] = min(max(out[row, column], 0.0), greatest)

@@ -130,6 +130,12 @@ class TwinOptics(Optics):
         shape = twin.shape.copy()
         if not self._lens:
             shape[Shape.LENS] = 0.0
+        if not (margin or is_surface):
+            # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+            margin = gel.margin_px(columns)
+            wide_m = np.empty((rows + 2 * margin, columns + 2 * margin))
+            gel_kernels.extend(wide_m, np.ascontiguousarray(reach_m), margin)
+            reach_m = wide_m
         surface = gel.own_surface if is_surface else gel.gel_surface
         soft = surface(reach_m, pitch_m, shape, margin, span)
         across = gel.across_of(pitch_m, soft.shape, span)

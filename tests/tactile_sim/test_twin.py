@@ -340,3 +340,18 @@ def test_touches_without_poses_are_found_or_left_out():
     assert known is not None
     away = np.hypot(*(places[:, :2] - known[:, :2]).T)
     assert (away[likely] < 1.5e-3).mean() >= 0.5 or not likely.any()
+
+
+def test_a_solid_goes_on_beyond_the_image():
+    """A ridge that leaves the image pulls at the gel nearly as if the map were larger."""
+    pitch_m, margin = np.array([3e-4, 3e-4]), 10
+    y, x = np.mgrid[24 + margin : -24 - margin : -1, -32 - margin : 32 + margin] * 3e-4
+    whole = np.clip(0.001 - np.abs(0.2 * x - 0.1 * y), 0, None)
+    part = np.ascontiguousarray(whole[margin:-margin, margin:-margin])
+    out = np.empty(whole.shape)
+    gel_kernels.extend(out, part, margin)
+    assert (out[margin:-margin, margin:-margin] == part).all()
+    shape = np.where(np.arange(8) == Shape.LENS, 0, SHAPE)
+    true = gel.gel_surface(whole, pitch_m, shape, margin)
+    extended, mirrored = gel.gel_surface(out, pitch_m, shape, margin), gel.gel_surface(part, pitch_m, shape)
+    assert np.abs(extended - true).mean() < 0.3 * np.abs(mirrored - true).mean()
