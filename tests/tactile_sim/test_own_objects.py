@@ -244,7 +244,7 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     assert tactile_sim.SensorModel.named(str(file)) == THIN
     assert tactile_sim.GenerateSpec(optics="depth", sensor="digit").sensor == tactile_sim.SENSORS["digit"]
     assert tactile_sim.GenerateSpec(optics="depth", sensor=THIN.to_dict()).sensor == THIN
-    with pytest.raises(InputError, match=r"'taxim' are calibrated for another sensor.*add --optics depth"):
+    with pytest.raises(InputError, match=r"'taxim' are calibrated for the GelSight Mini.*add --optics depth"):
         tactile_sim.GenerateSpec(optics="taxim", sensor="digit")
     with pytest.raises(InputError, match="no sensor 'finger'; expected one of gelsight-mini, digit, gels"):
         tactile_sim.SensorModel.named("finger")
