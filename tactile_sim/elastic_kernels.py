@@ -415,7 +415,7 @@ def solve(
         for place in range(size):
             if p[0, place] > 0.0:
                 change = max(change, abs(lifted[0, place] - before[0, place]))
-        if change <= _COUPLED * tolerance[0] * depth:
+        if number > 0 and change <= _COUPLED * tolerance[0] * depth:
             break
     respond(p, u, layer, work, width)
     respond(q, wanted, layer, work, width)
