@@ -12,6 +12,7 @@ from cli.checks import Geometry
 from cli.declared_options import OptionsOf
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
+from cli.picture_prints import solidify
 from cli.previews import Pictures
 from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
@@ -105,6 +106,7 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(name, spec))
 
 
+command(app)(solidify)
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

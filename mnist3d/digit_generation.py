@@ -160,7 +160,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
 
 
 def _solid_of(digit: DigitImage, spec: DigitSetSpec) -> Mesh:
-    return solid.solidify(digit.pixels, spec.solid, ink="dark")
+    return solid.solid_of_sheet(digit.pixels, spec.solid)
 
 
 def generate(

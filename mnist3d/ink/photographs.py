@@ -39,6 +39,9 @@ _WORK_PX = 1000
 _CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
 """Limits of second attempts: ink on the outline, width of strokes, depth of the core, share of it kept."""
 
+_WIDEST_PART = 0.5
+"""Coloured parts of drawings are narrower than this share of the longer side."""
+
 _GAIN = 2
 """Factor by which the greys of edges are made steeper."""
 
@@ -163,7 +166,7 @@ def _drawing_on(views: UInt8, page: Bool) -> UInt8:
     found = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
     inked = without_lines(without_shadows(found), inside)
     if len(views) > 1:
-        channels = np.stack([reflectance(view[None], page, WIDEST_STROKE) for view in views[1:]])
+        channels = np.stack([reflectance(view[None], page, _WIDEST_PART) for view in views[1:]])
         inked |= coloured_ink(channels) & inside
     return _levels_of(find_drawing(inked, inside, found), found)
 

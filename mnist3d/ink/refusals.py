@@ -38,7 +38,7 @@ _NEXT = {
     "bad-dtype": "convert the image to uint8, from 0 to 255",
     "not-finite": "repair or rescale this image in the file, or leave it out",
     "bad-pixels": "repair or rescale this image in the file, or leave it out",
-    "too-small": "give a larger image, or enlarge it with solidify(..., resample=True)",
+    "too-small": "leave pixel_mm out, or give a larger image",
     "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
     "several-digits": "cut the picture so that each digit has its own file, or cover the rest",

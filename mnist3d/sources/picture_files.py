@@ -132,12 +132,17 @@ def decode_page(path: Path, page: int) -> Image.Image:
         if page:
             picture.seek(page)
         _require_bounded(picture, path)
-        upright = ImageOps.exif_transpose(_reduced(picture))
-        if upright.mode[:1] in ("F", "I"):
-            return upright
-        if upright.has_transparency_data:
-            return upright.convert("RGBA")
-        return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
+        return upright_levels(_reduced(picture))
+
+
+def upright_levels(picture: Image.Image) -> Image.Image:
+    """Return a picture upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I)."""
+    upright = ImageOps.exif_transpose(picture)
+    if upright.mode[:1] in ("F", "I"):
+        return upright
+    if upright.has_transparency_data:
+        return upright.convert("RGBA")
+    return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
 
 
 def size_of_page(path: Path, page: int) -> tuple[int, int]:

@@ -1,5 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .base_plate import on_base_plate as on_base_plate
 from .files import (
     FORMATS as FORMATS,
     file_content as file_content,
@@ -25,6 +26,11 @@ from .mesh import (
 )
 from .nearness import (
     connected as connected,
+)
+from .print_advice import (
+    WARNINGS_PAGE as WARNINGS_PAGE,
+    explained as explained,
+    print_advice as print_advice,
 )
 from .print_profile import (
     PrintProfile as PrintProfile,
