@@ -59,13 +59,16 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    splits: Sequence[str] | None = SPLITS
-    if split != "all":
-        splits = None if split is None else (split,)
+    making_of = mnist3d.DigitMaking.of(spec, None if split is None else SPLITS)
+    splits: Sequence[str] | None = None
+    if split == "all":
+        splits = tuple(making_of.items())
+    elif split is not None:
+        splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
     generate_set(
-        sink, "making digits", mnist3d.DigitMaking.of(spec, splits), out, splits, making, _print_made
+        sink, "making digits", making_of, out, splits, making, _print_made
     )
 
 

@@ -10,9 +10,9 @@ from typing import Any, Unpack
 import numpy as np
 
 from mnist3d import solid
-from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, digit_schema, report_table
+from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
 from mnist3d.kind import KIND
-from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.digit_source import DigitImage, DigitSource
 from mnist3d.sources.picture_folder import FolderSource
@@ -91,8 +91,13 @@ class DigitMaking(generation.RowGenerator):
 
     def items(self) -> Mapping[str, Any]:
         """Return the ids of each split; reads the catalog of the source only."""
-        plan = plan_splits(self.spec.source.catalog(), self.spec.split)
-        return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}
+        usual, splits = PUBLISHED_SIZES, SPLITS
+        if isinstance(self.spec.source, FolderSource):
+            usual = OWN_SIZES
+            named = dict(self.spec.split.sizes or usual)
+            splits = tuple(split for split in SPLITS if split in named)
+        plan = plan_splits(self.spec.source.catalog(), self.spec.split, usual)
+        return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
@@ -108,7 +113,8 @@ class DigitMaking(generation.RowGenerator):
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of a shard."""
-        return digit_schema()
+        names = self.spec.source.catalog().class_names
+        return stored_schema(names, has_files=isinstance(self.spec.source, FolderSource))
 
     def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
@@ -156,6 +162,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
         volume_m3=report.volume_mm3 * 1e-9,
         source=spec.source.name,
         report=report,
+        file=digit.file,
     )
 
 

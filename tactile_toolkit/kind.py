@@ -143,7 +143,8 @@ class DatasetKind:
     write_card : callable
         Takes a ``DataFolder`` and its ``Manifest``; writes the card and its picture.
     schema : callable or None
-        Returns the Arrow schema of every shard; None if it follows from a source.
+        Takes a ``Manifest`` or None, returns the Arrow schema of every shard; None if it follows from a
+        source.
     check : callable or None
         Takes a ``DataFolder`` and a number of threads, returns findings; None if checksums, schema, ids and
         card are all there is to check.
@@ -183,7 +184,7 @@ class DatasetKind:
     card_template: str
     write_card: Callable[[Any, Any], None]
     content: str = ""
-    schema: Callable[[], Any] | None = None
+    schema: Callable[[Any], Any] | None = None
     check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
     loader: Callable[[Any], str] | None = None
@@ -223,7 +224,7 @@ class DatasetKind:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
         if self.schema is None or is_copy(manifest):
             return None
-        return self.schema()
+        return self.schema(manifest)
 
     def loading_lines(
         self, manifest: Specified | None, name: str, split: str, revision: str | None = None

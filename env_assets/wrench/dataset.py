@@ -37,7 +37,7 @@ class WrenchRow(MeshRow):
 
 
 @cache
-def wrench_schema() -> pa.Schema:
+def wrench_schema(_manifest: object = None) -> pa.Schema:
     """Return the Arrow schema of the shard."""
     return mesh_schema(WrenchRow, KIND.class_names)
 

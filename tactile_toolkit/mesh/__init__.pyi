@@ -54,6 +54,7 @@ from .mesh_columns import (
     FACES as FACES,
     MeshRow as MeshRow,
     VERTICES as VERTICES,
+    mesh_metadata as mesh_metadata,
     mesh_schema as mesh_schema,
     require_mesh_columns as require_mesh_columns,
 )
