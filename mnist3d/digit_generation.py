@@ -14,7 +14,7 @@ from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_tabl
 from mnist3d.kind import KIND
 from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.digit_source import DigitImage, DigitSource
+from mnist3d.sources.digit_source import DIGITS, DigitImage, DigitSource
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.source_choice import chosen_source
 from mnist3d.splits import plan_splits
@@ -167,7 +167,8 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
 
 
 def _solid_of(digit: DigitImage, spec: DigitSetSpec) -> Mesh:
-    return solid.solid_of_sheet(digit.pixels, spec.solid)
+    is_drawing = spec.source.catalog().class_names != DIGITS
+    return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
 
 def generate(

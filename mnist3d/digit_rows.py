@@ -59,10 +59,18 @@ SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "
 
 def digit_schema(manifest: Specified | None = None) -> pa.Schema:
     """Return the Arrow schema of the shards that a manifest lists; by default that of MNIST 3D."""
-    source: Any = {} if manifest is None else manifest.spec.get("source")
-    if not isinstance(source, dict) or source.get("name") != FolderSource.name:
-        return stored_schema(KIND.class_names)
-    return stored_schema(tuple(source.get("classes") or KIND.class_names), has_files=True)
+    source = _source_of(manifest)
+    return stored_schema(class_names(manifest), has_files=source.get("name") == FolderSource.name)
+
+
+def class_names(manifest: Specified | None) -> tuple[str, ...]:
+    """Return the names of the classes of a data set, which are the digits unless its source names others."""
+    return tuple(_source_of(manifest).get("classes") or KIND.class_names)
+
+
+def _source_of(manifest: Specified | None) -> dict[str, Any]:
+    source: Any = None if manifest is None else manifest.spec.get("source")
+    return source if isinstance(source, dict) else {}
 
 
 @cache

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.binarisation import binarise, ink_of_levels
 from mnist3d.ink.cleaning import count_bodies_and_holes
 from mnist3d.ink.refusals import refuse
 from mnist3d.solid.decimation import BUDGET_SLACK, decimate
@@ -21,7 +21,7 @@ from mnist3d.solid.lattice import Lattice, lattice_of
 from mnist3d.solid.literal import literal_solid
 from mnist3d.solid.marching_cubes import half_surface
 from mnist3d.solid.mirroring_and_scaling import mirror, scale
-from mnist3d.solid.picture_ink import PictureLike, SizedInk, sized_ink
+from mnist3d.solid.picture_ink import PictureLike, SizedInk, for_strokes, sized_ink
 from mnist3d.solid.smoothing import smooth
 from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid.surface import Surface, bodies_and_holes
@@ -101,8 +101,13 @@ def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "f
     return made if base_mm is None else on_base_plate(made, base_mm)
 
 
-def solid_of_sheet(pixels: UInt8, spec: SolidSpec) -> Mesh:
-    """Build the solid of a digit that a source has drawn on its sheet, dark ink on light paper."""
+def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
+    """Build the solid of a digit that a source has drawn on its sheet, dark ink on light paper.
+
+    Of a drawing, parts that are as thin as its strokes are kept, such as the dot of an i.
+    """
+    if is_drawing:
+        spec = for_strokes(ink_of_levels(pixels, spec.threshold), spec)
     return solid_steps(binarise(pixels, spec, ink="dark"), spec).mesh
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
 from mnist3d.sources.picture_files import pages_of, size_of_page, upright_levels
 from mnist3d.sources.picture_levels import picture_levels, read_picture
 from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray, Bool, UInt8
+from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import with_count
 
@@ -80,19 +80,24 @@ def sized_ink(
     asked = replace(spec or SolidSpec(), **changes)
     levels, level, notes = _levels(picture, asked, which, threshold, page)
     sheet, pitch_mm = _on_sheet(levels, level, asked, size)
-    if sheet.shape != levels.shape:
+    drawn = ink.ink_of_levels(levels, level if asked.threshold is None else asked.threshold)
+    before = drawn
+    if sheet is not levels:
         level = None  # the threshold of the picture does not fit resampled levels
+        before = ink.ink_of_levels(sheet, asked.threshold)
     fitted = replace(
         asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=min(asked.vertex_quantum_mm, pitch_mm / 10)
     )
     ink.require_large(sheet, fitted)
-    before = ink.ink_of_levels(sheet, level if asked.threshold is None else asked.threshold)
     if is_drawing:
-        fitted = _for_strokes(before, fitted)
+        fitted = for_strokes(before, fitted)
     mask = ink.cleaned_ink(sheet, fitted, level)
     if is_drawing and "target_vertices" not in changes:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, pitch_mm))
-    return SizedInk(mask, fitted, (*notes, *_left_out(before, mask, fitted)))
+    count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
+    if count > 0:
+        notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
+    return SizedInk(mask, fitted, tuple(notes))
 
 
 def _is_grey(picture: PictureLike) -> bool:
@@ -190,13 +195,13 @@ def _fitted(
 
 def _without_specks(mask: Bool) -> Bool:
     """Leave out pieces that are much smaller than the largest, which would change the size of a drawing."""
-    labels, _ = ndimage.label(mask, np.ones((3, 3)))
+    labels = _labels(mask)
     areas = np.bincount(labels.ravel())
     areas[0] = 0
     return (areas >= _AROUND**2 * areas.max())[labels]
 
 
-def _for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
+def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
     """Keep specks and pinholes that belong to thin strokes."""
     stroke_mm = spec.pixel_pitch_mm * thinnest_stroke_px(_without_specks(mask))
     speck_mm2 = min(max((_SPECK_PER_STROKE * stroke_mm) ** 2, _LEAST_SPECK_MM2), spec.min_speck_mm2)
@@ -209,12 +214,9 @@ def _lattice_pitch_mm(mask: Bool, pitch_mm: float) -> float:
     return min(LARGEST_LATTICE_MM, pitch_mm * thinnest_stroke_px(mask) / _NODES_PER_STROKE)
 
 
-def _left_out(before: Bool, after: Bool, spec: SolidSpec) -> Sequence[str]:
-    """Return a note about pieces of ink that were too small to be made."""
-    labels, count = ndimage.label(before, np.ones((3, 3)))
-    kept = len(np.unique(labels[after & before]))
-    if kept >= count:
-        return ()
-    return (f"left out {with_count(count - kept, 'specks')} of ink below {spec.min_speck_mm2:.2g} mm²",)
+def _labels(mask: Bool) -> Int32:
+    return np.asarray(ndimage.label(mask, np.ones((3, 3)))[0])
 
 
+def _count(mask: Bool) -> int:
+    return int(_labels(mask).max())
