@@ -67,9 +67,7 @@ def generate(
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    generate_set(
-        sink, "making digits", making_of, out, splits, making, _print_made
-    )
+    generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
 
 
 def _print_made(

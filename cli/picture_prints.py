@@ -29,10 +29,17 @@ class Shape:
     """Options for the shape of the solids."""
 
     thickness_mm: float | None = real(
-        None, above=0, optional=True, shown="8, 4 above a plate", help="Thickness of the solid, or above its plate."
+        None,
+        above=0,
+        optional=True,
+        shown="8, 4 above a plate",
+        help="Thickness of the solid, or above its plate.",
     )
     base_mm: float | None = real(
-        None, above=0, optional=True, help="Put the solid on a plate of this thickness, which joins its parts."
+        None,
+        above=0,
+        optional=True,
+        help="Put the solid on a plate of this thickness, which joins its parts.",
     )
     bridge_mm: float | None = real(
         None,
@@ -49,7 +56,10 @@ class Shape:
         """Return the parameters of the algorithm that differ from the usual ones."""
         thickness_mm = self.thickness_mm or _THICKNESS_MM[self.base_mm is not None]
         halves = 1 if self.base_mm is not None else 2
-        changed: dict[str, object] = {"half_thickness_mm": thickness_mm / halves, "profile": self.edge_profile}
+        changed: dict[str, object] = {
+            "half_thickness_mm": thickness_mm / halves,
+            "profile": self.edge_profile,
+        }
         if self.bridge_mm is not None:
             changed |= {"join_bodies": True, "bridge_width_mm": self.bridge_mm}
         if self.vertices is not None:
@@ -113,9 +123,16 @@ def solidify(
             workers=min(process_count(job.workers), len(pictures)),
             on_progress=update,
         )
-    sink.document({"out": out, "files": [file.to_dict() for file in made.files], "failed": [
-        {"picture": failed.name, "problem": failed.problem, "detail": failed.detail} for failed in made.failed
-    ]})
+    sink.document(
+        {
+            "out": out,
+            "files": [file.to_dict() for file in made.files],
+            "failed": [
+                {"picture": failed.name, "problem": failed.problem, "detail": failed.detail}
+                for failed in made.failed
+            ],
+        }
+    )
     _print_files(sink, made.files, spec)
     verb = "would write" if job.dry_run else "wrote"
     size_text = bytes_text(sum(file.bytes for file in made.files))

@@ -146,9 +146,7 @@ def _readable_pages(file: Path) -> tuple[int, ...]:
         return (0,)  # the reason is stated when it is read
 
 
-def _file_names(
-    found: Sequence[tuple[Path, int]], out: str, ending: str
-) -> tuple[str, str, Sequence[str]]:
+def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
     """Return folder, ending and names of the files without it."""
     place = store.expanded(out)
     if place.suffix.lower() in mesh.FORMATS:

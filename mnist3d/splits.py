@@ -18,7 +18,6 @@ from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.errors import InputError
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class SplitPlan:
     """The division of the digits of a source: ids and labels of each split, shape (n,).

@@ -25,9 +25,7 @@ INKS = ("auto", "dark", "light")
 """Which part of a picture is ink; ``"auto"`` decides for each."""
 
 
-def binarise(
-    pixels: AnyArray, spec: SolidSpec, *, ink: Literal["auto", "dark", "light"] = "auto"
-) -> Bool:
+def binarise(pixels: AnyArray, spec: SolidSpec, *, ink: Literal["auto", "dark", "light"] = "auto") -> Bool:
     """Return the ink that becomes the solid: binarised, cleaned and, with ``spec.join_bodies``, joined.
 
     Parameters

@@ -85,9 +85,7 @@ class FolderSource:
         picture = listing.pictures[digit_id]
         is_whole = listing.class_names != DIGITS
         path = Path(self.root, picture.name)
-        pixels = mnist3d.ink.fit(
-            read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole)
-        )
+        pixels = mnist3d.ink.fit(read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole))
         return DigitImage(digit_id, picture.label, pixels, picture.writer, picture.file)
 
     def fingerprint(self) -> dict[str, object]:
@@ -205,9 +203,7 @@ def _class_names(root: str, folders: Sequence[str]) -> tuple[str, ...]:
     return tuple(sorted(folders, key=lambda name: (natural_key(name.casefold()), name)))
 
 
-def _pictures_of(
-    root: str, path: Path, pages: tuple[int, ...], names: tuple[str, ...]
-) -> Iterator[_Picture]:
+def _pictures_of(root: str, path: Path, pages: tuple[int, ...], names: tuple[str, ...]) -> Iterator[_Picture]:
     """Yield the pages of a file with its class; InputError if it has none."""
     name, label = path.relative_to(root).as_posix(), _LABEL.search(path.name)
     word = path.parent.name

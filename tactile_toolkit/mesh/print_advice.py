@@ -24,9 +24,7 @@ _CURES = {
 def print_advice(words: Iterable[str]) -> tuple[str, ...]:
     """Return a line for each warning: what to do, and the section that explains it."""
     given = set(words)
-    return tuple(
-        f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given
-    )
+    return tuple(f"{word}: {_CURES[word]} (see {WARNINGS_PAGE}#{word})" for word in WARNINGS if word in given)
 
 
 def explained(report: PrintReport, profile: PrintProfile) -> tuple[str, ...]:

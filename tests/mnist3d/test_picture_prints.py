@@ -270,7 +270,8 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
     for each in document["files"]:
         report = inspect(mnist3d.read_mesh(out / each["file"]))
         assert report.volume_mm3 == pytest.approx(each["volume_mm3"], rel=1e-5)
-        assert Image.open(out / each["file"].replace("3mf", "png")).size[0] > 1000
+        with Image.open(out / each["file"].replace("3mf", "png")) as preview:
+            assert preview.size[0] > 1000
     written = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     assert call("mnist3d", *arguments) == 1  # kept
     assert {path.name: path.stat().st_mtime_ns for path in out.iterdir()} == written
@@ -289,7 +290,10 @@ def test_each_warning_says_what_was_found_and_what_to_do(tmp_path: Path, capsys:
     again = ("solidify", tmp_path / "word.png", "--out", out, "--height-mm", 40)
     assert call("mnist3d", *again) == 2
     assert "--overwrite" in capsys.readouterr().err
-    assert call("mnist3d", *again, "--overwrite", "--base-mm", 2, "--thickness-mm", 3, "--edge-profile", "flat") == 0
+    assert (
+        call("mnist3d", *again, "--overwrite", "--base-mm", 2, "--thickness-mm", 3, "--edge-profile", "flat")
+        == 0
+    )
     found = inspect(mnist3d.read_mesh(out))
     assert (found.bodies, found.warnings) == (1, ())
     assert found.size_mm[1:] == pytest.approx((46, 5), abs=0.3)
@@ -382,9 +386,7 @@ def words(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def test_folders_are_classes_and_divide_into_train_and_test(
-    words: Path, tmp_path: Path, capsys: Any
-) -> None:
+def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_path: Path, capsys: Any) -> None:
     catalog = FolderSource(str(words)).catalog()
     assert catalog.class_names == ("10", "house", "li")
     assert np.bincount(catalog.labels).tolist() == [5, 5, 6]

@@ -239,7 +239,10 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
 def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, angle_deg: float) -> None:
     spec = SolidSpec()
     pixels = dumbbell(width_mm, angle_deg)
-    fast, literal = solidify(pixels, spec, pixel_mm=0.2), literal_solid(binarise(pixels, spec), spec, decimated=False)
+    fast, literal = (
+        solidify(pixels, spec, pixel_mm=0.2),
+        literal_solid(binarise(pixels, spec), spec, decimated=False),
+    )
     assert neck_mm(fast, angle_deg) == pytest.approx(neck_mm(literal, angle_deg), abs=0.1)
     assert inspect(fast).is_solid
 
