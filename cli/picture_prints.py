@@ -24,6 +24,10 @@ _INK = {True: "light", False: "auto"}
 _THICKNESS_MM = {True: 4.0, False: 8.0}
 
 
+def _without_dot(ending: str) -> str:
+    return ending[1:]
+
+
 @dataclass(frozen=True, slots=True)
 class Shape:
     """Options for the shape of the solids."""
@@ -79,7 +83,7 @@ def solidify(
     ),
     file_format: str = choice(
         "stl",
-        tuple(ending[1:] for ending in mesh.FORMATS),
+        tuple(map(_without_dot, mesh.FORMATS)),
         name="--format",
         help="Format of the files in a folder.",
     ),

@@ -91,7 +91,8 @@ class DigitMaking(generation.RowGenerator):
 
     def items(self) -> Mapping[str, Any]:
         """Return the ids of each split; reads the catalog of the source only."""
-        usual, splits = PUBLISHED_SIZES, SPLITS
+        usual: Mapping[str, int] = PUBLISHED_SIZES
+        splits: tuple[str, ...] = SPLITS
         if isinstance(self.spec.source, FolderSource):
             usual = OWN_SIZES
             named = dict(self.spec.split.sizes or usual)

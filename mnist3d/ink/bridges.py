@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 from mnist3d.ink.cleaning import repair_corners
 from tactile_toolkit.array_types import Bool, Float64
 
-
 # A strip of width w is w / 4 deep on average.
 _WIDTH_PER_DEPTH = 4.0
 

@@ -18,6 +18,7 @@ DIFFERENT = 32
 CHROMATIC = 0.15
 """Least difference between the reflectances of channels where ink of a photograph has a colour."""
 
+_SQUARE = np.ones((3, 3), bool)
 # Largest range of levels within 3 x 3 pixels of an evenly coloured part.
 _EVEN = 16
 # Pixels that an edge is wide; ink is compared with the darkest ink so near.
@@ -40,13 +41,13 @@ def unlike_paper(colours: UInt8) -> UInt8:
     """
     paper = np.median(np.stack([margin(colours[..., channel]) for channel in range(3)]), axis=1)
     away = np.abs(colours.astype(np.int16) - paper.astype(np.int16)).max(axis=2)
-    return away.astype(np.uint8)
+    return np.asarray(away, np.uint8)
 
 
 def loses_colours(away: UInt8, dark: Bool) -> bool:
     """Return whether parts that differ from the paper are not in the ink that grey levels show."""
     lost = (away >= DIFFERENT) & ~ndimage.binary_dilation(dark, iterations=_EDGE_PX)
-    return np.count_nonzero(ndimage.binary_opening(lost, np.ones((3, 3)))) > _LOST * lost.size
+    return bool(np.count_nonzero(ndimage.binary_opening(lost, _SQUARE)) > _LOST * lost.size)
 
 
 def ink_of_colours(away: UInt8) -> UInt8:
@@ -82,4 +83,4 @@ def coloured_ink(reflectances: Float32) -> Bool:
     # A blur of a pixel removes the noise of cameras, which is coloured.
     smooth = np.stack([ndimage.gaussian_filter(each, 1.0) for each in reflectances])
     found = smooth.max(axis=0) - smooth.min(axis=0) > CHROMATIC
-    return np.asarray(ndimage.binary_opening(found, np.ones((3, 3))))
+    return np.asarray(ndimage.binary_opening(found, _SQUARE))

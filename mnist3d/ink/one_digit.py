@@ -9,7 +9,7 @@ from scipy import ndimage
 
 from mnist3d.ink.reflectance import Ink
 from mnist3d.ink.refusals import refuse
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int32, Int64
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 
 _RIM, _SPECK, _DOT = 0.05, 0.02, 0.005
 """Shares of the longer side: reach of the border of a scan, least length of a digit and of a dot."""
@@ -78,13 +78,13 @@ class _Pieces(NamedTuple):
     ``possible`` have a value for each piece: its longer side, and whether it may be ink.
     """
 
-    labels: Int32
-    piece: Int32
+    labels: AnyArray
+    piece: AnyArray
     numbers: Int64
     spans: Int64
     possible: Bool
     depth: Float64
-    from_rim: Int32
+    from_rim: AnyArray
     slopes: Float32
     edges: Bool
 

@@ -66,8 +66,9 @@ def is_clean(levels: UInt8) -> bool:
 def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
-    With ``whole``, all ink of the page is kept, also several pieces, blobs, and coloured parts. Everything else is 255: the surroundings of the page, borders of scans, specks, and printed lines that are
-    thinner than the strokes. Size and scale are those of the picture.
+    With ``whole``, all ink of the page is kept, also several pieces, blobs, and coloured parts. Everything
+    else is 255: the surroundings of the page, borders of scans, specks, and printed lines that are thinner
+    than the strokes. Size and scale are those of the picture.
 
     Parameters
     ----------
@@ -83,8 +84,8 @@ def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8
     Raises
     ------
     ItemError
-        There is no ink, or, unless ``whole``, not exactly one digit; ``reason`` is ``no-ink``, ``several-digits``, ``cut-off`` (the ink
-        reaches the edge of the page) or ``not-a-digit``.
+        There is no ink or, unless ``whole``, not exactly one digit; ``reason`` is ``no-ink``,
+        ``several-digits``, ``cut-off`` (the ink reaches the edge of the page) or ``not-a-digit``.
     """
     height, width = picture.shape[:2]
     scale = min(1.0, _WORK_PX / max(height, width))

@@ -43,7 +43,8 @@ _NEXT = {
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
     "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
     "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
-    "drawing-cut-off": "take the picture again with room around the drawing, or cut away what surrounds the page",
+    "drawing-cut-off": "take the picture again with room around the drawing, or cut away what surrounds "
+    "the page",
     "not-a-digit": "leave the picture out, or photograph the digit from closer, in even light",
     "empty-page": "leave the picture out, or photograph the digit from closer, in even light",
     "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",

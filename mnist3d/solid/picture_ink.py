@@ -109,7 +109,7 @@ def _levels(
 ) -> tuple[UInt8, float | None, list[str]]:
     """Return levels with dark ink, their threshold if it is known, and notes."""
     if isinstance(picture, (str, os.PathLike)):
-        return _levels_of_file(store.expanded(picture), which, threshold, page)
+        return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
     if isinstance(picture, Image.Image):
         levels = picture_levels(upright_levels(picture), which, threshold, "the picture", whole=True)
         return levels, None, []
@@ -184,8 +184,8 @@ def _fitted(
     side = max(min(side, finest), coarsest)
     if side > _FINEST_SHEET_PX:
         raise InputError(
-            f"the solid would be {long_mm:,.0f} mm long and {2 * half_mm:g} mm thick; expected a length of at "
-            f"most {_FINEST_SHEET_PX * half_mm:,.0f} mm at this thickness",
+            f"the solid would be {long_mm:,.0f} mm long and {2 * half_mm:g} mm thick; expected a length of "
+            f"at most {_FINEST_SHEET_PX * half_mm:,.0f} mm at this thickness",
             next="make it smaller (height_mm, width_mm, pixel_mm) or thicker",
         )
     if side == max(levels.shape):
@@ -198,7 +198,7 @@ def _without_specks(mask: Bool) -> Bool:
     labels = _labels(mask)
     areas = np.bincount(labels.ravel())
     areas[0] = 0
-    return (areas >= _AROUND**2 * areas.max())[labels]
+    return np.asarray((areas >= _AROUND**2 * areas.max())[labels])
 
 
 def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:

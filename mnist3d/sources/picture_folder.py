@@ -34,9 +34,9 @@ class FolderSource:
     """Pictures in ``ROOT/<class>/``, or in ``ROOT`` with the digit in their names (``..._label7_...``).
 
     The folders are the classes. If all of them are digits, the classes are the ten digits, and each picture
-    must show one digit. Otherwise the pictures may show anything, such as letters, words or drawings. Pictures may have any size, mode and polarity; they become dark ink on white paper, fitted into
-    500 x 500 px. Each page of a TIFF, GIF or other file with pages is a digit. Hidden files are ignored.
-    Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote
+    must show one digit. Otherwise the pictures may show anything, such as letters, words or drawings. They
+    may have any size, mode and polarity; they become dark ink on white paper, fitted into 500 x 500 px. Each
+    page of a TIFF, GIF or other file with pages is a picture. Hidden files are ignored. Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote
     it; otherwise the writer is unknown.
 
     Parameters
@@ -142,8 +142,8 @@ def _stamps(root: str) -> tuple[int, ...]:
     """Return the times at which a folder and the folders in it were changed."""
     base = Path(root)
     with suppress(OSError):
-        inner = sorted(entry.path for entry in os.scandir(base) if entry.is_dir())
-        return tuple(Path(folder).stat().st_mtime_ns for folder in (base, *inner))
+        inner = sorted(path for path in base.iterdir() if path.is_dir())
+        return tuple(folder.stat().st_mtime_ns for folder in (base, *inner))
     return ()
 
 

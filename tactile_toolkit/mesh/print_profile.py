@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 from tactile_toolkit.checked_fields import check_fields, real
 
-
 # Slicers fill a wall with one line on each side.
 _LINES_OF_WALL = 2
 
@@ -52,6 +51,7 @@ class PrintProfile:
 
     def __post_init__(self) -> None:
         """Raise InputError for impossible values."""
-        if self.min_wall_mm is None and isinstance(self.nozzle_mm, (int, float)):
-            object.__setattr__(self, "min_wall_mm", _LINES_OF_WALL * self.nozzle_mm)
         check_fields(self, "the print profile")
+        given: float | None = self.min_wall_mm
+        if given is None:
+            object.__setattr__(self, "min_wall_mm", _LINES_OF_WALL * self.nozzle_mm)

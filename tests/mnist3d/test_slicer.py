@@ -100,8 +100,8 @@ def slice_file(path: Path, work: Path, *options: str) -> Sliced:
     target = work / f"{path.stem}.gcode"
     told = slicer("--export-gcode", *PRINT, *options, "-o", target, path)
     assert "Slicing result exported" in told
-    for word in ("repair", "warning", "error", "open edges", "not manifold"):
-        assert word not in told.lower(), told
+    for complaint in ("repair", "warning", "error", "open edges", "not manifold"):
+        assert complaint not in told.lower(), told
     return _followed(target.read_text())
 
 
