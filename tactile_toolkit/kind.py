@@ -16,8 +16,8 @@ from typing import Any, Protocol
 
 from tactile_toolkit.json_types import JsonObject
 
-EXPORT, MERGE, SPLIT = "export", "merge", "split"
-"""Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
+EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
+"""Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows (two)."""
 
 SHARED_COMMANDS = (
     *(
@@ -32,6 +32,7 @@ SHARED_COMMANDS = (
         "list",
         "merge",
         "split",
+        "select",
     ),
     *("cache", "gallery", "export"),
 )
@@ -61,7 +62,7 @@ def is_for_others(manifest: Specified | None) -> bool:
 
 def is_copy(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of a copy, which states its source, not how rows are made."""
-    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT, SELECT)
 
 
 def lazy(path: str) -> Callable[..., Any]:

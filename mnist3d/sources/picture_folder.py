@@ -36,8 +36,9 @@ class FolderSource:
     The folders are the classes. If all of them are digits, the classes are the ten digits, and each picture
     must show one digit. Otherwise the pictures may show anything, such as letters, words or drawings. They
     may have any size, mode and polarity; they become dark ink on white paper, fitted into 500 x 500 px. Each
-    page of a TIFF, GIF or other file with pages is a picture. Hidden files are ignored. Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote
-    it; otherwise the writer is unknown.
+    page of a TIFF, GIF or other file with pages is a picture. Hidden files are ignored. Files of other types
+    are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote it; otherwise the
+    writer is unknown.
 
     Parameters
     ----------
