@@ -26,6 +26,11 @@ from tactile_toolkit.mesh import Mesh, PrintProfile, inspect
 # Time for a digit and its report on one core (AMD EPYC).
 _ROW_S = 0.016
 
+_ADD_PICTURES = (
+    "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
+    "join both by `mnist3d merge OLD NEW --renumber --out BOTH`; to make all again, add --overwrite"
+)
+
 
 @dataclass(frozen=True)
 class DigitSetSpec:
@@ -128,6 +133,12 @@ class DigitMaking(generation.RowGenerator):
     def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
         """Return the printability report of the meshes."""
         return report_table(shard, rows)
+
+    def next_if_other(self) -> str:
+        """Return how pictures are added to a data set."""
+        if not isinstance(self.spec.source, FolderSource):
+            return ""
+        return _ADD_PICTURES
 
     def planned(self, split: str) -> generation.PlannedMeshes:
         """Return the digits of a split, each of which is made by itself, without its report."""

@@ -17,7 +17,7 @@ from typing import Any, Protocol
 from tactile_toolkit.json_types import JsonObject
 
 EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
-"""Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows (two)."""
+"""Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (
     *(

@@ -33,12 +33,12 @@ _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 class FolderSource:
     """Pictures in ``ROOT/<class>/``, or in ``ROOT`` with the digit in their names (``..._label7_...``).
 
-    The folders are the classes. If all of them are digits, the classes are the ten digits, and each picture
-    must show one digit. Otherwise the pictures may show anything, such as letters, words or drawings. They
-    may have any size, mode and polarity; they become dark ink on white paper, fitted into 500 x 500 px. Each
-    page of a TIFF, GIF or other file with pages is a picture. Hidden files are ignored. Files of other types
-    are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote it; otherwise the
-    writer is unknown.
+    The folders are the classes, also those without pictures yet. If all of them are digits, the classes are
+    the ten digits, and each picture must show one digit. Otherwise the pictures may show anything, such as
+    letters, words or drawings. They may have any size, mode and polarity; they become dark ink on white
+    paper, fitted into 500 x 500 px. Each page of a TIFF, GIF or other file with pages is a picture. Hidden
+    files are ignored. Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a
+    name states who wrote it; otherwise the writer is unknown.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
         pages[path] = () if problem else _pages(path)
         if not pages[path]:
             left_out.append((printable(name), problem or "not a picture"))
-    names = _class_names(root, [folder.name for folder in classes if _holds_any(folder, pages)])
+    names = _class_names(root, [folder.name for folder in classes if _is_class(folder, files, pages)])
     found = [each for path, numbers in pages.items() for each in _pictures_of(root, path, numbers, names)]
     if not found:
         raise InputError(
@@ -187,8 +187,10 @@ def _visible(folder: Path) -> list[Path]:
     return sorted(path for path in folder.iterdir() if not store.is_hidden(path.name))
 
 
-def _holds_any(folder: Path, pages: Mapping[Path, tuple[int, ...]]) -> bool:
-    return any(path.parent == folder and numbers for path, numbers in pages.items())
+def _is_class(folder: Path, files: Sequence[Path], pages: Mapping[Path, tuple[int, ...]]) -> bool:
+    """Return whether a folder holds pictures, or nothing yet."""
+    inside = [path for path in files if path.parent == folder]
+    return not inside or any(pages[path] for path in inside)
 
 
 def _class_names(root: str, folders: Sequence[str]) -> tuple[str, ...]:

@@ -174,8 +174,9 @@ def prepare_upload(
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
     ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
-    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a finished data set, an unusable option), IntegrityError
-    (damage, a card that does not match the data) or HubError.
+    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a
+    finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
+    HubError.
     """
     from huggingface_hub import HfApi
 

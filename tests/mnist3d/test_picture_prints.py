@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import math
+import os
+import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,7 @@ from mnist3d.sources import FolderSource, SyntheticSource
 from mnist3d.sources.picture_files import decode_page
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import WARNINGS, Mesh, as_mesh, check_manifold, inspect, on_base_plate, print_advice
-from tests.command_line import call
+from tests.command_line import call, program
 from tests.pages import ROOT
 
 PEN = (15, 15, 40)
@@ -430,3 +432,65 @@ def test_other_sources_store_no_names_of_files(tmp_path: Path) -> None:
     (digit,) = mnist3d.load(tmp_path / "set", "test")
     assert digit.file is None
     assert "name: file" not in (tmp_path / "set" / "README.md").read_text(encoding="utf-8")
+
+
+def test_pictures_that_are_added_need_another_command_which_works(
+    words: Path, tmp_path: Path, capsys: Any
+) -> None:
+    old, new = tmp_path / "old", tmp_path / "new"
+    for folder in (old, new):
+        for name in ("10", "house", "li"):
+            (folder / name).mkdir(parents=True)
+    word().save(old / "li" / "a.png")
+    word(30).save(new / "li" / "b.png")
+
+    def make(folder: Path) -> int:
+        out = tmp_path / f"{folder.name}-set"
+        options = ("--source", "folder", "--images", folder, "--vertices", 500, "--out", out)
+        return call("mnist3d", "generate", *options)
+
+    assert (make(old), make(new), make(old)) == (0, 0, 0)
+    word(30).save(old / "li" / "b.png")
+    capsys.readouterr()
+    assert make(old) == 2
+    assert "next: to add pictures" in (told := capsys.readouterr().err)
+    assert "mnist3d merge OLD NEW --renumber --out BOTH" in told
+    sets = (tmp_path / "old-set", tmp_path / "new-set")
+    both = tmp_path / "both"
+    assert call("mnist3d", "merge", *sets, "--renumber", "--out", both) == 0
+    assert [row.file for row in mnist3d.load(both, "train")] == ["li/a.png", "li/b.png"]
+
+
+def test_select_writes_the_chosen_rows_only(tmp_path: Path, capsys: Any) -> None:
+    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), per_class=1)
+    generate(spec, str(tmp_path / "set"), ("test",))
+    out = tmp_path / "some"
+    assert call("mnist3d", "select", tmp_path / "set", "--labels", "3,5", "--out", out) == 0
+    whole, some = mnist3d.load(tmp_path / "set", "test"), mnist3d.load(out, "test")
+    chosen = [row for row in whole if row.label in (3, 5)]
+    assert [row.id for row in some] == [row.id for row in chosen]
+    assert all(np.array_equal(a.vertices_m, b.vertices_m) for a, b in zip(some, chosen, strict=True))
+    assert call("mnist3d", "verify", out) == 0
+    assert call("mnist3d", "select", tmp_path / "set", "--out", tmp_path / "no") == 2
+    assert "expected filters such as --ids" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("setting", [("HF_HUB_OFFLINE", "1"), ("HF_ENDPOINT", "http://127.0.0.1:9")])
+def test_a_dry_upload_needs_no_network(setting: tuple[str, str], tmp_path: Path) -> None:
+    spec = DigitSetSpec(SyntheticSource(), mnist3d.SolidSpec(target_vertices=300), limit=1)
+    generate(spec, str(tmp_path / "set"), ("test",))
+    # The client reads its settings when it is imported.
+    command = program("mnist3d", "upload", tmp_path / "set", "YOU/digits", "--dry-run", "--json")
+    settings = {**os.environ, "HF_HOME": str(tmp_path / "hf"), "HF_TOKEN": "", setting[0]: setting[1]}
+    done = subprocess.run(command, env=settings, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    document = json.loads(done.stdout)
+    assert document["exists"] is None
+    assert {"README.md", "manifest.json"} < set(document["to_send"])
+    assert document["bytes_to_send"] == document["bytes"] > 10_000
+    assert "note: no connection to the Hub" in done.stderr
+    # A damaged folder is named without the Hub, too.
+    (tmp_path / "set" / "README.md").write_text("no card", encoding="utf-8")
+    done = subprocess.run(command, env=settings, capture_output=True, text=True, check=False)
+    assert done.returncode == 3
+    assert "README.md" in done.stderr
