@@ -43,6 +43,7 @@ def generate(
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
     solid: SolidSpec,
+    words: cards.OwnerWords,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -68,6 +69,18 @@ def generate(
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
     generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    if words.given() and not making.dry_run:
+        _state_owner(sink, out, words)
+
+
+def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
+    """Write words of the owner into the card of a finished data set."""
+    folder = store.open_folder(out)
+    manifest = store.read_manifest(folder)
+    if manifest is None or not manifest.complete:
+        sink.info(f"note: {out} is unfinished; next: state the licence and other words when it is finished")
+        return
+    cards.state_owner(KIND, folder, manifest, words)
 
 
 def _print_made(
