@@ -47,6 +47,7 @@ _NEXT = {
     "the page",
     "not-a-digit": "leave the picture out, or photograph the digit from closer, in even light",
     "empty-page": "leave the picture out, or photograph the digit from closer, in even light",
+    "only-specks": "make the solid larger, or draw with a thicker pen",
     "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",
     "border": "leave room around the digit, or crop the image to its page",
     "layers": "leave the digit out, or try method='fast'",

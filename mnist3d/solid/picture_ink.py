@@ -45,9 +45,11 @@ _LEAST_SPECK_MM2, _SPECK_PER_STROKE = 0.64, 0.5
 _AROUND = 0.05
 # Nodes of the lattice across a stroke, so that it is smooth.
 _NODES_PER_STROKE = 4.0
-
+# Most nodes of the lattice of a drawing; each takes some 20 bytes.
+_MOST_NODES = 3e7
 
 NO_CHANGES: Mapping[str, Any] = MappingProxyType({})
+"""The parameters of a specification as they are."""
 
 
 class SizedInk(NamedTuple):
@@ -76,24 +78,22 @@ def sized_ink(
     for name, value, known in (("ink", which, ink.INKS), ("threshold", threshold, THRESHOLDS)):
         if value not in known:
             raise InputError(f"{name} is {value!r}; expected one of {', '.join(known)}")
-    is_drawing = spec is None and not _is_grey(picture)
     asked = replace(spec or SolidSpec(), **changes)
     levels, level, notes = _levels(picture, asked, which, threshold, page)
     sheet, pitch_mm = _on_sheet(levels, level, asked, size)
-    drawn = ink.ink_of_levels(levels, level if asked.threshold is None else asked.threshold)
-    before = drawn
     if sheet is not levels:
         level = None  # the threshold of the picture does not fit resampled levels
-        before = ink.ink_of_levels(sheet, asked.threshold)
-    fitted = replace(
-        asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=min(asked.vertex_quantum_mm, pitch_mm / 10)
-    )
+    quantum_mm = min(asked.vertex_quantum_mm, pitch_mm / 10)
+    fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
-    if is_drawing:
-        fitted = for_strokes(before, fitted)
-    mask = ink.cleaned_ink(sheet, fitted, level)
-    if is_drawing and "target_vertices" not in changes:
-        fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, pitch_mm))
+    if spec is not None or _is_grey(picture):
+        return SizedInk(ink.cleaned_ink(sheet, fitted, level), fitted, tuple(notes))
+    before = ink.ink_of_levels(sheet, fitted.threshold)
+    fitted = for_strokes(before, fitted)
+    mask = ink.cleaned_ink(sheet, fitted)
+    if "target_vertices" not in changes:
+        fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
+    drawn = ink.ink_of_levels(levels, fitted.threshold)
     count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
@@ -209,9 +209,12 @@ def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
     return replace(spec, min_speck_mm2=speck_mm2, min_pinhole_mm2=share * spec.min_pinhole_mm2)
 
 
-def _lattice_pitch_mm(mask: Bool, pitch_mm: float) -> float:
-    """Return the distance of the nodes of a lattice on which strokes are smooth."""
-    return min(LARGEST_LATTICE_MM, pitch_mm * thinnest_stroke_px(mask) / _NODES_PER_STROKE)
+def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
+    """Return the distance of the nodes of a lattice that fits into memory and on which strokes are smooth."""
+    rows, columns = (np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (1, 0))
+    least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MOST_NODES)
+    wanted_px = max(thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
+    return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * wanted_px))
 
 
 def _labels(mask: Bool) -> Int32:
