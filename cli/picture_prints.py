@@ -97,7 +97,7 @@ def solidify(
     ),
     invert: bool = switch(False, help="The ink is lighter than the paper; otherwise this is found out."),
     nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
-    preview: bool = switch(False, help="Write a picture of each solid beside its file."),
+    preview: bool = switch(False, help="Write a picture of each solid beside its file: NAME-preview.png."),
     job: Job,
     sink: Sink,
 ) -> None:

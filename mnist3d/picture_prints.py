@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import glob
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -19,6 +20,7 @@ from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.parsed_text import natural_key
 
 _VIEW_PX = (760, 560)
+_PREVIEW = "-preview.png"
 
 
 @dataclass(frozen=True)
@@ -40,7 +42,7 @@ class PrintSpec:
     ending : str
         Format of the files, one of :data:`tactile_toolkit.mesh.FORMATS`.
     preview : bool
-        Write a picture of each solid beside its file.
+        Write a picture of each solid beside its file, ``NAME-preview.png``.
     """
 
     changes: Mapping[str, Any] = field(default_factory=dict)
@@ -108,10 +110,14 @@ def print_pictures(
     """
     found = [page for name in names for page in _pages_of(store.expanded(name))]
     folder, ending, stems = _file_names(found, out, spec.ending)
+    endings = [ending, _PREVIEW] if spec.preview else [ending]
+    _refuse_pictures(
+        [path for path, _ in found], Path(folder), [stem + each for stem in stems for each in endings]
+    )
     products = [
         printing.Product(
             stem,
-            (f"{stem}{ending}", *([f"{stem}.png"] if spec.preview else [])),
+            tuple(glob.escape(stem) + each for each in endings),
             partial(_made, path, page, stem, ending, spec),
         )
         for stem, (path, page) in zip(stems, found, strict=True)
@@ -119,6 +125,14 @@ def print_pictures(
     return printing.write_products(
         products, folder, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )
+
+
+def _refuse_pictures(pictures: Sequence[Path], folder: Path, names: Sequence[str]) -> None:
+    """Refuse to replace a picture by a file that is made of it."""
+    targets = {(folder / name).resolve() for name in names}
+    hit = next((path for path in pictures if path.resolve() in targets), None)
+    if hit is not None:
+        raise InputError(f"{str(hit)!r} is a picture and would be replaced", next="choose another --out")
 
 
 def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
@@ -183,7 +197,7 @@ def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> pri
     report, name = mesh.inspect(part, spec.profile), f"{stem}{ending}"
     files = {name: content}
     if spec.preview:
-        files = {f"{stem}.png": _drawn(path.name, sized.mask, part, report), **files}
+        files = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report), **files}
     record = partial(PrintedPicture, str(path), name, report, sized.notes, len(content))
 
     def check() -> None:

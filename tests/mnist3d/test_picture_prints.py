@@ -272,7 +272,7 @@ def test_a_folder_of_pictures_makes_a_file_each_and_names_what_failed(tmp_path: 
     for each in document["files"]:
         report = inspect(mnist3d.read_mesh(out / each["file"]))
         assert report.volume_mm3 == pytest.approx(each["volume_mm3"], rel=1e-5)
-        with Image.open(out / each["file"].replace("3mf", "png")) as preview:
+        with Image.open(out / each["file"].replace(".3mf", "-preview.png")) as preview:
             assert preview.size[0] > 1000
     written = {path.name: path.stat().st_mtime_ns for path in out.iterdir()}
     assert call("mnist3d", *arguments) == 1  # kept
@@ -322,6 +322,27 @@ def test_names_that_cannot_be_used_are_named(
     assert call("mnist3d", "solidify", *arguments) == 2
     assert message in capsys.readouterr().err
     assert not list(tmp_path.glob("*.stl"))
+
+
+def test_no_picture_and_no_other_file_is_replaced(tmp_path: Path, capsys: Any) -> None:
+    source, preview = tmp_path / "a.png", tmp_path / "b-preview.png"
+    word().save(source)
+    word(30).save(preview)
+    before = source.read_bytes(), preview.read_bytes()
+    arguments = ("solidify", source, "--out", tmp_path / "a.stl", "--preview", "--overwrite")
+    assert call("mnist3d", *arguments) == 0
+    assert (tmp_path / "a-preview.png").is_file()
+    assert call("mnist3d", "solidify", preview, "--out", tmp_path / "b.stl", "--preview", "--overwrite") == 2
+    assert "is a picture and would be replaced" in capsys.readouterr().err
+    # Names that are patterns for a shell are names.
+    (tmp_path / "a1.stl").write_bytes(b"another")
+    source.rename(tmp_path / "a[1].png")
+    Image.new("L", (90, 90), 255).save(tmp_path / "a*.png")
+    names = [tmp_path / "a[1].png", tmp_path / "a*.png"]
+    assert call("mnist3d", "solidify", *names, "--out", tmp_path, "--overwrite") == 1
+    assert (tmp_path / "a1.stl").read_bytes() == b"another"
+    assert inspect(mnist3d.read_mesh(tmp_path / "a[1].stl")).is_solid
+    assert ((tmp_path / "a[1].png").read_bytes(), preview.read_bytes()) == before
 
 
 def test_light_strokes_on_a_dark_board(tmp_path: Path) -> None:
