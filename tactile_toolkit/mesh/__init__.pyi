@@ -27,7 +27,7 @@ from .mesh import (
 from .nearness import (
     connected as connected,
 )
-from .print_advice import (
+from .print_cures import (
     WARNINGS_PAGE as WARNINGS_PAGE,
     explained as explained,
     print_advice as print_advice,
