@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import typer
 
+import mnist3d
 from cli.application import EXIT_FAILED
 from cli.options import Job, argument, local_place, process_count
 from cli.output import Sink
-from mnist3d.picture_prints import PrintedPicture, PrintSpec, print_pictures
 from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid_spec import PROFILES
 from tactile_toolkit import mesh
@@ -19,13 +19,10 @@ from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _DOING = {True: "checking", False: "making"}
+_FORMATS = ("stl", "3mf", "ply", "obj", "glb")
 _INK = {True: "light", False: "auto"}
 # A relief on a plate is as thick as the upper half of a solid without one.
 _THICKNESS_MM = {True: 4.0, False: 8.0}
-
-
-def _without_dot(ending: str) -> str:
-    return ending[1:]
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +80,7 @@ def solidify(
     ),
     file_format: str = choice(
         "stl",
-        tuple(map(_without_dot, mesh.FORMATS)),
+        _FORMATS,
         name="--format",
         help="Format of the files in a folder.",
     ),
@@ -109,7 +106,7 @@ def solidify(
 
     Exit code 1 if a picture could not be used.
     """
-    spec = PrintSpec(
+    spec = mnist3d.PrintSpec(
         changes=shape.changes(),
         size=size,
         base_mm=shape.base_mm,
@@ -120,7 +117,7 @@ def solidify(
         preview=preview,
     )
     with sink.progress(_DOING[job.dry_run], "files") as update:
-        made = print_pictures(
+        made = mnist3d.print_pictures(
             *(pictures, out, spec),
             overwrite=job.overwrite,
             dry_run=job.dry_run,
@@ -147,7 +144,7 @@ def solidify(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _print_files(sink: Sink, files: Iterable[PrintedPicture], spec: PrintSpec) -> None:
+def _print_files(sink: Sink, files: Iterable[mnist3d.PrintedPicture], spec: mnist3d.PrintSpec) -> None:
     """Print size and volume of each file, and what will not print."""
     rows = [
         (

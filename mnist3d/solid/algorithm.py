@@ -15,7 +15,7 @@ from typing import Literal, NamedTuple
 from mnist3d.ink.binarisation import binarise, ink_of_levels
 from mnist3d.ink.cleaning import count_bodies_and_holes
 from mnist3d.ink.refusals import refuse
-from mnist3d.solid.decimation import BUDGET_SLACK, decimate
+from mnist3d.solid.decimation import BUDGET_SLACK, decimate, without_flat_vertices
 from mnist3d.solid.erosion_and_stacking import erode, stack
 from mnist3d.solid.lattice import Lattice, lattice_of
 from mnist3d.solid.literal import literal_solid
@@ -98,6 +98,8 @@ def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "f
         made = literal_solid(sized.mask, sized.spec)
     else:
         made = solid_steps(sized.mask, sized.spec).mesh
+    if sized.is_fine:
+        made = without_flat_vertices(made)
     return made if base_mm is None else on_base_plate(made, base_mm)
 
 

@@ -58,6 +58,8 @@ class SizedInk(NamedTuple):
     mask: Bool
     spec: SolidSpec
     notes: tuple[str, ...]
+    is_fine: bool = False
+    """Whether the lattice is as fine as the strokes need, so that even parts have too many vertices."""
 
 
 def sized_ink(
@@ -91,13 +93,14 @@ def sized_ink(
     before = ink.ink_of_levels(sheet, fitted.threshold)
     fitted = for_strokes(before, fitted)
     mask = ink.cleaned_ink(sheet, fitted)
-    if "target_vertices" not in changes:
+    is_fine = "target_vertices" not in changes
+    if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
     drawn = ink.ink_of_levels(levels, fitted.threshold)
     count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
-    return SizedInk(mask, fitted, tuple(notes))
+    return SizedInk(mask, fitted, tuple(notes), is_fine)
 
 
 def _is_grey(picture: PictureLike) -> bool:

@@ -14,9 +14,11 @@ from .card_check import (
     check_card as check_card,
     pictures_in as pictures_in,
 )
-from .owner_words import (
+from .owner_options import (
     LICENCES as LICENCES,
     OwnerWords as OwnerWords,
+)
+from .owner_words import (
     state_owner as state_owner,
 )
 from .yaml_head import (

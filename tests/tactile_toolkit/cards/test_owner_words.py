@@ -12,7 +12,7 @@ import mnist3d
 import starstruck_gen
 from mnist3d.digit_generation import DigitSetSpec, generate
 from mnist3d.sources import SyntheticSource
-from tactile_toolkit.cards.owner_words import LICENCES, read_licence
+from tactile_toolkit.cards.owner_options import LICENCES, read_licence
 from tests.command_line import call
 
 BIBTEX = "@misc{mine, title={My digits}, author={Lovelace, Ada}}"
