@@ -34,7 +34,9 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     """
     pieces = _Pieces.of(mask, inside, found)
     labels, piece, numbers, depth = pieces.labels, pieces.piece, pieces.numbers, pieces.depth
-    possible = pieces.possible & (pieces.spans > _SPECK * max(mask.shape))
+    possible = pieces.is_sharp & (pieces.spans > _SPECK * max(mask.shape))
+    # Ink along the rim only is the border of a scan.
+    possible &= pieces.farthest > _RIM * max(mask.shape)
     if not possible.any():
         refuse("no-ink", sentence="empty-page")
     main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
@@ -62,7 +64,10 @@ def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     Raises ItemError ``no-ink``, or ``cut-off`` if ink reaches the edge of the page.
     """
     pieces = _Pieces.of(mask, inside, found)
-    kept = pieces.possible & (pieces.spans > _DOT * max(mask.shape))
+    kept = pieces.is_sharp & (pieces.spans > _DOT * max(mask.shape))
+    # The border of a scan lies along the rim and reaches it; small parts of a drawing may lie near it.
+    nearest = ndimage.minimum(pieces.from_rim[mask], pieces.piece, pieces.numbers)
+    kept &= (pieces.farthest > _RIM * max(mask.shape)) | (nearest > NEAR_PX)
     if not kept.any():
         refuse("no-ink", sentence="empty-page")
     drawing = np.isin(pieces.labels, pieces.numbers[kept])
@@ -74,15 +79,16 @@ def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
 class _Pieces(NamedTuple):
     """The pieces of the ink on a page.
 
-    ``labels`` numbers the piece of each pixel, ``piece`` those of the ink only; ``numbers``, ``spans`` and
-    ``possible`` have a value for each piece: its longer side, and whether it may be ink.
+    ``labels`` numbers the piece of each pixel, ``piece`` those of the ink only. The others up to ``farthest``
+    have a value for each piece: its longer side, whether its edges are sharp, and its reach from the rim.
     """
 
     labels: AnyArray
     piece: AnyArray
     numbers: Int64
     spans: Int64
-    possible: Bool
+    is_sharp: Bool
+    farthest: AnyArray
     depth: Float64
     from_rim: AnyArray
     slopes: Float32
@@ -103,10 +109,9 @@ class _Pieces(NamedTuple):
         edges = (depth > 0) & (depth <= 1)
         boxes = ndimage.find_objects(labels)
         spans = np.array([max(part.stop - part.start for part in box) for box in boxes])
-        # Ink along the rim only is the border of a scan.
-        possible = ndimage.maximum(from_rim[mask], piece, numbers) > _RIM * max(mask.shape)
-        possible &= ndimage.median(slopes[edges], labels[edges], numbers) >= _SOFT
-        return cls(labels, piece, numbers, spans, possible, depth, from_rim, slopes, edges)
+        farthest = np.asarray(ndimage.maximum(from_rim[mask], piece, numbers))
+        is_sharp = np.asarray(ndimage.median(slopes[edges], labels[edges], numbers)) >= _SOFT
+        return cls(labels, piece, numbers, spans, is_sharp, farthest, depth, from_rim, slopes, edges)
 
 
 def _check(digit: Bool, depth_px: float, inside: Bool) -> None:

@@ -115,6 +115,14 @@ def test_a_photograph_of_a_word_keeps_all_letters_and_dots() -> None:
         mnist3d.ink.even_out(np.asarray(photographed(word()).convert("L")))
 
 
+def test_small_parts_near_the_edge_of_a_photographed_page_are_kept() -> None:
+    page = word()
+    ImageDraw.Draw(page).line([(770, 150), (770, 180)], fill=PEN, width=12)  # 3 % of the page from its edge
+    desk = Image.new("RGB", (1200, 800), (95, 62, 40))
+    desk.paste(page, (200, 200))
+    assert pieces(inked(photographed(desk), width_mm=100).mask) == 6
+
+
 def test_specks_that_are_left_out_are_counted() -> None:
     dirty = word()
     for x in range(60, 160, 20):
