@@ -302,13 +302,16 @@ class TestRefusals:
 
 
 @pytest.mark.thorough
-def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path: Path) -> None:
+def test_a_picture_that_takes_long_or_much_memory_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "100")
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "slow.jpg").write_bytes(jpeg_of_scans(101))
     assert "a JPEG of 101 scans" in item_refusal(tmp_path, "unreadable")
     (tmp_path / "1" / "slow.jpg").unlink()
     Image.new("LA", (6_000, 6_000)).save(tmp_path / "1" / "large.png")
-    assert "6000 x 6000 pixels unpacks to 864,000,000 bytes" in item_refusal(tmp_path, "unreadable")
+    assert "6000 x 6000 pixels unpacks to 144,000,000 bytes" in item_refusal(tmp_path, "unreadable")
 
 
 def test_fingerprint_knows_content_names_and_no_path(tmp_path: Path) -> None:
