@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from posixpath import normpath
-from typing import Any
+from typing import Any, TypeAlias
 
 from tactile_toolkit import cards, hub, run, store
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
@@ -27,6 +27,8 @@ from tactile_toolkit.places import folder_place
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
+
+_State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,8 @@ class PreparedUpload:
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
     ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
     folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
-    as this object lives. ``ask`` calls a function that asks the Hub, with retries.
+    as this object lives. ``ask`` calls a function that asks the Hub, with retries. ``unasked`` states why a
+    dry run does not know what the Hub holds.
     """
 
     repo_id: str
@@ -124,6 +127,7 @@ class PreparedUpload:
     scratch: Path
     ask: Callable[..., Any] = field(repr=False)
     what: str
+    unasked: str = ""
 
     @property
     def page(self) -> str:
@@ -170,9 +174,10 @@ def prepare_upload(
 ) -> PreparedUpload:
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
-    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs no login for a
-    public repository. Raises InputError (not a finished data set, an unusable option), IntegrityError
-    (damage, a card that does not match the data) or HubError.
+    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
+    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a
+    finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
+    HubError.
     """
     from huggingface_hub import HfApi
 
@@ -187,14 +192,17 @@ def prepare_upload(
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
-        if not dry_run:
+        unasked = ""
+        if dry_run:
+            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
+        else:
             ask(HfApi().whoami)
-        state = ask(partial(_state, repo_id, chosen.branch))
+            state = ask(partial(_state, repo_id, chosen.branch))
         manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
         what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
         prepared = _prepared(repo_id, chosen, state, files, scratch, ask, what)
-        prepared = replace(prepared, manifest=manifest, left_out=left_out)
+        prepared = replace(prepared, manifest=manifest, left_out=left_out, unasked=unasked)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
 
@@ -219,11 +227,14 @@ def prepare_files(
         scratch = stack.enter_context(store.scratch_folder())
         for path, content in files.items():
             (scratch / path).write_bytes(content)
-        if not dry_run:
+        unasked = ""
+        if dry_run:
+            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
+        else:
             ask(HfApi().whoami)
-        state = ask(partial(_state, repo_id, chosen.branch))
+            state = ask(partial(_state, repo_id, chosen.branch))
         local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
-        prepared = _prepared(repo_id, chosen, state, local, scratch, ask, what)
+        prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
 
@@ -269,7 +280,15 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[str, str], bool]:
+def _state_if_known(ask: Callable[..., Any], repo_id: str, branch: str) -> tuple[_State, str]:
+    """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
+    try:
+        return ask(partial(_state, repo_id, branch), waits_s=()), ""
+    except HubError as error:
+        return (None, {}, False), error.what
+
+
+def _state(repo_id: str, branch: str) -> _State:
     """Return the head of a branch, the commits of the tags, and whether the branch exists.
 
     A missing repository is not an error.

@@ -22,7 +22,13 @@ from tactile_toolkit import pictures
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MM_PER_M, Mesh, pack_mesh, require_solid, unpack_mesh
-from tactile_toolkit.printing.file_export import FileExport, Made, Product, export, require_same_solid
+from tactile_toolkit.printing.file_export import (
+    FileExport,
+    Made,
+    Product,
+    require_same_solid,
+    write_products,
+)
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate
 
 if TYPE_CHECKING:
@@ -225,7 +231,7 @@ def export_calibration_plate(
     """
     patterns = (f"{PLATE_NAME}.{kind}", f"{PLATE_NAME}.png", SHEET_FILE)
     product = Product(PLATE_NAME, patterns, partial(_made, tuple(solids), f".{kind}"))
-    return export([product], out, overwrite=overwrite, dry_run=dry_run)
+    return write_products([product], out, overwrite=overwrite, dry_run=dry_run)
 
 
 def _made(solids: Sequence[PrintObject], ending: str) -> Made[WrittenPlate]:
