@@ -7,31 +7,21 @@ Facts of the format: images lie in ``touch_and_go/FOLDER/gelsight_frame``, their
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 from itertools import groupby
 from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made, id_of_stem, stem_of_id, with_files, write_changed
+from realtouch.convert.conversion import Made, stem_of_id, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.importing.found_touches import (
-    FoundTouch,
-    found_file,
-    open_source,
-    path_of,
-    source_of,
-    visible_files,
-)
 from realtouch.stored_images import StoredImage, as_jpeg, background_of
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import read, store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError
 
-_FOLDER, _IMAGES, _FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
+_FOLDER, IMAGES, FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
-_LIST_END = "_bg.txt"
-_LEFT_OUT = "-1"
+LIST_END = "_bg.txt"
+LEFT_OUT = "-1"
 
 
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
@@ -46,7 +36,7 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]
     backgrounds: list[str] = []
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
-        home = f"{_FOLDER}/{_IMAGES}/{shard.split}-{stem_of_id(name)}/{_FRAMES}"
+        home = f"{_FOLDER}/{IMAGES}/{shard.split}-{stem_of_id(name)}/{FRAMES}"
         found = {f"{home}/{touch:010d}.jpg": as_jpeg(image["bytes"]) for _, touch, image in touches}
         background = f"{home}/{_BACKGROUND}"
         files |= {**found, background: background_of(list(found.values()), list(found))}
@@ -60,7 +50,7 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
     lines: dict[str, list[str]] = {}
     for record in manifest.shards:
         table = read.Shard(folder.address(record.shard.data_path)).read(columns=["file", "label"])
-        path = f"{_FOLDER}/{record.shard.split}{_LIST_END}"
+        path = f"{_FOLDER}/{record.shard.split}{LIST_END}"
         for image, label in zip(*(column.to_pylist() for column in table.columns), strict=True):
             _, _, name, _, base = image.split("/")
             lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
@@ -69,28 +59,3 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
 
 
 plan_anytouch = PackedFormat(_FOLDER, _pack, _write_lists).plan
-
-
-def find_anytouch(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each line of the lists, or of one list; a missing file is the touch's problem."""
-    lists = [(home, name) for name in visible_files(home, _LIST_END)]
-    if table is not None:
-        lists = [source_of(table)]
-    if not lists:
-        raise InputError(f"{home.address()!r} holds no lists (*{_LIST_END})")
-    sizes = cache(home.sizes)
-    for place, each in lists:
-        split = each.removesuffix(_LIST_END)
-        with open_source(place, each) as stream:
-            content = stream.read().decode(errors="replace")
-        for line in content.splitlines():
-            image, label, *_ = f"{line},".split(",")
-            folder, _, base = path_of(image).rpartition("/")
-            round_id = id_of_stem(folder.removeprefix(f"{split}-"))
-            values = {"label": label.strip(), "round_id": round_id, "split": split}
-            name = f"{_IMAGES}/{folder}/{_FRAMES}/{base}"
-            if values["label"] == _LEFT_OUT:
-                problem = ItemError("label", "the list leaves it out: its label is -1")
-                yield FoundTouch(name, home.address(), name, 0, 0, values, problem)
-            else:
-                yield found_file(home, name, values, sizes)

@@ -7,7 +7,6 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from dataclasses import replace
 from pathlib import PurePath
 from typing import Any
 
@@ -15,10 +14,9 @@ import pyarrow as pa
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.exchange.webdataset import find_webdataset, tar_of
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.exchange.webdataset import tar_of
 from realtouch.stored_images import StoredImage, as_jpeg
-from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
+from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS
 from tactile_toolkit import store
 
 _FOLDER = "fota"
@@ -51,13 +49,3 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
 
 
 plan_fota = PackedFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan
-
-
-def find_fota(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each sample of the tars of one split; the folder's name is that of the split."""
-    split = home.address().rstrip("/").rpartition("/")[2]
-    for item in find_webdataset(home, columns, table):
-        values: dict[str, object] = {"split": split, **item.values}
-        if values.keys() >= {*POSE_COLUMNS, *FOTA_POSE_COLUMNS}:  # of our exports: one pose, in two units
-            values = {name: value for name, value in values.items() if name not in FOTA_POSE_COLUMNS}
-        yield replace(item, values=values)

@@ -1,8 +1,7 @@
 """The layout of Sparsh: pickled lists of encoded images, and the picture of a gel at rest.
 
 Facts of the format: ``DATASET.pkl`` is a list of the bytes of image files, in their order; the background is
-``bgs/bg_gs.jpg``. Pickles are read here by their opcodes and never executed. Labels, for which the format has
-no place, lie in a CSV table of the same name.
+``bgs/bg_gs.jpg``. Labels, for which the format has no place, lie in a CSV table of the same name.
 """
 
 from __future__ import annotations
@@ -10,32 +9,21 @@ from __future__ import annotations
 import io
 import json
 import pickle
-import pickletools
 from collections.abc import Iterator
-from typing import IO, Any
 
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
 from realtouch.exchange.flat import PackedFormat
-from realtouch.importing.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
+from realtouch.exchange.sparsh_import import places_of_images
 from realtouch.stored_images import StoredImage, background_of
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
-from tactile_toolkit.errors import InputError
 
 _FOLDER = "sparsh"
 _BACKGROUND = "bgs/bg_gs.jpg"
 _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
-# No image is smaller; a million empty ones would take long to check.
-_LEAST_IMAGE_BYTES = 24
-# How many bytes of an opcode come before the content.
-_HEADER_BYTES = {"SHORT_BINBYTES": 2, "BINBYTES": 5, "BINBYTES8": 9}
-_OF_LISTS = frozenset(
-    ["PROTO", "FRAME", "EMPTY_LIST", "MARK", "MEMOIZE", "BINPUT", "LONG_BINPUT", "APPEND", "APPENDS", "STOP"]
-)
 
 
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
@@ -64,67 +52,14 @@ def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> di
         of_split = f"{_FOLDER}/{split}/"
         first = next(path for path in files if path.startswith(of_split) and path.endswith(".pkl"))
         with folder.open(first) as stream:
-            places = list(_places(stream, first))[:_MOST_IN_MEDIAN]
+            places = list(places_of_images(stream, first))[:_MOST_IN_MEDIAN]
             names = [f"{first}, image {number}" for number in range(len(places))]
-            images = [_part(stream, *place) for place in places]
+            images = []
+            for start, size in places:
+                stream.seek(start)
+                images.append(stream.read(size))
         found[f"{of_split}{_BACKGROUND}"] = background_of(images, names)
     return files | write_changed(folder, found)
 
 
 plan_sparsh = PackedFormat(_FOLDER, _pack, _write_backgrounds).plan
-
-
-def _part(stream: IO[bytes], start: int, size: int) -> bytes:
-    stream.seek(start)
-    content: bytes = stream.read(size)
-    return content
-
-
-def _places(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
-    """Yield place and size of each image in a pickled list; executes nothing of it."""
-    lists = 0
-    try:
-        for opcode, content, position in pickletools.genops(stream):
-            lists += opcode.name == "EMPTY_LIST"
-            if opcode.name in _HEADER_BYTES and content is not None and position is not None:
-                if len(content) < _LEAST_IMAGE_BYTES:
-                    raise InputError(
-                        f"{name!r} holds {len(content)} bytes at {position:,}; expected an encoded image"
-                    )
-                yield position + _HEADER_BYTES[opcode.name], len(content)
-            elif opcode.name not in _OF_LISTS or lists > 1:
-                raise InputError(
-                    f"{name!r} holds something else than a list of encoded images ({opcode.name})",
-                    next="write one list of `bytes` with pickle protocol 3 or higher",
-                )
-    except (ValueError, OverflowError, MemoryError) as error:
-        raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
-    if stream.read(1):
-        raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
-
-
-def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
-    split = home.address().rstrip("/").rpartition("/")[2]
-    files = home.sizes()
-    names = visible_files(home, ".pkl")
-    if not names:
-        raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
-    for name in names:
-        stem = name.rpartition(".")[0]
-        folder, beside = home, f"{stem}.csv"
-        if table is not None:
-            folder, beside = source_of(table)
-        with open_source(home, name) as stream:
-            places = list(_places(stream, name))
-        lines: list[dict[str, Any]] = [{}] * len(places)
-        if table is not None or beside in files:
-            _, lines = read_table(folder, beside)
-        if len(lines) != len(places):  # else they would be of other images
-            raise InputError(
-                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, one for each image of "
-                f"{name!r}"
-            )
-        for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
-            values = {"split": split, **line}
-            yield FoundTouch(f"{stem}_{count:06d}", home.address(), name, start, size, values)

@@ -294,19 +294,22 @@ def _recordings(layout: str, cut: str = "frames", *, rotvec: bool = False) -> Im
     return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, True, describe, rotvec)
 
 
+def _touches(layout: str) -> ImportFormat:
+    """Return a format whose reader yields touches."""
+    return ImportFormat(lazy(f"realtouch.exchange.{layout}_import:find_{layout}"))
+
+
 IMPORTS: dict[str, ImportFormat] = {
-    "folder": ImportFormat(lazy("realtouch.exchange.folder:find_folder")),
+    "folder": _touches("folder"),
     "video": _recordings("video", "whole"),
-    "flat": ImportFormat(
-        lazy("realtouch.exchange.flat_import:find_flat"), lazy("realtouch.exchange.flat_import:stored_images")
-    ),
-    "webdataset": ImportFormat(lazy("realtouch.exchange.webdataset:find_webdataset")),
+    "flat": replace(_touches("flat"), contents=lazy("realtouch.exchange.flat_import:stored_images")),
+    "webdataset": _touches("webdataset"),
     "lerobot": _recordings("lerobot"),
     "oxt": _recordings("oxt", rotvec=True),
     "replay": _recordings("replay"),
     "hdf5": _recordings("hdf5"),
-    "fota": ImportFormat(lazy("realtouch.exchange.fota:find_fota")),
-    "sparsh": ImportFormat(lazy("realtouch.exchange.sparsh:find_sparsh")),
-    "anytouch": ImportFormat(lazy("realtouch.exchange.anytouch:find_anytouch")),
+    "fota": _touches("fota"),
+    "sparsh": _touches("sparsh"),
+    "anytouch": _touches("anytouch"),
 }
 """Formats that are read; each is recognised by its content (:mod:`realtouch.importing.recognised`)."""
