@@ -7,6 +7,7 @@ from functools import cache
 
 from realtouch.convert.conversion import id_of_stem
 from realtouch.exchange.anytouch import FRAMES, IMAGES, LEFT_OUT, LIST_END
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import (
     FoundTouch,
     found_file,
@@ -15,7 +16,6 @@ from realtouch.importing.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 

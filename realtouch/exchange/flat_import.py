@@ -8,8 +8,8 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouch, path_of, source_of
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import MEDIA_COLUMN

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from functools import cache
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import (
     IMAGE_ENDINGS,
     FoundTouch,
@@ -16,7 +17,6 @@ from realtouch.importing.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError, ItemError

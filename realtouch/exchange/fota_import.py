@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 from realtouch.exchange.webdataset_import import find_webdataset
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouch
-from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, ImportColumns
+from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS
 from tactile_toolkit import store
 
 

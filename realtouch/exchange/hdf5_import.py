@@ -19,10 +19,10 @@ import numpy as np
 from realtouch.exchange.hdf5_arrays import dataset_in, in_words, kind_of_member, open_file
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import NUMBERED
 from realtouch.importing.found_touches import natural_order, open_source, source_of, visible_files
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 

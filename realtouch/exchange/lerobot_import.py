@@ -18,9 +18,9 @@ from realtouch.exchange import video_import
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
 from realtouch.exchange.lerobot_mark import as_ours
 from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouch
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import IntegrityError, ItemError

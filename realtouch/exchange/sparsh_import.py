@@ -6,8 +6,8 @@ import pickletools
 from collections.abc import Iterator
 from typing import IO, Any
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 

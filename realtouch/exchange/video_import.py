@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 
 from realtouch import video, video_files
+from realtouch.import_columns import ImportColumns
 from realtouch.importing import found_touches
 from realtouch.importing.cut_tables import RECORDING_COLUMNS
 from realtouch.importing.fields import NUMBERED
 from realtouch.importing.found_touches import FoundTouch, path_of, source_of
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines

@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import (
     IMAGE_ENDINGS,
     FoundTouch,
@@ -25,7 +26,6 @@ from realtouch.importing.found_touches import (
     visible_files,
 )
 from realtouch.tars import files_of_tar
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 

@@ -14,11 +14,12 @@ from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.replay import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import NUMBERED
 from realtouch.importing.found_touches import source_of
 from realtouch.importing.recordings import Recording
 from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError

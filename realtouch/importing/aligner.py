@@ -8,12 +8,12 @@ from functools import cache
 from pathlib import PurePosixPath
 
 from realtouch.alignment_options import Alignment
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import times_s
 from realtouch.importing.found_touches import source_of
 from realtouch.importing.recordings import Recording
 from realtouch.importing.stream_tables import Stream, open_stream, tables_by_stem
 from realtouch.importing.streams import StreamReport, with_streams
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import shown, text_of, times_s
 from realtouch.importing.found_touches import FoundTouch, path_of, read_table, require_columns, source_of
 from realtouch.importing.recordings import CUTS, Recording
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.units import PER_SECOND
 from tactile_toolkit.wording import did_you_mean

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from realtouch.import_columns import ImportColumns, is_extra_name
 from realtouch.importing.fields import NUMBERED, number_of, times_s
 from realtouch.importing.found_touches import FoundTouch
 from realtouch.schema import EXTRA_PREFIX
-from realtouch.touch_options import ImportColumns, is_extra_name
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.shown_text import printable

@@ -9,8 +9,8 @@ from typing import Any, cast
 
 import numpy as np
 
+from realtouch.import_columns import ImportColumns, expected_counts
 from realtouch.poses import bad_pose
-from realtouch.touch_options import ImportColumns, expected_counts
 from tactile_toolkit.arithmetic import are_rigid
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError, ItemError

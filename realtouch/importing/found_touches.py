@@ -13,8 +13,8 @@ from itertools import groupby
 from operator import attrgetter
 from typing import IO, Any
 
+from realtouch.import_columns import ImportColumns
 from realtouch.stored_images import require_intact
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import run, store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable

@@ -15,13 +15,14 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import not_kept, time_of
 from realtouch.importing.fields import NUMBERED, each_of, label_of, object_of, poses, positions
 from realtouch.importing.found_touches import IMPORTS, FoundTouch
 from realtouch.importing.imported_clips import clip_of, clip_poses, clip_position, too_long
 from realtouch.importing.imported_rows import StoredTouch, extras_in, table_of, touch_schema
 from realtouch.stored_images import require_intact
-from realtouch.touch_options import CLIPS, ImportColumns
+from realtouch.touch_options import CLIPS
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError, ItemError

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from realtouch.alignment_options import Alignment
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.aligner import Aligner
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.found_touches import IMPORTS, FoundTouch, require_columns
@@ -14,7 +15,7 @@ from realtouch.importing.imported_clips import said_of_whole
 from realtouch.importing.recognised import Recognised, recognised
 from realtouch.importing.recordings import CUTS, Recording, touches_of
 from realtouch.importing.streams import StreamReport
-from realtouch.touch_options import ImportColumns, require_layout
+from realtouch.touch_options import require_layout
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError
 

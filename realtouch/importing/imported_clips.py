@@ -9,10 +9,10 @@ import numpy as np
 
 from realtouch.avi import MAX_CLIP_FRAMES, write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import NUMBERED, Fields, each_of, poses, positions, times_s
 from realtouch.importing.found_touches import FoundTouch
 from realtouch.stored_images import as_jpeg
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg

@@ -9,11 +9,11 @@ from typing import NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import extra_arrays, extra_types
 from realtouch.importing.found_touches import FoundTouch
 from realtouch.importing.imported_clips import ImportedClip
 from realtouch.schema import POSE_COLUMN, extra_columns
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 

@@ -10,9 +10,9 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import times_s
 from realtouch.importing.found_touches import column_table
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS, ColumnTable

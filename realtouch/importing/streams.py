@@ -10,9 +10,9 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.recordings import Recording
 from realtouch.importing.stream_tables import Stream
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit.alignment import Neighbours
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.errors import InputError

@@ -12,13 +12,14 @@ from typing import Any, Unpack
 
 from realtouch.alignment_options import Alignment
 from realtouch.convert.conversion import write_changed
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
 from realtouch.importing.found_touches import IMPORTS, FoundTouch, common_size
 from realtouch.importing.import_shards import ImportTouches, NamedTouch, touch_schema
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.kind import KIND
 from realtouch.touch_card import write_card
-from realtouch.touch_options import LEFT_OUT, STREAMS, ImportColumns
+from realtouch.touch_options import LEFT_OUT, STREAMS
 from tactile_toolkit import catalog, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
