@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pickletools
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO
 
 from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
-from tactile_toolkit import store
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.source_files import open_source, read_tables, source_of, visible_files
+from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
 # No image is smaller; a million empty ones would take long to check.
@@ -43,28 +44,35 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
         raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
 
 
-def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
+def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
+    """Yield the images of the pickles of one split as touches, with the fields of the tables next to them."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
-    names = visible_files(home, ".pkl")
-    if not names:
+    pickles = visible_files(home, ".pkl")
+    if not pickles:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
-    for name in names:
-        stem = name.rpartition(".")[0]
-        folder, beside = home, f"{stem}.csv"
-        if table is not None:
-            folder, beside = source_of(table)
-        with open_source(home, name) as stream:
-            places = list(places_of_images(stream, name))
-        lines: list[dict[str, Any]] = [{}] * len(places)
-        if table is not None or beside in files:
-            _, lines = read_table(folder, beside)
-        if len(lines) != len(places):  # else they would be of other images
-            raise InputError(
-                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, one for each image of "
-                f"{name!r}"
-            )
-        for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
-            values = {"split": split, **line}
-            yield FoundTouch(f"{stem}_{count:06d}", home.address(), name, start, size, values)
+    tables, found = [], list[tuple[str, str, int, int]]()
+    for path in pickles:
+        stem = path.rpartition(".")[0]
+        beside = (home, f"{stem}.csv") if table is None else source_of(table)
+        with open_source(home, path) as stream:
+            places = list(places_of_images(stream, path))
+        found += [(f"{stem}_{count:06d}", path, *place) for count, place in enumerate(places)]
+        if table is not None or beside[1] in files:
+            rows = read_tables([beside], columns).rows
+            if rows != len(places):  # else they would be of other images
+                raise InputError(
+                    f"{beside[1]!r} has {rows:,} lines; expected {len(places):,}, one for each image of "
+                    f"{path!r}"
+                )
+            tables.append(beside)
+    said = {}
+    if tables:
+        lines = read_tables(tables, columns)
+        if lines.rows != len(found):
+            problem = "has tables of some of its pickles alone; expected one for each, or none"
+            raise InputError(f"{home.address()!r} {problem}")
+        said = {**lines.columns}
+    names, paths, starts, sizes = zip(*found, strict=True)
+    said = {"split": column_types.repeated(split, len(names)), **said}
+    yield FoundTouches.of(names, home.address(), paths, said, start=starts, size=sizes)

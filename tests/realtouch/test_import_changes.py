@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.importing import aligner, touch_import
+from realtouch.importing import streams, touch_import
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.images_of_others import picture
 
@@ -73,7 +73,7 @@ def test_a_stream_that_changes_between_its_times_and_its_values(
     video(source / "a.avi")
     stream = table(source / "a.force.csv", ["time_s", "f"], [(n / 100, n) for n in range(100)])
     later = [(n / 100, -n) for n in range(120)]
-    change_after(monkeypatch, aligner, "open_stream", lambda: table(stream, ["time_s", "f"], later))
+    change_after(monkeypatch, streams, "open_stream", lambda: table(stream, ["time_s", "f"], later))
     with pytest.raises(IntegrityError, match=r"a\.force\.csv' was replaced or changed while it was read"):
         realtouch.import_touches(source, tmp_path / "out")
 

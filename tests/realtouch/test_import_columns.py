@@ -17,15 +17,15 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.importing import found_touches, imported_clips
-from realtouch.importing.extra_columns import extra_arrays, extra_types, value_type
-from realtouch.importing.fields import poses, positions, times_s
-from realtouch.importing.found_touches import FoundTouch, ImportFormat
-from realtouch.importing.recordings import Recording
+from realtouch.importing import fields, formats, imported_clips
+from realtouch.importing.extra_columns import extra_arrays, extra_types
+from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch.importing.recordings import Recording, touches_of
+from tactile_toolkit import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.command_line import call
-from tests.realtouch import factories
+from tests.realtouch import factories, found
 from tests.realtouch.images_of_others import picture, write_table
 
 NAMES = ("x", "y", "z", "a", "b", "c")
@@ -34,13 +34,21 @@ PLACES = SEED.uniform(-0.1, 0.1, (20, 3))
 TURNS = Rotation.random(20, random_state=7)
 
 
+def poses(said: dict[str, Any], columns: realtouch.ImportColumns) -> np.ndarray:
+    return fields.poses(found.columns(said), columns)
+
+
+def times_s(said: Any, columns: realtouch.ImportColumns) -> np.ndarray:
+    return fields.times_s(found.columns({"t": said})["t"], columns)
+
+
 def columns_of(values: Any, names: Iterable[str]) -> dict[str, list[Any]]:
     return {name: column.tolist() for name, column in zip(names, np.transpose(values), strict=True)}
 
 
-def assert_poses(found: Any, places: Any, turns: Rotation) -> None:
-    np.testing.assert_allclose(found[:, :3], places, rtol=0, atol=1e-12)
-    assert (Rotation.from_quat(found[:, 3:]) * turns.inv()).magnitude().max() < 1e-9
+def assert_poses(made: Any, places: Any, turns: Rotation) -> None:
+    np.testing.assert_allclose(made[:, :3], places, rtol=0, atol=1e-12)
+    assert (Rotation.from_quat(made[:, 3:]) * turns.inv()).magnitude().max() < 1e-9
 
 
 @pytest.mark.parametrize("sequence", ["xyz", "ZYX", "zxz", "XYX", "yxz"])
@@ -50,8 +58,8 @@ def test_euler_angles_are_those_of_scipy(sequence: str, unit: str, scale: float,
     angles = SEED.uniform(-3, 3, (20, 3))
     names = (*NAMES[:3], *(f"{name}_{unit}" if stated else name for name in NAMES[3:]))
     columns = realtouch.ImportColumns(pose=names, euler=sequence, angle_unit=None if stated else unit)  # type: ignore[arg-type]
-    found = poses(columns_of(np.hstack([PLACES, scale * angles]), names), columns)
-    assert_poses(found, PLACES, Rotation.from_euler(sequence, angles))
+    made = poses(columns_of(np.hstack([PLACES, scale * angles]), names), columns)
+    assert_poses(made, PLACES, Rotation.from_euler(sequence, angles))
 
 
 @pytest.mark.parametrize("one", [True, False])
@@ -78,7 +86,7 @@ def test_rotations_of_every_kind(what: str, one: bool) -> None:
         )
         return
     columns = realtouch.ImportColumns(pose=("pose",), **options)
-    forms: list[Any] = [values, values.tolist(), [str(row) for row in values.tolist()], list(values)]
+    forms: list[Any] = [values, values.tolist(), [str(row) for row in values.tolist()]]
     if what in ("3x4", "4x4"):
         nested = matrices[:, : int(what[0])]
         forms += [nested, nested.tolist(), [str(row) for row in nested.tolist()]]
@@ -119,18 +127,18 @@ def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
     base_turns = Rotation.from_matrix(there[:3, :3]) * TURNS
     given: Any = frame if form == "array" else place
     columns = realtouch.ImportColumns(pose=("pose",), frame=given)
-    found = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
-    assert_poses(found, PLACES, TURNS)
+    made = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
+    assert_poses(made, PLACES, TURNS)
     with pytest.raises(ItemError, match="--frame another frame"):
         poses({"pose": np.hstack([base_places + 1, base_turns.as_quat()])}, columns)
     with pytest.raises(InputError, match="the frame tilts"):
-        positions({"p": PLACES[:, :2]}, replace(columns, position=("p",)))
+        fields.positions(found.columns({"p": PLACES[:, :2]}), replace(columns, position=("p",)))
     upright = transform()
     upright[:3, :3] = Rotation.from_rotvec([0, 0, 1.0]).as_matrix()
     away = np.linalg.inv(upright)
     xy = (PLACES @ away[:3, :3].T + away[:3, 3])[:, :2]
     turned = realtouch.ImportColumns(position=("p",), frame=upright)  # type: ignore[arg-type]
-    np.testing.assert_allclose(positions({"p": xy}, turned), PLACES[:, :2], atol=1e-12)
+    np.testing.assert_allclose(fields.positions(found.columns({"p": xy}), turned), PLACES[:, :2], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +197,7 @@ def test_columns_that_do_not_say_what_they_are(options: dict[str, Any], words: s
         ([0, 0, 0, 0, 0, 90], {"rotvec": True}, "turns more than twice; .*--angle-unit"),
         (np.diag([1, 1, -1, 1]).tolist(), {}, "no rigid transform"),
         ((2 * np.eye(4)).tolist(), {}, "no rigid transform"),
-        (np.zeros((2, 6)).tolist(), {}, "expected 7 finite numbers"),
+        (np.zeros((2, 6)).tolist(), {}, "no rigid transform"),
         (None, {}, "expected 7 finite numbers"),
         ({"x": 1}, {}, "expected 7 finite numbers"),
         ([[]], {}, "expected 7 finite numbers"),
@@ -219,7 +227,7 @@ def test_times_are_read_to_a_microsecond(seconds: list[float], unit: str) -> Non
 def test_times_may_be_points_in_time() -> None:
     stamps = np.array(["2024-05-01T12:00:00.25", "2024-05-01T12:00:01.5"], "datetime64[us]")
     np.testing.assert_allclose(np.diff(times_s(stamps, realtouch.ImportColumns())), [1.25], atol=1e-6)
-    with pytest.raises(ItemError, match="a time is missing"):
+    with pytest.raises(ItemError, match=r"the times \[None\] from number 1"):
         times_s(np.array(["NaT"], "datetime64[us]"), realtouch.ImportColumns())
     with pytest.raises(ItemError, match="expected finite numbers"):
         times_s(["noon"], realtouch.ImportColumns())
@@ -255,47 +263,108 @@ def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
         realtouch.ImportColumns().with_mapped(pairs)
 
 
+TEXT, LIST = pa.string(), pa.list_(pa.int64())
+
+
+@pytest.mark.parametrize(
+    ("values", "data_type"),
+    [
+        (["true", "", "False"], pa.bool_()),
+        (["1", " 22", "", "-3"], pa.int64()),
+        (["007", "3"], TEXT),
+        (["007.5", "3"], TEXT),
+        (["1", "2.5", "1e-3", "nan"], pa.float64()),
+        (["100000000000000000000", "inf"], TEXT),
+        (["9007199254740993", "0.5"], TEXT),
+        (["9" * 5000, "0.5"], TEXT),
+        (["1e400", "1"], TEXT),
+        (["1,5", "2,25"], TEXT),
+        (["9" * 19], TEXT),
+        (["1_0"], TEXT),
+        (["a", "1"], TEXT),
+        ([None, "", " "], pa.null()),
+    ],
+)
+def test_types_of_text(values: list[Any], data_type: pa.DataType) -> None:
+    column = column_types.from_text(pa.array(values, TEXT))
+    assert column.type == data_type
+    if data_type == TEXT:
+        assert column.to_pylist() == values
+
+
+def test_commas_are_decimal_marks_where_the_separator_shows_it() -> None:
+    """Else ``1,234`` may be a thousand, as it may beside a number with a point."""
+    for values, expected in ((["1,5", "1,234"], [1.5, 1.234]), (["1,5", "1.5"], ["1,5", "1.5"])):
+        column = column_types.from_text(pa.array(values), decimal_commas=True)
+        assert column.to_pylist() == expected
+    with pytest.raises(ValueError, match="1,234"):
+        column_types.floats_of(pa.array(["1,234", "x"]))
+
+
 @pytest.mark.parametrize(
     ("values", "data_type"),
     [
         ([True, None, False], pa.bool_()),
-        (["true", "", "False"], pa.bool_()),
         ([1, None, -3], pa.int64()),
-        (["1", " 22", "", "-3"], pa.int64()),
-        (["007", "3"], pa.string()),
         ([1, 2.5], pa.float64()),
-        (["1", "2.5", "1e-3", "nan"], pa.float64()),
-        (["100000000000000000000", "inf"], pa.string()),
-        (["9007199254740993", "0.5"], pa.string()),
-        ([9007199254740993, 0.5], pa.string()),
-        ([10**400, 0.5], pa.string()),
-        (["9" * 5000, "0.5"], pa.string()),
-        (["1e400", "1"], pa.string()),
-        (["1,5", "2,25"], pa.float64()),
-        ([1 << 63], pa.string()),
-        (["9" * 19], pa.string()),
-        (["1_0"], pa.string()),
-        (["a", "1"], pa.string()),
-        ([1, "a"], pa.string()),
-        ([True, 1], pa.string()),
+        ([9007199254740993, 0.5], TEXT),
+        ([10**400, 0.5], TEXT),
+        ([1 << 63], TEXT),
+        ([1, "a"], TEXT),
+        ([True, 1], TEXT),
         ([np.float32(1), None], pa.float64()),
-        ([[1, 2], [], None], pa.list_(pa.int64())),
+        ([[1, 2], [], None], LIST),
         ([[1, 2.5], (3,)], pa.list_(pa.float64())),
-        ([np.eye(2), [[1, None]]], pa.list_(pa.float64())),
-        ([[[[1]]]], pa.list_(pa.int64())),
-        ([[[1, 2], [3]]], None),
-        ([[[1, 2], 3]], None),
-        ([["a"], [None]], pa.list_(pa.string())),
-        ([None, "", " "], None),
-        ([{"a": 1}], None),
-        ([b"a"], None),
-        ([[1], 2], None),
-        ([["\ud800"]], None),
-        ([[[[[[[1]]]]]]], None),
+        ([[[1.0, 0], [0, 1]], [[1, None]]], pa.list_(pa.float64())),
+        ([[[[1]]]], LIST),
+        ([[[1, 2], [3]]], column_types.UNTYPED),
+        ([[[1, 2], 3]], column_types.UNTYPED),
+        ([["a"], [None]], pa.list_(TEXT)),
+        ([[1, "a"], None], pa.list_(TEXT)),
+        ([{"a": 1}, 2], column_types.UNTYPED),
+        ([b"a"], column_types.UNTYPED),
+        ([[1], 2], column_types.UNTYPED),
+        ([["\ud800"]], pa.list_(TEXT)),
+        ([[[[[[[1]]]]]]], LIST),
     ],
 )
-def test_types_of_extra_columns(values: list[Any], data_type: pa.DataType | None) -> None:
-    assert value_type(values) == data_type
+def test_types_of_values(values: list[Any], data_type: pa.DataType) -> None:
+    assert column_types.from_values(values).type == data_type
+
+
+@pytest.mark.parametrize(
+    ("stored", "expected"),
+    [
+        (pa.array(["a", "b", "a"]).dictionary_encode(), ["a", "b", "a"]),
+        (pa.array(["a", None], pa.string_view()), ["a", None]),
+        (pa.array([[1, 2], None], pa.list_(pa.int16(), 2)), [[1, 2], None]),
+        (
+            pa.array([[[1, 2], [3, 4]], [], None], pa.large_list(pa.list_(pa.int8()))),
+            [[1, 2, 3, 4], [], None],
+        ),
+        (pa.array([1.5, None], pa.float16()), [1.5, None]),
+        (pa.array([1, 1 << 63], pa.uint64()), ["1", str(1 << 63)]),
+        (pa.chunked_array([], pa.int8()), []),
+    ],
+)
+def test_columns_of_arrow_have_few_types(stored: Any, expected: list[Any]) -> None:
+    assert column_types.from_arrow(stored).to_pylist() == expected
+
+
+@pytest.mark.parametrize(
+    ("parts", "expected"),
+    [
+        ([[1], [2.5], [None]], [1.0, 2.5, None]),
+        ([[1 << 60], [0.5]], [str(1 << 60), "0.5"]),
+        ([[1], ["a"]], ["1", "a"]),
+        ([[[1]], [[0.5, 2]]], [[1.0], [0.5, 2.0]]),
+        ([[[1]], [3]], [[1], 3]),
+        ([[{"a": 1}], [2]], [{"a": 1}, 2]),
+    ],
+)
+def test_joined_columns_hold_all_values_exactly(parts: list[Any], expected: list[Any]) -> None:
+    column = column_types.joined(list(map(column_types.from_values, parts)))
+    assert column_types.values_of(column) == expected
 
 
 def test_extra_columns_of_a_table_are_kept(
@@ -304,7 +373,7 @@ def test_extra_columns_of_a_table_are_kept(
     lines = [
         {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
          "id": number, "t_ms": 1500 * number, "empty": ""}
-        for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0,25", "d")])
+        for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0.25", "d")])
     ]  # fmt: skip
     write_table(home, lines)
     words = ("--map", "force_n=Fz", "--map", "time=t_ms", "--out", tmp_path / "out", "-w", 1)
@@ -348,14 +417,14 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """Import recordings that are in memory; returns the imported rounds of the split ``train``."""
 
     def make(
-        found: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
+        every: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
     ) -> Any:
-        def encoded(items: Iterable[FoundTouch]) -> Iterator[Any]:
-            for item in items:
-                yield from pictures[item.path][item.start : item.start + max(1, item.frames)]
+        def encoded(places: Iterable[Place]) -> Iterator[Any]:
+            for place in places:
+                yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
-        layout = ImportFormat(lambda *_: iter(found), encoded, "whole", 1)
-        monkeypatch.setitem(found_touches.IMPORTS, "replay", layout)
+        layout = formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
+        monkeypatch.setitem(formats.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
             tmp_path / "source", tmp_path / "out", "replay", columns, **options
@@ -367,6 +436,7 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
 
 
 def recording(name: str, frames: int, **said: Any) -> Recording:
+    said["per_frame"] = found.columns(said.pop("per_frame", {}))
     return Recording(name, "memory", name, "", 0, frames, 700, **said)
 
 
@@ -417,9 +487,8 @@ def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> 
 def test_known_contact_and_times_of_a_column(recordings: Any) -> None:
     pictures = {"a": frames_of(6, range(1, 3))}
     said = recording("a", 6, per_frame={"stamp_ms": np.arange(6) * 40.0 + 7e9})
-    found = said.clip(0, 6, "a", contact=(2, 4))
     columns = realtouch.ImportColumns(time="stamp_ms")
-    (only,), manifest = recordings([found], pictures, columns)
+    (only,), manifest = recordings([replace(said, contact=(2, 4))], pictures, columns)
     assert only.sensor_video[0].contact_window == slice(2, 5)
     assert only.sensor_video[0].fps == 25
     assert "clips" not in manifest.statistics().get("train", {})
@@ -488,7 +557,7 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
-    assert found_touches.IMPORTS["oxt"].rotvec
+    assert formats.IMPORTS["oxt"].rotvec
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -518,28 +587,26 @@ def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
         kind = st.lists(kind, min_size=1, max_size=3)
     values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
     columns = realtouch.ImportColumns(extra=(("new", "x"),))
-    touches = [FoundTouch("a", "", "", 0, 0, {"x": value}) for value in values]
-    assert kept(touches, columns) == ("extra.new", values)
-    pictures = [Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": as_objects(values)})]
-    assert kept([pictures[0].clip(0, len(values), "a")], columns) == ("extra_seq.new", [values])
+    column = column_types.from_values(values)
+    assert kept(touches({"x": column}), columns) == ("extra.new", values)
+    pictures = Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": column})
+    assert kept(touches_of(pictures, "whole"), columns) == ("extra_seq.new", [values])
     if not any(isinstance(value, list) for value in values):
-        words = [FoundTouch("a", "", "", 0, 0, {"x": "" if each is None else str(each)}) for each in values]
-        assert kept(words, columns) == ("extra.new", values)
+        words = pa.array(["" if each is None else str(each) for each in values])
+        assert kept(touches({"x": column_types.from_text(words)}), columns) == ("extra.new", values)
 
 
 def any_is_known(values: list[Any]) -> bool:
     return any(value is not None for value in values)
 
 
-def as_objects(values: list[Any]) -> np.ndarray:
-    made = np.empty(len(values), object)
-    made[:] = values
-    return made
+def touches(said: dict[str, pa.Array]) -> FoundTouches:
+    return FoundTouches.of(["a"] * len(said["x"]), "", "", said)
 
 
-def kept(items: list[FoundTouch], columns: realtouch.ImportColumns) -> tuple[str, Any]:
-    ((name, data_type),) = extra_types(items, columns).items()
-    (array,) = extra_arrays(items, columns, {name: data_type})
+def kept(every: FoundTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
+    ((name, data_type),) = extra_types(every, columns).items()
+    (array,) = extra_arrays(every, columns, {name: data_type})
     return name, array.to_pylist()
 
 
