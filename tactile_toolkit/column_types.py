@@ -35,9 +35,9 @@ _OF_TEXT: dict[pa.DataType, tuple[pa.DataType, ...]] = {
     pa.bool_(): (pa.bool_(),),
 }
 _CODE = r"^[+-]?0[0-9xX]"  # 007 is a name, which a number would not give back
+_WHOLE = r"^[+-]?[0-9]+$"
+_ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # what a number may not give back
 _SWITCHED = pa.array(["0", "1"])
-_LONG_INTEGER = r"^[+-]?[0-9]{16,300}$"
-_EXPONENT = r"[eE]\+?[0-9]{3,}$|^[+-]?[0-9]{301,}"
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 _POINT = r"[0-9]\.|\.[0-9]"
 _NUMBERS = (pa.int64(), pa.float64())
@@ -80,21 +80,25 @@ def text_type(words: pa.Array, known: pa.DataType | None = None, *, is_exact: bo
 
 def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
     """Return whether values of a type would not give words back."""
-    if pc.any(pc.match_substring_regex(words, _CODE)).as_py():
-        return True
     if pa.types.is_boolean(data_type):
         return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
+    odd = words.filter(pc.match_substring_regex(words, _ODD))
+    if not len(odd) or pc.any(pc.match_substring_regex(odd, _CODE)).as_py():
+        return bool(len(odd))
     if pa.types.is_integer(data_type):
         return False
-    long = words.filter(pc.match_substring_regex(words, _LONG_INTEGER)).cast(pa.float64())
-    large = words.filter(pc.match_substring_regex(words, _EXPONENT)).cast(pa.float64())
-    is_rounded = pc.greater_equal(pc.abs(long), _MOST_EXACT)
-    return bool(pc.any(is_rounded).as_py()) or bool(pc.any(pc.is_inf(large)).as_py())
+    numbers = odd.cast(pa.float64()).to_numpy()
+    is_whole = pc.match_substring_regex(odd, _WHOLE).to_numpy(zero_copy_only=False)
+    return bool((np.isinf(numbers) | (is_whole & (np.abs(numbers) >= _MOST_EXACT))).any())
 
 
 def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     """Return the column that texts of a table are."""
     words = words_of(texts, decimal_commas=decimal_commas)
+    for kind in _OF_TEXT[pa.null()] if words.null_count < len(words) else ():
+        with suppress(pa.ArrowException):
+            found = words.cast(kind)
+            return without_blanks(texts) if _is_changed(words, kind) else found
     return as_type(texts, words, text_type(words))
 
 

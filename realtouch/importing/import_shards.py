@@ -28,7 +28,7 @@ from realtouch.touch_options import CLIPS
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import has_application_data, is_jpeg
+from tactile_toolkit.touch import is_jpeg
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
@@ -36,6 +36,7 @@ NOT_IMPORTED = "not_imported"
 
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
+_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 
@@ -99,7 +100,8 @@ class ImportTouches:
             others.update(not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
-        for file in self.versions.keys() & {place.file for place in touches}:
+        files = {place.file for place in touches} if self.versions else ()
+        for file in self.versions.keys() & files:
             if version_of(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
                 raise IntegrityError(
@@ -226,7 +228,7 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
 
 def _is_turned(image: bytes) -> bool:
     """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and not has_application_data(image):
+    if is_jpeg(image) and _APP1 not in image:
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:

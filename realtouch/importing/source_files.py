@@ -257,6 +257,8 @@ def _contents(
     found: list[Any] = []
     try:
         folder, known = open_folder(places[0].home)
+        if len(places) == 1 and not places[0].start:
+            return [store.read_inside(folder, places[0].path, places[0].size, known)]
         with store.open_inside(folder, places[0].path, known) as stream:
             at = 0
             for place in places:

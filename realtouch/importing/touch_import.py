@@ -351,16 +351,13 @@ def common_size(
     Only the first picture of a file is looked at if the format has one size in each. All are looked at only
     where some, spread over all, differ: to read each twice takes long.
     """
-    usable = touches.take(np.flatnonzero(touches.is_usable))
-    places = list(usable)
+    places: Sequence[Place] = touches.take(np.flatnonzero(touches.is_usable))
     counts = Counter[tuple[str, str, str]]()
     if is_one_a_file:
         for place in places:
             counts[place[:3]] += max(1, place.frames)
-        places = [
-            place._replace(frames=0) for place in {place[:3]: place for place in reversed(places)}.values()
-        ]
-        places.reverse()
+        firsts = {place[:3]: place._replace(frames=0) for place in reversed(list(places))}
+        places = list(reversed(firsts.values()))
     sizes = _sizes(places[:: max(1, len(places) // _SIZES_SEEN)], read, counts)
     if len(sizes) != 1:
         sizes = _sizes(places, read, counts)
