@@ -372,7 +372,7 @@ def test_extra_columns_of_a_table_are_kept(
 ) -> None:
     lines = [
         {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
-         "id": number, "t_ms": 1500 * number, "empty": ""}
+         "id": number, "t_ms": 1500 * number, "empty": "", "mass": "1,234"}
         for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0.25", "d")])
     ]  # fmt: skip
     write_table(home, lines)
@@ -380,11 +380,12 @@ def test_extra_columns_of_a_table_are_kept(
     assert call("realtouch", "import", home, "--format", "folder", *words) == 0
     rows = pq.read_table(tmp_path / "out" / "data")
     assert [name for name in rows.column_names if name.startswith("extra.")] == [
-        "extra.force_n", "extra.note", "extra.ok", "extra.time_s"
+        "extra.force_n", "extra.note", "extra.ok", "extra.mass", "extra.time_s"
     ]  # fmt: skip
     assert rows["extra.force_n"].to_pylist() == [[1.5], [None], [-2.0], [0.25]]
     assert rows["extra.note"].to_pylist() == [["a"], ["b, c"], [None], ["d"]]
     assert rows["extra.ok"].to_pylist() == [[True]] * 4
+    assert rows["extra.mass"].to_pylist() == [["1,234"]] * 4  # which may be a thousand
     assert rows["extra.time_s"].to_pylist() == [[0.0], [1.5], [3.0], [4.5]]
     said = capsys.readouterr().err
     assert "fields that were not imported, with their numbers of touches: id (4)" in said

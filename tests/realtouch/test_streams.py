@@ -148,6 +148,31 @@ def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) ->
         np.testing.assert_array_equal(said(found)["pose"], [[0.0] * width, [1.0] * width])
 
 
+@pytest.mark.parametrize(
+    ("name", "samples", "expected"),
+    [
+        ("yaw_deg", [350.0, 10.0, 20.0], [350, 355, 0, 5, 10, 15]),
+        ("yaw_deg", [170.0, -170.0, -160.0], [170, 175, -180, -175, -170, -165]),
+        ("turned_deg", [710.0, 730.0, 750.0], [710, 715, 720, 725, 730, 740]),  # which counts turns
+        ("yaw_rad", [6.2, 0.1], [6.2, None, None, None, 0.1]),
+        ("level", [350.0, 10.0], [350, 265, 180, 95, 10]),
+        ("wrist_deg", [[350.0, 0.0], [10.0, 20.0]], [[350, 0], [355, 5], [0, 10], [5, 15], [10, 20]]),
+    ],
+)
+def test_angles_are_between_samples_on_the_circle(
+    name: str, samples: list[Any], expected: list[Any], tmp_path: Path
+) -> None:
+    given = stream(tmp_path, {"time_s": [0.0, 0.4, 0.8][: len(samples)], name: samples}, "take1.jsonl")
+    times = np.array([0, 0.1, 0.2, 0.3, 0.4, 0.6][: len(expected)])
+    how = Alignment(method="linear", max_gap_ms=500.0)
+    found, _ = with_streams(recording(times), [given], how, NO_COLUMNS)
+    for value, wanted in zip(said(found)[name], expected, strict=True):
+        if wanted is None:  # in steps of a quarter of the way: 0.183 rad
+            assert value >= 6.2 or value < 0.1
+        else:
+            np.testing.assert_allclose(value, wanted, atol=1e-9)
+
+
 def test_a_row_for_each_picture_needs_no_times(tmp_path: Path) -> None:
     given = stream(tmp_path, {"force": [1.0, 2, 3]}, "take1.csv")
     found, (report,) = with_streams(recording(np.arange(3.0)), [given], Alignment(), NO_COLUMNS)
@@ -355,6 +380,11 @@ def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(
         np.testing.assert_allclose(
             [touch.extra["time_s"] for touch in touches], np.tile(np.arange(100) / 25, 2)
         )
+
+
+def test_a_column_of_times_that_nothing_has_is_refused(takes: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no column 'nope'"):
+        realtouch.import_touches(takes, tmp_path / "out", columns=ImportColumns(time="nope"))
 
 
 def test_recordings_have_the_times_that_a_column_states(tmp_path: Path) -> None:
