@@ -13,7 +13,7 @@ from realtouch.importing.source_files import (
     image_files,
     natural_order,
     path_of,
-    read_tables,
+    read_table,
     require_columns,
     source_of,
     visible_files,
@@ -48,7 +48,7 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
                 next="name it with --table",
             )
         found = tables[0]
-    lines = read_tables([(folder, found)], columns, [columns.image])
+    lines = read_table(folder, found, columns, [columns.image])
     wanted = [columns.image, *columns.found_in(lines.names).names()]
     require_columns(lines.names, wanted, folder.address(found))
     paths = list(map(path_of, lines.texts(columns.image)))

@@ -8,7 +8,7 @@ from typing import IO
 
 from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import open_source, read_tables, source_of, visible_files
+from realtouch.importing.source_files import open_source, read_table, source_of, visible_files
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
@@ -45,34 +45,26 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
 
 
 def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
-    """Yield the images of the pickles of one split as touches, with the fields of the tables next to them."""
+    """Yield the images of each pickle of one split as touches, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
-    pickles = visible_files(home, ".pkl")
-    if not pickles:
+    names = visible_files(home, ".pkl")
+    if not names:
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
-    tables, found = [], list[tuple[str, str, int, int]]()
-    for path in pickles:
-        stem = path.rpartition(".")[0]
-        beside = (home, f"{stem}.csv") if table is None else source_of(table)
-        with open_source(home, path) as stream:
-            places = list(places_of_images(stream, path))
-        found += [(f"{stem}_{count:06d}", path, *place) for count, place in enumerate(places)]
-        if table is not None or beside[1] in files:
-            rows = read_tables([beside], columns).rows
-            if rows != len(places):  # else they would be of other images
+    for name in names:
+        stem = name.rpartition(".")[0]
+        folder, beside = (home, f"{stem}.csv") if table is None else source_of(table)
+        with open_source(home, name) as stream:
+            places = list(places_of_images(stream, name))
+        said = {"split": column_types.repeated(split, len(places))}
+        if table is not None or beside in files:
+            lines = read_table(folder, beside, columns)
+            if lines.rows != len(places):  # else they would be of other images
                 raise InputError(
-                    f"{beside[1]!r} has {rows:,} lines; expected {len(places):,}, one for each image of "
-                    f"{path!r}"
+                    f"{beside!r} has {lines.rows:,} lines; expected {len(places):,}, one for each image of "
+                    f"{name!r}"
                 )
-            tables.append(beside)
-    said = {}
-    if tables:
-        lines = read_tables(tables, columns)
-        if lines.rows != len(found):
-            problem = "has tables of some of its pickles alone; expected one for each, or none"
-            raise InputError(f"{home.address()!r} {problem}")
-        said = {**lines.columns}
-    names, paths, starts, sizes = zip(*found, strict=True)
-    said = {"split": column_types.repeated(split, len(names)), **said}
-    yield FoundTouches.of(names, home.address(), paths, said, start=starts, size=sizes)
+            said |= lines.columns
+        called = [f"{stem}_{count:06d}" for count in range(len(places))]
+        starts, sizes = [place[0] for place in places], [place[1] for place in places]
+        yield FoundTouches.of(called, home.address(), name, said, start=starts, size=sizes)

@@ -103,7 +103,7 @@ def _lines(
     """Return the table of the videos; None if there is none."""
 
     def read(folder: store.DataFolder, name: str) -> SourceTable:
-        found = source_files.read_tables([(folder, name)], columns, [image])
+        found = source_files.read_table(folder, name, columns, [image])
         source_files.require_columns(found.names, [image], folder.address(name))
         return found
 

@@ -22,7 +22,6 @@ from realtouch.importing.source_files import (
     open_source,
     path_of,
     require_columns,
-    require_few_fields,
     source_of,
     visible_files,
 )
@@ -32,6 +31,7 @@ from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
+_MOST_FIELDS = 1000
 _MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
@@ -67,7 +67,11 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
             problems[number] = sample.problems[0]
         seen.add(sample.key)
     names = dict.fromkeys(field for sample in samples for field in sample.values)
-    require_few_fields(names, folder.address(name))
+    if len(names) > _MOST_FIELDS:
+        raise InputError(
+            f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MOST_FIELDS:,}",
+            next="check that the names of fields are no values",
+        )
     said = {}
     for field in names:
         column = column_types.from_values([sample.values.get(field) for sample in samples])

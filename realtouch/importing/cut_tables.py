@@ -11,7 +11,7 @@ from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import shown, times_s
 from realtouch.importing.found_touches import FoundTouches
 from realtouch.importing.recordings import CUTS, Clip, Recording
-from realtouch.importing.source_files import path_of, read_tables, require_columns, source_of
+from realtouch.importing.source_files import path_of, read_table, require_columns, source_of
 from tactile_toolkit import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.units import PER_SECOND
@@ -37,7 +37,7 @@ class CutTable:
                 f"no cut {path!r}{did_you_mean(path, CUTS)}; expected {', '.join(CUTS)} or a path of a table"
             )
         self._place = home.address(name)
-        self._lines = read_tables([(home, name)], columns, RECORDING_COLUMNS)
+        self._lines = read_table(home, name, columns, RECORDING_COLUMNS)
         names, time_unit = self._lines.names, columns.time_unit
         known = [_FRAME, *(f"start_{unit}" for unit in PER_SECOND), *(["start"] if time_unit else [])]
         starts = [each for each in known if each in names]

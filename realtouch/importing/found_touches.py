@@ -180,8 +180,7 @@ class FoundTouches(Sequence[Place]):
         column = self.value(name) if name else None
         if column is None:
             return [""] * len(self)
-        found: list[str] = column_types.texts_of(column).fill_null("").to_pylist()
-        return found
+        return texts_in(column_types.texts_of(column).fill_null(""))
 
     def with_where(self, **columns: Any) -> FoundTouches:
         """Return the touches with other columns of ``where``."""
@@ -212,6 +211,14 @@ class FoundTouches(Sequence[Place]):
         held = self.where.filter(pc.is_valid(self.where["problem"]))
         for row in held.select(["number", "name", "reason", "problem"]).to_pylist():
             yield row["number"], row["name"], ItemError(row["reason"], row["problem"])
+
+
+def texts_in(column: pa.Array | pa.ChunkedArray) -> list[str]:
+    """Return texts, of which equal ones are one object: there may be many of few."""
+    found = one_chunk(column) if isinstance(column, pa.ChunkedArray) else column
+    encoded = found.dictionary_encode()
+    names: list[str] = encoded.dictionary.to_pylist()
+    return [names[code] for code in encoded.indices.to_pylist()]
 
 
 def one_chunk(column: pa.ChunkedArray) -> pa.Array:

@@ -6,7 +6,7 @@ import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import cache, partial
-from itertools import groupby
+from itertools import chain, groupby
 from operator import attrgetter
 from typing import IO, Any, NamedTuple
 
@@ -30,7 +30,6 @@ NUMBERED = "label"
 _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
 _MOST_LINES = 1 << 21  # of a table of touches
-_MOST_FIELDS = 1000
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
@@ -108,58 +107,37 @@ class SourceTable(NamedTuple):
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
-def read_tables(
-    places: Iterable[tuple[store.DataFolder, str]], columns: ImportColumns, names: Iterable[str | None] = ()
-) -> SourceTable:
-    """Read tables with the same columns, one after the other, as one; types follow from all rows.
-
-    What columns of text name, such as labels and rounds, stays text, and so does what is in ``names``.
-    InputError for a table that cannot be read.
-    """
-    parts = [_read_table(*place) for place in places]
-    if len(parts) == 1 and not parts[0][1]:
-        return parts[0][0]
-    header = list(dict.fromkeys(name for part, _ in parts for name in part.names))
-    known = columns.found_in(header)
-    kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
-    numbers = {*(known.position or ()), *(known.pose or ()), known.time}
-    has_commas = all(separator not in ("", ",") for _, separator in parts)
-    made, too_long, rows = {}, list[int](), 0
-    for name in header:
-        whole = column_types.joined(
-            [part.columns.get(name, pa.nulls(part.rows, pa.string())) for part, _ in parts]
-        )
-        if pa.types.is_string(whole.type):
-            whole = column_types.without_blanks(whole)
-            if name not in kept:
-                whole = column_types.from_text(whole, decimal_commas=has_commas)
-            if name in numbers and pa.types.is_string(whole.type):  # a value is wrong, but others are not
-                whole = column_types.words_of(whole, decimal_commas=has_commas)
-        made[name] = whole
-    for part, _ in parts:
-        too_long += [rows + row for row in part.too_long]
-        rows += part.rows
-    names_in = parts[0][0].names if len(parts) == 1 else header
-    return SourceTable(names_in, made, rows, frozenset(too_long))
-
-
 @store.without_collecting()
-def _read_table(folder: store.DataFolder, name: str) -> tuple[SourceTable, str]:
-    """Return a table, and what separates its values where these are text."""
+def read_table(
+    folder: store.DataFolder, name: str, columns: ImportColumns, names: Iterable[str | None] = ()
+) -> SourceTable:
+    """Read a table; InputError if it cannot be read.
+
+    Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
+    ``names``; other columns have types.
+    """
     if name.lower().endswith(TYPED_ENDINGS):
         table = column_table(folder, name)
         rows, _ = table.scan()
         if rows > _MOST_LINES:
             raise InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
-        columns = {each: column_types.from_arrow(found[each]) for each in found.column_names}
-        return SourceTable(table.names, columns, rows), ""
+        typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
+        return SourceTable(table.names, typed, rows)
     with open_source(folder, name) as stream:
         text = read_text_table(stream.read(), folder.address(name))
-    texts = {
-        each: pa.array(values, pa.string()) for each, values in zip(text.names, text.columns(), strict=True)
-    }
-    return SourceTable(text.names, texts, len(text.rows), frozenset(text.too_long())), text.separator
+    known, commas = columns.found_in(text.names), text.separator != ","
+    kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
+    numbers = {*(known.position or ()), *(known.pose or ()), known.time}
+    made = {}
+    for each, values in zip(text.names, text.columns(), strict=True):
+        column = column_types.without_blanks(pa.array(values, pa.string()))
+        if each not in kept:
+            column = column_types.from_text(column, decimal_commas=commas)
+        if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
+            column = column_types.words_of(column, decimal_commas=commas)
+        made[each] = column
+    return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
 
 
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
@@ -174,16 +152,6 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
-
-
-def require_few_fields(names: Iterable[str], where: str) -> None:
-    """Raise InputError for more fields than columns can have."""
-    count = len(set(names))
-    if count > _MOST_FIELDS:
-        raise InputError(
-            f"{where!r} has {count:,} different fields; expected at most {_MOST_FIELDS:,}",
-            next="check that the names of fields are no values",
-        )
 
 
 def image_files(
@@ -205,26 +173,15 @@ def image_files(
             continue
         try:
             size = found(parent).get(base, -1)
-        except InputError:  # which may not be listed; it says so where it is read
+        except InputError:  # of a folder that may not be listed
             size = 0
         if size == -1:
             wrong[number] = ItemError("missing", "the file does not exist")
-        elif size is None:
-            wrong[number] = _no_file(home, path)
         else:
-            sizes[number] = size
+            sizes[number] = size or 0  # of what is no file; it says so where it is read
     # A name that is not Unicode is a problem already; here it is shown.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
     return FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
-
-
-def _no_file(home: store.DataFolder, path: str) -> ItemError:
-    """Return what is wrong with a path that is no file as far as the folder says."""
-    try:
-        store.size_inside(home, path)
-    except ItemError as error:
-        return error
-    return ItemError("missing", "it is not a regular file")
 
 
 ReadContents = Callable[[Iterable[Place]], Iterator[bytes | ItemError]]
@@ -242,13 +199,8 @@ def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
         return
     threads = _FAR_READERS if store.is_remote(first[0].home) else 1
     read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
-    for found in run.in_threads(read, _chain(first, groups), threads):
+    for found in run.in_threads(read, chain([first], groups), threads):
         yield from found
-
-
-def _chain(first: Sequence[Place], rest: Iterable[Sequence[Place]]) -> Iterator[Sequence[Place]]:
-    yield first
-    yield from rest
 
 
 def _contents(

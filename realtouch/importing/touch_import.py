@@ -20,7 +20,7 @@ from realtouch.convert.conversion import write_changed
 from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import UNKNOWN, integer_text, shown
 from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk
+from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk, texts_in
 from realtouch.importing.import_shards import ImportTouches
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.importing.imported_rows import touch_schema
@@ -120,6 +120,7 @@ def import_touches(
     found = find_source(fspath(source), reading)
     catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
     plan = plan_of(arranged(found, classes, split), found)
+    del found  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=write_card, **run)
 
 
@@ -287,8 +288,8 @@ def _rounds(
     home: dict[str, str] = {}
     rounds = touches.texts(columns.round)
     named = set(rounds)
-    names, paths, numbers = (touches.where[name].to_pylist() for name in ("name", "path", "number"))
-    splits = _splits(touches.texts(columns.split), paths, split)
+    names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
+    splits = _splits(touches.texts(columns.split), texts_in(touches.where["path"]), split)
     for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
             raise InputError(f"{names[place]!r}: the split {shown(part)!r}; expected letters and digits")
@@ -351,13 +352,16 @@ def common_size(
     Only the first picture of a file is looked at if the format has one size in each. All are looked at only
     where some, spread over all, differ: to read each twice takes long.
     """
-    places: Sequence[Place] = touches.take(np.flatnonzero(touches.is_usable))
-    counts = Counter[tuple[str, str, str]]()
+    usable = touches.take(np.flatnonzero(touches.is_usable))
+    places, counts = list[Place](), dict[Place, int]()
     if is_one_a_file:
-        for place in places:
-            counts[place[:3]] += max(1, place.frames)
-        firsts = {place[:3]: place._replace(frames=0) for place in reversed(list(places))}
-        places = list(reversed(firsts.values()))
+        of_files = usable.where.group_by(["home", "path", "part"])
+        files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
+        for row in files.sort_by("number_min").to_pylist():
+            places.append(touches[row["number_min"]]._replace(frames=0))
+            counts[places[-1]] = max(row["frames_sum"], row["frames_count"])
+    else:
+        places = list(usable)
     sizes = _sizes(places[:: max(1, len(places) // _SIZES_SEEN)], read, counts)
     if len(sizes) != 1:
         sizes = _sizes(places, read, counts)
@@ -365,12 +369,12 @@ def common_size(
 
 
 def _sizes(
-    places: Sequence[Place], read: ReadContents, counts: Mapping[tuple[str, str, str], int]
+    places: Sequence[Place], read: ReadContents, counts: Mapping[Place, int]
 ) -> Counter[tuple[int, int]]:
     """Count the sizes of images, each as often as its file; those that are not intact do not count."""
     sizes = Counter[tuple[int, int]]()
     for content, place in zip(read(places), places, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[require_intact(content)] += counts.get(place[:3], 1)
+                sizes[require_intact(content)] += counts.get(place, 1)
     return sizes
