@@ -134,9 +134,7 @@ class ColumnTable:
         known = self._types.get(name, pa.null())
         if self._is_text:
             return column_types.text_type(self._words(values), known, is_exact=is_exact)
-        found = column_types.from_arrow(values).type
-        both = [pa.schema([(name, each)]) for each in (known, found)]
-        return pa.unify_schemas(both, promote_options="permissive").field(0).type
+        return column_types.common_type(known, column_types.from_arrow(values).type, name)
 
     def _words(self, values: pa.ChunkedArray) -> pa.Array:
         found = values.combine_chunks()

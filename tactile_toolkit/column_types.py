@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
+from functools import reduce
 from itertools import chain
 from typing import Any
 
@@ -241,20 +242,19 @@ def is_leaf(data_type: pa.DataType) -> bool:
     return not pa.types.is_list(data_type) and data_type != UNTYPED
 
 
+def common_type(first: pa.DataType, second: pa.DataType, name: str = "values") -> pa.DataType:
+    """Return the type that holds values of both; ArrowException if there is none."""
+    if UNTYPED in (first, second) and len({first, second, pa.null()}) > 2:
+        raise pa.ArrowInvalid(f"{first} and {second}")
+    both = [pa.schema([(name, each)]) for each in (first, second)]
+    return pa.unify_schemas(both, promote_options="permissive").field(0).type
+
+
 def joined(columns: Sequence[pa.Array]) -> pa.Array:
     """Return columns one after the other, as one column of a type that holds all of their values exactly."""
-    kinds = {column.type for column in columns} - {pa.null()}
-    if not kinds:
-        return pa.nulls(sum(map(len, columns)))
-    if len(kinds) == 1:
-        (kind,) = kinds
-        return pa.concat_arrays([column.cast(kind) for column in columns])
     with suppress(pa.ArrowException):
-        for numbers in (pa.float64(), pa.list_(pa.float64())):
-            leaf = getattr(numbers, "value_type", None)
-            fits = {numbers, *([pa.int64()] if leaf is None else [pa.list_(pa.int64()), pa.list_(pa.null())])}
-            if kinds <= fits:
-                return pa.concat_arrays([column.cast(numbers) for column in columns])
+        kind = reduce(common_type, (column.type for column in columns), pa.null())
+        return pa.concat_arrays([pa.array([], kind), *(column.cast(kind) for column in columns)])
     return from_values(chain.from_iterable(map(values_of, columns)))
 
 
@@ -303,13 +303,13 @@ def floats_of(column: pa.Array) -> Float64:
     if kind in _NUMBERS:
         numbers: Float64 = column.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
         return numbers
-    if pa.types.is_list(kind) and kind.value_type in _NUMBERS and not column.null_count and len(column):
-        inside = column.flatten()
-        flat: Float64 = inside.cast(pa.float64(), safe=False).to_numpy(zero_copy_only=False)
-        rows = flat.reshape(len(column), -1)
-        if not (pc.equal(pc.list_value_length(column), rows.shape[1])).false_count:
-            return rows
-        raise ValueError("lists of several lengths")
+    if pa.types.is_list(kind) and kind.value_type in _NUMBERS and len(lengths_of(column)) == 1:
+        inside = column.flatten().cast(pa.float64(), safe=False)
+        rows = np.full((len(column), *lengths_of(column)), np.nan)
+        rows[column.is_valid().to_numpy(zero_copy_only=False)] = inside.to_numpy(
+            zero_copy_only=False
+        ).reshape(-1, rows.shape[1])
+        return rows
     try:
         return np.array([_number(value) for value in values_of(column)], np.float64)
     except TypeError as error:

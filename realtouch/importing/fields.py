@@ -81,27 +81,31 @@ def objects_of(touches: FoundTouches, column: str | None) -> tuple[Int64, dict[i
 
 
 def each_of(
-    read: Callable[[Fields, ImportColumns], Float64], fields: Fields, columns: ImportColumns, count: int
+    read: Callable[[Fields, ImportColumns], Float64], fields: Fields, columns: ImportColumns, rows: Int64
 ) -> tuple[Float64 | None, dict[int, ItemError]]:
-    """Read all touches or pictures at once, or one by one where some are wrong.
+    """Read some touches or pictures at once, or one by one where some are wrong.
 
-    Returns an array with an entry for each, and what is wrong with those that cannot be used; without a
-    single one that can, there is no array.
+    Returns an array with an entry for each row, NaN for those that are not read, and what is wrong with those
+    that cannot be used; without a single one that can, there is no array.
     """
-    with suppress(ItemError):
-        return read(fields, columns), {}
     problems: dict[int, ItemError] = {}
     found: Float64 | None = None
-    for number in range(count):
+    parts = [rows]
+    while parts:
+        part = parts.pop()
         try:
-            (each,) = read({name: column.slice(number, 1) for name, column in fields.items()}, columns)
+            some = read({name: column.take(pa.array(part)) for name, column in fields.items()}, columns)
         except ItemError as error:
-            problems[number] = error
-        else:
-            if found is None:
-                found = np.full((count, *np.shape(each)), np.nan)
-            found[number] = each
-    return found, problems
+            if len(part) == 1:
+                problems[int(part[0])] = error
+            else:
+                parts += np.array_split(part, 2)[::-1] if len(part) else []
+            continue
+        if found is None:
+            count = max(map(len, fields.values()))
+            found = np.full((count, *some.shape[1:]), np.nan)
+        found[part] = some
+    return found, dict(sorted(problems.items()))
 
 
 def positions(fields: Fields, columns: ImportColumns) -> Float64:

@@ -236,6 +236,17 @@ def _table(columns: Mapping[str, Any] | pa.Table) -> pa.Table:
     return columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
 
 
+def ranges_of(sizes: Sequence[int], most_bytes: int) -> Iterator[slice]:
+    """Divide a sequence, given the bytes of each, into parts of so many bytes; larger ones stand alone."""
+    start = size_bytes = 0
+    for number, size in enumerate(sizes):
+        if size_bytes + size > most_bytes and number > start:
+            yield slice(start, number)
+            start, size_bytes = number, 0
+        size_bytes += size
+    yield slice(start, len(sizes))
+
+
 def add_values(digest: Any, column: pa.Array) -> None:
     """Add the values of a column to a digest; equal columns add the same, however they lie in memory."""
     digest.update(column.is_null().to_numpy(zero_copy_only=False).tobytes())

@@ -118,25 +118,22 @@ class ImportTouches:
 
     def _said(self, touches: FoundTouches) -> _Said:
         """Read labels and objects of all touches that can be used; of images positions and poses, too."""
-        rows = np.flatnonzero(touches.is_usable)
-        some, count = touches.take(rows), len(touches)
+        rows, count = np.flatnonzero(touches.is_usable), len(touches)
         places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
-        problems: dict[int, ItemError] = {}
+        labels, no_labels = labels_of(touches, self.columns.label, self.names)
+        objects, no_objects = objects_of(touches, self.columns.object_id)
+        problems = no_objects | no_labels
         for read, columns, out in (
             (poses, self.columns.pose or (), turns),
             (positions, self.columns.position or (), places),
         ):
             if columns and len(rows) and not touches.has_clips:
-                fields = {name: some.value(name) for name in columns}
-                known = {name: pa.nulls(len(rows)) if each is None else each for name, each in fields.items()}
-                found, wrong = each_of(read, known, self.columns, len(rows))
+                fields = {name: touches.value(name) for name in columns}
+                known = {name: pa.nulls(count) if each is None else each for name, each in fields.items()}
+                found, wrong = each_of(read, known, self.columns, rows)
                 problems |= wrong
-                out[rows] = found
-        labels, objects = np.full(count, -1), np.zeros(count, np.int64)
-        labels[rows], no_labels = labels_of(some, self.columns.label, self.names)
-        objects[rows], no_objects = objects_of(some, self.columns.object_id)
-        problems = no_objects | no_labels | problems
-        return _Said(labels, objects, turns, places, {int(rows[row]): each for row, each in problems.items()})
+                out[:] = np.nan if found is None else found
+        return _Said(labels, objects, turns, places, problems)
 
     def _stored(
         self, touches: FoundTouches, rows: Int64, said: _Said, contents: Iterator[bytes | ItemError]

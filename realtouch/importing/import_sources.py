@@ -143,13 +143,10 @@ def _timed(touches: FoundTouches, columns: ImportColumns) -> FoundTouches:
             next=f"map one of them to the time, or name the other one: --map NEW={TIME_S}",
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
-    fields = {TIME_S: values.take(pa.array(rows))}
-    found, problems = each_of(lambda each, how: times_s(each[TIME_S], how), fields, columns, len(rows))
-    time_s = np.full(len(touches), np.nan)
-    if found is not None:
-        time_s[rows] = found
-    touches = touches.with_problems({int(rows[number]): error for number, error in problems.items()})
-    return touches.with_said({TIME_S: pa.array(time_s, from_pandas=True)})
+    read = lambda fields, how: times_s(fields[TIME_S], how)  # noqa: E731
+    time_s, problems = each_of(read, {TIME_S: values}, columns, rows)
+    column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
+    return touches.with_problems(problems).with_said({TIME_S: column})
 
 
 def _checked(touches: FoundTouches) -> FoundTouches:

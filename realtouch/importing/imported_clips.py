@@ -144,7 +144,7 @@ def _each_picture(
             whole = touches.value(name)
             whole = pa.nulls(1) if whole is None else whole.slice(row, 1)
             fields[name] = whole.take(pa.array(np.zeros(count, np.int64)))
-    found, problems = each_of(read, fields, columns, count)
+    found, problems = each_of(read, fields, columns, np.arange(count))
     for number, error in problems.items():
         where = f"picture {number}: " if count > 1 else ""
         raise ItemError(error.reason, f"{where}{error.message}")

@@ -32,7 +32,7 @@ _WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, that end in a
 _NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
 _NO_STREAM = "; if the table is no stream of this recording, give it another name"
 _FLOATS = (pa.float64(), pa.list_(pa.float64()))
-_NUMBERS = (*_FLOATS, pa.int64(), pa.list_(pa.int64()))
+_NUMBERS = (pa.float64(), pa.int64())
 
 
 class Aligner:
@@ -222,31 +222,25 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
 
     Angles, by the unit in their name, are on the shorter way around the circle.
     """
+    numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     found = {}
-    for name, column in samples.items():
-        if column.type not in _FLOATS or name in pose or (values := _floats(column)) is None:
-            continue
+    for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
         unit = stated_unit(name)
-        found[name] = around.interpolated(values)
+        found[name] = around.interpolated(numbers[name])
         if unit in PER_RADIAN:
-            found[name] = around.on_circle(values, TURN * PER_RADIAN[unit])
-    if pose and samples.keys() >= {*pose} and all(samples[name].type in _NUMBERS for name in pose):
-        parts = [_floats(samples[name]) for name in pose]
-        known = [part for part in parts if part is not None]
-        whole = np.column_stack(known) if len(known) == len(parts) else np.empty((0, 0))
+            found[name] = around.on_circle(numbers[name], TURN * PER_RADIAN[unit])
+    if pose and numbers.keys() >= {*pose}:
+        whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:
-            numbers = around.interpolated(whole)
-            numbers[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
-            found |= zip(pose, [numbers] if len(pose) == 1 else numbers.T, strict=True)
+            between = around.interpolated(whole)
+            between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
+            found |= zip(pose, [between] if len(pose) == 1 else between.T, strict=True)
     return {name: _with_gaps(values, around) for name, values in found.items()}
 
 
-def _floats(column: pa.Array) -> Float64 | None:
-    """Return numbers, (m,) or (m, k); NaN for missing ones, or None if such a list is missing."""
-    try:
-        return column_types.floats_of(column)
-    except ValueError:
-        return None
+def _is_number(column: pa.Array) -> bool:
+    kind = column.type.value_type if pa.types.is_list(column.type) else column.type
+    return kind in _NUMBERS and (kind is column.type or bool(column_types.lengths_of(column)))
 
 
 def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:

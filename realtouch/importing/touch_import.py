@@ -20,7 +20,7 @@ from realtouch.convert.conversion import write_changed
 from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import UNKNOWN, integer_text, shown
 from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk, texts_in
+from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk, ranges_of, texts_in
 from realtouch.importing.import_shards import ImportTouches
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.importing.imported_rows import touch_schema
@@ -250,18 +250,11 @@ def _divided(
 ) -> list[dict[str, Sequence[int]]]:
     """Divide rounds into shards that a worker can hold."""
     most_bytes = _CLIP_SHARD_BYTES if has_clips else _SHARD_BYTES
-    shards: list[dict[str, Sequence[int]]] = [{}]
-    size_bytes = count = 0
-    for name, numbers in rounds.items():
-        more_bytes = sum(sizes[number] for number in numbers)
-        is_full = count + len(numbers) > _TOUCHES_PER_SHARD or size_bytes + more_bytes > most_bytes
-        if is_full and shards[-1]:
-            shards.append({})
-            size_bytes = count = 0
-        shards[-1][name] = numbers
-        size_bytes += more_bytes
-        count += len(numbers)
-    return shards
+    # A touch counts as so many bytes at least, so that a shard has not too many.
+    least = most_bytes // _TOUCHES_PER_SHARD
+    of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
+    pairs = list(rounds.items())
+    return [dict(pairs[part]) for part in ranges_of(of_rounds, most_bytes)]
 
 
 def _class_names(touches: FoundTouches, column: str | None) -> tuple[str, ...]:
@@ -327,14 +320,8 @@ def _in_pieces(
     """
     found: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
-        pieces: list[list[int]] = [[]]
-        size_bytes = 0
-        for number in numbers:
-            if pieces[-1] and size_bytes + sizes[number] > most_bytes:
-                pieces.append([])
-                size_bytes = 0
-            pieces[-1].append(number)
-            size_bytes += sizes[number]
+        parts = ranges_of([sizes[number] for number in numbers], most_bytes)
+        pieces = [numbers[part] for part in parts]
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
             name = f"{name}-"
