@@ -329,7 +329,7 @@ def test_whatever_a_group_holds_ends_in_recordings_or_a_sentence(layout: str, tm
         source = zipped if path == zipped else folder
         try:
             for found in recordings(source, image, layout):
-                list(IMPORTS[layout].contents([found.clip(0, found.frames, found.name)]))
+                list(IMPORTS[layout].contents([found.place(0, found.frames)]))
         except ToolkitError:
             refused += 1
         with suppress(ToolkitError):
