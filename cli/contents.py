@@ -79,7 +79,7 @@ def show(
     Example: show DIR --row 3 --split test
     """
     place = opening.open(sink, name, shows_all=True)
-    chosen = split or place.splits[0]
+    chosen = split or place.require_complete().splits[0]
     rows = read.ShardedTable(place.shards(chosen))
     if row >= len(rows):
         raise InputError(

@@ -14,6 +14,7 @@ from typing import Any
 
 from tactile_toolkit.checked_fields import switch
 from tactile_toolkit.progress import shown_progress
+from tactile_toolkit.redaction import redact
 from tactile_toolkit.shown_text import printable, printable_json
 
 _GAP = "  "
@@ -49,7 +50,8 @@ class Sink:
 
     def warn(self, text: str) -> None:
         """Print a message on stderr even with ``--quiet``, such as the name of a damaged file."""
-        sys.stderr.write(printable(text, keep="\n") + "\n")
+        # It may quote a source, with an address that somebody else wrote there.
+        sys.stderr.write(redact(printable(text, keep="\n")) + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
         """Print a table of the result."""

@@ -23,7 +23,7 @@ from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainC
 from tactile_sim.kind import KIND
 from tactile_sim.sensor_models import GELSIGHT_MINI
 from tactile_toolkit import mesh, run, store, touch
-from tactile_toolkit.catalog import RowFilter
+from tactile_toolkit.catalog import INCOMPLETE, RowFilter
 from tactile_toolkit.checked_fields import choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
@@ -173,6 +173,7 @@ def pairs(
     objects: str = argument("DIGITS", "Digits or other meshes."),
     real: str = text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
     split: str = text("train", metavar="NAME", help="Split of both data sets."),
+    allow_incomplete: bool = INCOMPLETE,
     out: str = out_folder("pairs"),
     spec: PairsSpec,
     making: Making,
@@ -183,7 +184,8 @@ def pairs(
     Example: tactile-sim pairs digits --real real-single-320x240 --split train --out pairs
     """
     run.prepare_batch_process()
-    pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec)
+    opened = partial(Opening(allow_incomplete=allow_incomplete).open, sink)
+    pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec, opened)
     require = partial(pairs.refuse_sources, objects, out)
     generate_set(sink, "pressing and scaling", pairs, out, None, making, print_set, require)
 

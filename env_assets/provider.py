@@ -261,7 +261,8 @@ class AssetProvider:
     def _shards(self, name: str, split: str) -> tuple[read.Shard, ...]:
         place = self._place(name)
         try:
-            return open_place(place, revision=self._commit_of(place)).shards(split)
+            found = open_place(place, revision=self._commit_of(place))
+            return found.require_meshes("AssetProvider.meshes").shards(split)
         except (
             InputError,
             IntegrityError,

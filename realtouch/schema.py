@@ -34,6 +34,8 @@ KNOWN_COLUMNS: dict[str, read.Expected] = {
     "gel_pose_cell_frame.position": (2, _FLOAT, "three floats per touch"),
     "gel_pose_cell_frame.quaternion": (2, _FLOAT, "four floats per touch"),
     "sensor_image": (1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_um": (1, _BYTES, "a struct of bytes and path per touch"),
+    "depth_error_um": (1, _BYTES, "a struct of bytes and path per touch"),
     "video_length_frames": (1, _WHOLE, "an integer per touch"),
     "gel_pose_cell_frame_seq.position": (3, _FLOAT, "three floats per frame of each touch"),
     "gel_pose_cell_frame_seq.quaternion": (3, _FLOAT, "four floats per frame of each touch"),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TypedDict
 
 import numpy as np
 import pyarrow as pa
@@ -15,13 +14,6 @@ from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_
 
 _JPEG_END = b"\xff\xd9"
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
-
-
-class StoredImage(TypedDict):
-    """An image as it is stored."""
-
-    bytes: bytes
-    path: str
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
@@ -52,12 +44,12 @@ def image_column(images: Sequence[bytes | memoryview], names: Sequence[str]) -> 
     return pa.StructArray.from_arrays(parts, fields=list(MEDIA_TYPE))
 
 
-def as_jpeg(image: bytes) -> bytes:
+def as_jpeg(image: bytes | memoryview) -> bytes:
     """Return an image for readers that know JPEG alone: as it is, or encoded again."""
-    return image if is_jpeg(image) else encode_image(decode_image(image))
+    return bytes(image) if is_jpeg(image) else encode_image(decode_image(image))
 
 
-def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
+def decoded(image: bytes | memoryview, name: str, out: UInt8 | None = None) -> UInt8:
     """Return the pixels of an image; IntegrityError if it is damaged between its header and its end."""
     try:
         return decode_image(image, out)
@@ -68,7 +60,7 @@ def decoded(image: bytes, name: str, out: UInt8 | None = None) -> UInt8:
         ) from error
 
 
-def background_of(images: Sequence[bytes], names: Sequence[str]) -> bytes:
+def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) -> bytes:
     """Return the median of some images as JPEG: the gel at rest; InputError if they differ in size.
 
     Raises IntegrityError, with the name, for one that cannot be decoded.

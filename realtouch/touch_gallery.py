@@ -77,8 +77,9 @@ def plan_gallery(
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
-    place = places.open_place(name).require(KIND, "gallery")
-    schema = place.shards(chosen.given()["split"] or place.splits[0])[0].schema
+    split = chosen.given()["split"]
+    place = places.open_place(name).require(KIND, "gallery").require_complete(split)
+    schema = place.shards(split or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
     return gallery.gallery_of_rows(KIND, place, chosen, title, _SHOWN, _item, 1, known)
 

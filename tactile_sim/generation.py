@@ -74,11 +74,13 @@ class TouchGenerator(generation.RowGenerator):
     """Makes rounds of touches: for each object a plan of where it lies and is touched, then images.
 
     ``rows`` are the rows of the touched objects. The items are numbers of rounds, object after object.
+    ``unfinished`` are the finished shards of an unfinished source.
     """
 
     spec: GenerateSpec
     source: Mapping[str, Solids] = field(repr=False)
     rows: Mapping[str, Any] = field(repr=False)
+    unfinished: str = ""
     kind = KIND
 
     @classmethod
@@ -94,13 +96,13 @@ class TouchGenerator(generation.RowGenerator):
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
         make_optics(spec.optics, spec.weights)  # missing packages are reported before anything is written
-        name, splits = _open_source(source, unit, opened)
+        name, splits, unfinished = _open_source(source, unit, opened)
         _require_known_objects(name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
         if spec.chosen:
             chosen = catalog.choose_rows(splits.items(), **spec.chosen, limit=spec.limit)
             rows = {split: places for split, _, places in chosen}
-        return cls(spec, splits, rows)
+        return cls(spec, splits, rows, unfinished)
 
     @property
     def has_own_objects(self) -> bool:
@@ -116,7 +118,10 @@ class TouchGenerator(generation.RowGenerator):
     def manifest(self) -> Mapping[str, Any]:
         """Return options and the source of each split, so that a folder can be filled split by split."""
         source = {split: _fingerprints(each) for split, each in self.source.items()}
-        return {"operation": "generate", "options": self.spec.to_dict(), "source": source}
+        options = self.spec.to_dict()
+        if self.unfinished:
+            options["unfinished"] = self.unfinished
+        return {"operation": "generate", "options": options, "source": source}
 
     def items(self) -> Mapping[str, range]:
         """Return the rounds of each split."""
@@ -275,18 +280,18 @@ def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, numbe
 
 def _open_source(
     source: Name | Place | Meshes, unit: str | None, opened: Callable[[Any], Place]
-) -> tuple[str, Mapping[str, Solids]]:
-    """Return the name and the splits of a data set, of mesh files, or of meshes in memory."""
+) -> tuple[str, Mapping[str, Solids], str]:
+    """Return name, splits and what is unfinished of a data set, of mesh files, or of meshes in memory."""
     given = None
     if not isinstance(source, Place):
         given = given_solids(source, unit)
     if given is not None:
-        return "the source", given
+        return "the source", given, ""
     assert not isinstance(source, Mapping), "meshes in memory are given solids"
     place = opened(source)
     mesh.refuse_unit(unit, place.name)
-    place.require_complete()
-    return place.name, {split: open_split(place, split) for split in place.splits}
+    place.require_meshes("tactile-sim generate").require_complete()
+    return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
 
 
 def _fingerprints(solids: Solids) -> list[dict[str, Any]]:

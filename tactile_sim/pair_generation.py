@@ -7,7 +7,7 @@ touches, with a reduced share of touches without contact; it does not state whic
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Unpack
@@ -54,18 +54,28 @@ class PairsGenerator(generation.RowGenerator):
     real: str
     split: str
     touches: read.RecordDataset[Any] = field(repr=False)
+    unfinished: str = ""
     kind = replace(KIND, nouns="images")
 
     @classmethod
-    def of(cls, objects: str, real: str, split: str, spec: PairsSpec) -> PairsGenerator:
-        """Open both sources; InputError for a source of another kind, or without meshes."""
-        solids = open_split(places.open_place(objects), split)
+    def of(
+        cls,
+        objects: str,
+        real: str,
+        split: str,
+        spec: PairsSpec,
+        opened: Callable[[Any], places.Place] = places.open_place,
+    ) -> PairsGenerator:
+        """Open both sources by their names; InputError for another kind, or without meshes."""
+        sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
+        solids = open_split(sources[0], split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
-        touches = KIND.load(real, split)
+        touches = KIND.load(sources[1], split)
         if spec.min_height_m is None:
             spec = replace(spec, min_height_m=max(rule.min_height_m for rule in touches.contact_rules()))
-        return cls(spec, solids, real, split, touches.touches())
+        unfinished = ", ".join(place.unfinished for place in sources if place.unfinished)
+        return cls(spec, solids, real, split, touches.touches(), unfinished)
 
     def refuse_sources(self, objects: str, out: str | os.PathLike[str]) -> None:
         """Refuse to write into a source; messages call that of the depth ``objects`` (InputError)."""
@@ -75,9 +85,12 @@ class PairsGenerator(generation.RowGenerator):
 
     def manifest(self) -> Mapping[str, Any]:
         """Return options and sources."""
+        options = self.spec.to_dict()
+        if self.unfinished:
+            options["unfinished"] = self.unfinished
         return {
             "operation": "pairs",
-            "options": self.spec.to_dict(),
+            "options": options,
             "split": self.split,
             "source": {
                 "depth": list(map(content_fingerprint, self.objects.files)),

@@ -172,7 +172,7 @@ def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
 
 def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     size = stream.seek(0, io.SEEK_END)
-    is_text = (pa.types.is_string, pa.types.is_large_string)
+    is_text = (pa.types.is_string, pa.types.is_large_string, pa.types.is_string_view)
     texts = [each.name for each in pq.read_schema(stream) if any(is_kind(each.type) for is_kind in is_text)]
     # Texts that repeat are stored once, and could take any space if each was unpacked.
     file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)

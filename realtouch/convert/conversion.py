@@ -42,6 +42,8 @@ _PREFIXES = ("", "meta_")
 
 _NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
 
+_IMAGES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
+
 _LONGEST = 100
 
 _KEPT = 60  # of a longer one, before its digest
@@ -103,6 +105,10 @@ class Source:
         found = in_threads(partial(_media_bytes, column), self._files(), _READERS)
         count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
+
+    def image_bytes(self) -> int:
+        """Return about the size of an image, or of a frame of a clip; at least 1."""
+        return self.media_bytes() // _IMAGES_PER_MEDIA[self.kind] or 1
 
     def _files(self) -> Iterator[read.Shard]:
         return chain.from_iterable(self.shards.values())

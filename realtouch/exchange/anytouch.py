@@ -13,8 +13,8 @@ from operator import itemgetter
 import pyarrow as pa
 
 from realtouch.convert.conversion import Made, stem_of_id, with_files, write_changed
-from realtouch.exchange.flat import PackedFormat
-from realtouch.stored_images import StoredImage, as_jpeg, background_of
+from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.stored_images import as_jpeg, background_of
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError
 
@@ -24,7 +24,7 @@ LIST_END = "_bg.txt"
 LEFT_OUT = "-1"
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (index["label"].to_numpy() < 0).any():
         raise InputError(
@@ -37,7 +37,7 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
         home = f"{_FOLDER}/{IMAGES}/{shard.split}-{stem_of_id(name)}/{FRAMES}"
-        found = {f"{home}/{touch:010d}.jpg": as_jpeg(image["bytes"]) for _, touch, image in touches}
+        found = {f"{home}/{touch:010d}.jpg": as_jpeg(image) for _, touch, (_, image) in touches}
         background = f"{home}/{_BACKGROUND}"
         files |= {**found, background: background_of(list(found.values()), list(found))}
         paths += found
@@ -58,4 +58,4 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
     return write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
 
 
-plan_anytouch = PackedFormat(_FOLDER, _pack, _write_lists).plan
+plan_anytouch = TouchFormat(_FOLDER, _pack, _write_lists).plan

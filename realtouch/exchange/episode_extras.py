@@ -19,7 +19,17 @@ FEATURE = "observation."
 
 # Columns and arrays of the formats themselves.
 _TAKEN = (
-    *("images.tactile", "state", "action", "tactile", "label", "object_id", "gel_pose", "pos_in_cell"),
+    *(
+        "images.tactile",
+        "images.depth",
+        "state",
+        "action",
+        "tactile",
+        "label",
+        "object_id",
+        "gel_pose",
+        "pos_in_cell",
+    ),
     "in_contact",
     *("time_s", "timestamps", "right_wrist_pose", "camera_main_rgb", "sub_task_instruction"),
 )

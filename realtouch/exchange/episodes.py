@@ -6,12 +6,13 @@ before they are read.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch import depth_maps
 from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
 from realtouch.poses import Poses
@@ -20,54 +21,65 @@ from realtouch.sensor_images import SensorImages
 from realtouch.stored_images import image_column, require_intact
 from realtouch.stored_round import StoredRound, stored_rows
 from realtouch.touch_clips import TouchClip
-from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, MEDIA_TYPE
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
 CONTACT = "in_contact"
 """Column that marks the frames from the first to the last contact of a clip."""
+
+DEPTH = "observation.images.depth"
+"""Column of maps of depth, of rounds of single images that have some."""
+
 _POSES = {kind: f"{name}.position" for kind, name in POSE_COLUMN.items()}
 
-
-def only_split(source: Source, choices: Choices, what: str) -> str:
-    """Return the only split of an export; InputError if there are several."""
-    if len(choices) > 1:
-        raise InputError(
-            f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
-            next=f"add --split {next(iter(choices))}",
-        )
-    return next(iter(choices))
+_Episode = tuple[int | None, list[memoryview], dict[str, object]]
+"""The touch that a clip is (None: all of a round), the images of its frames, and columns."""
 
 
 @dataclass(frozen=True)
 class Episodes:
     """Step of the export: the frames of the episodes of a row, numbered within each.
 
-    With ``number`` float64, poses keep their precision.
+    ``split`` is the only one, ``size`` that of all images (height, width), ``number`` the type of poses.
+    ``depth_of`` makes the files of the maps of depth of a round, of that size; without it, they are left out.
     """
 
+    split: str
+    are_clips: bool
     fps: int
     size: tuple[int, int]
     names: tuple[str, ...]
-    extras: tuple[ExtraColumn, ...] = ()
-    number: pa.DataType = field(default_factory=pa.float32)
+    extras: tuple[ExtraColumn, ...]
+    number: pa.DataType
+    depth_of: Callable[[StoredRound, tuple[int, int]], pa.Array] | None = None
 
     @classmethod
-    def of(cls, source: Source, split: str) -> Episodes:
-        """Read the size of the first image of a split; all images must have it."""
-        names = read.class_names(source.schema, CLASS_NAMES)
+    def of(cls, source: Source, choices: Choices, what: str, number: pa.DataType) -> Episodes:
+        """Read the size of the first image of a split; all images must have it.
+
+        Raises InputError for several splits, which a ``what`` cannot hold, or for one without touches.
+        """
+        split, *others = choices
+        if others:
+            raise InputError(
+                f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
+                next=f"add --split {split}",
+            )
         row = next(filter(StoredRound.touch_total, stored_rows(source.shards[split])), None)
         if row is None:
             raise InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
+        are_clips, fps = source.kind == "seq", 1
+        if are_clips:
+            clip = TouchClip(row, 0)
+            fps, size = max(1, round(clip.fps)), clip.size
+        else:
+            size = SensorImages(row).size()
         extras = extra_columns_of(source.shards[split])
-        if row.has(MEDIA_COLUMN["single"]):
-            return cls(1, SensorImages(row).size(0), names, extras)
-        clip = TouchClip(row, 0)
-        return cls(max(1, round(clip.fps)), clip.size, names, extras)
+        return cls(split, are_clips, fps, size, source.class_names, extras, number)
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns that the source can fill, and those of the index of episodes."""
@@ -85,57 +97,60 @@ class Episodes:
             "timestamp": (pa.float32(), ("id",)),
             "frame_index": (pa.int64(), ("id",)),
         }
+        if self.depth_of is not None:
+            wanted[DEPTH] = (MEDIA_TYPE, (depth_maps.DEPTH,))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
         return pa.schema([*schema_of(source, wanted), *extras])
 
     def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
         """Return all frames of a row."""
-        name, schema = row.name(), self.schema(row.group.table.schema)
-        tables, label = [schema.empty_table()], row.label_value(self.names)
-        object_id = row.integer("object_id") if row.has("object_id") else 0
-        for touch, touches, images, columns in self._episodes(row):
-            for number, image in zip(touches, images, strict=True):
-                self._require_size(row, number, image)
-            count, start = len(images), f"{name}_{touch or 0:03d}"
-            if row.has("pos_in_cell"):
-                columns[ACTION] = self._vectors(row.intended_positions()[touches])
-            image_names = [f"{start}_{frame:04d}" for frame in range(count)]
-            columns |= {
-                "id": image_names,
-                "round_id": [name] * count,
-                "touch": [touch] * count,
-                IMAGE: image_column(images, image_names),
-                "label": np.full(count, label),
-                "object_id": np.full(count, object_id),
-                "timestamp": (np.arange(count) / self.fps).astype(np.float32),
-                "frame_index": np.arange(count),
-                **{each.name: each.of_frames(row, touch, count) for each in self.extras},
-            }
+        schema = self.schema(row.group.table.schema)
+        of_row: dict[str, object] = {"round_id": row.name(), "label": row.label_value(self.names)}
+        if row.has("object_id"):
+            of_row["object_id"] = row.integer("object_id")
+        tables = [schema.empty_table()]
+        for touch, images, columns in self._clips(row) if self.are_clips else self._round(row):
+            count, start = len(images), f"{row.name()}_{touch or 0:03d}"
+            for number, image in enumerate(images):
+                self._require_size(row, number if touch is None else touch, image)
+            columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
+            columns |= {each.name: each.of_frames(row, touch, count) for each in self.extras}
+            columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
+            columns[IMAGE] = image_column(images, names)
+            columns["frame_index"] = np.arange(count)
+            columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
             tables.append(table_of_columns(schema, columns))
         return pa.concat_tables(tables), {}
 
-    def _episodes(
-        self, row: StoredRound
-    ) -> Iterator[tuple[int | None, list[int], list[memoryview], dict[str, object]]]:
-        """Yield each episode: its touch (None: all of the round), those of its images, images, columns."""
-        if row.has("sensor_image"):
-            row.entries_of("sensor_image")
-            images = SensorImages(row)
-            touches = list(range(len(images)))
-            states = {STATE: self._states(row.poses())} if touches and row.has(_POSES["single"]) else {}
-            if touches:
-                yield None, touches, list(map(images.encoded, touches)), {**states}
+    def _round(self, row: StoredRound) -> Iterator[_Episode]:
+        """Yield all touches of a round of single images as one episode; none of a round without any."""
+        row.entries_of("sensor_image")
+        images, columns = SensorImages(row), dict[str, object]()
+        if not len(images):
             return
+        if row.has_poses:
+            columns[STATE] = self._states(row.poses())
+        if row.has("pos_in_cell"):
+            columns[ACTION] = self._vectors(row.intended_positions())
+        if self.depth_of is not None and row.has(depth_maps.DEPTH):
+            columns[DEPTH] = self.depth_of(row, self.size)
+        yield None, list(map(images.encoded, range(len(images)))), columns
+
+    def _clips(self, row: StoredRound) -> Iterator[_Episode]:
+        """Yield each clip of a round as an episode."""
         for touch in range(row.touch_total()):
             clip, columns, times_s = TouchClip(row, touch), dict[str, object](), row.stamps_s(touch)
-            if row.has(_POSES["seq"]):
+            frames = np.arange(len(clip))
+            if row.has_poses:
                 columns[STATE] = self._states(row.pose_sequences(touch)[0])
+            if row.has("pos_in_cell"):
+                columns[ACTION] = self._vectors(row.intended_positions()[np.full(len(clip), touch)])
             if times_s is not None:
                 columns[TIME] = times_s[0]
             if row.has("touch_start_time_rel"):
-                frames, window = np.arange(len(clip)), clip.contact_window
+                window = clip.contact_window
                 columns[CONTACT] = (frames >= window.start) & (frames < window.stop)
-            yield touch, [touch] * len(clip), list(map(clip.encoded, range(len(clip)))), columns
+            yield touch, list(map(clip.encoded, range(len(clip)))), columns
 
     def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(MEDIA_COLUMN[row.kind], touch):

@@ -33,11 +33,12 @@ def export(
     layout : str
         ``"flat"``: Parquet with one row a touch, for `datasets`, pandas and polars. ``"webdataset"``: the
         same in tars below ``webdataset/``, an image and a JSON file for each touch. ``"lerobot"``: a
-        LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images; it
-        holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of FTP-1, of the same frames as pixels.
-        ``"replay"``: the same frames as pixels in the Zarr group that Diffusion Policy
-        reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``: pickled
-        lists of encoded images, with a background. ``"anytouch"``: images and list files of AnyTouch 2.
+        LeRobotDataset v3.0 in ``lerobot/``, an episode for each clip, or for each round of single images,
+        with maps of depth where there are some; it holds one split. ``"oxt"``: Open-X-Tactile, the Zarr of
+        FTP-1, of the same frames as pixels. ``"replay"``: the same frames as pixels in the Zarr group that
+        Diffusion Policy reads; they need much space. ``"fota"``: the tars of T3, poses in mm. ``"sparsh"``:
+        pickled lists of encoded images, with a background. ``"anytouch"``: images and list files of
+        AnyTouch 2.
     frame : str
         Which frame of a clip a touch shows, as for :func:`realtouch.clips_to_images`; ``"lerobot"``,
         ``"oxt"`` and ``"replay"`` take all.

@@ -35,7 +35,7 @@ def is_picture(data_type: pa.DataType | None) -> bool:
     if pa.types.is_struct(data_type):
         index = data_type.get_field_index("bytes")
         return index >= 0 and is_picture(data_type.field(index).type)
-    return bool(pa.types.is_binary(data_type) or pa.types.is_large_binary(data_type))
+    return bool(pa.types.is_binary(data_type))
 
 
 class _Chunk(NamedTuple):
@@ -63,7 +63,7 @@ class ForeignParquet:
         with _named_values(self.place):
             source = self.place if home.is_local else home.open(path)
             self._file = store.open_checked(source)
-            schema, metadata = self._file.schema_arrow, self._file.metadata
+            schema, metadata = read.supported_schema(self._file.schema_arrow), self._file.metadata
             store.require_sound_columns(source, metadata, range(metadata.num_row_groups))
             groups = list(map(metadata.row_group, range(metadata.num_row_groups)))
             self._chunks = [_chunks(group) for group in groups]

@@ -13,9 +13,9 @@ from typing import Any
 import pyarrow as pa
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
-from realtouch.exchange.flat import PackedFormat
+from realtouch.exchange.touch_rows import NamedImage, TouchFormat
 from realtouch.exchange.webdataset import tar_of
-from realtouch.stored_images import StoredImage, as_jpeg
+from realtouch.stored_images import as_jpeg
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS
 from tactile_toolkit import store
 
@@ -23,11 +23,11 @@ _FOLDER = "fota"
 _PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
-    """Return the touches of a shard as one tar; the same touches give the same bytes."""
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
+    """Return the touches of a shard as one tar."""
     samples = (
-        (f"{PurePath(image['path']).stem}.jpg", as_jpeg(image["bytes"]), {**fields, **_pose_mm(fields)})
-        for image, fields in zip(images, index.to_pylist(), strict=True)
+        (f"{PurePath(name).stem}.jpg", as_jpeg(image), {**fields, **_pose_mm(fields)})
+        for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
     return with_files(index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)})
 
@@ -48,4 +48,4 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
     return checksums(folder, manifest) | write_changed(folder, files)
 
 
-plan_fota = PackedFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan
+plan_fota = TouchFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan

@@ -17,7 +17,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.episodes import STATE, TIME, Episodes
-from realtouch.exchange.replay import OUR_NAMES, GroupFormat
+from realtouch.exchange.zarr_groups import OUR_NAMES, GroupFormat
 from realtouch.poses import Poses
 from tactile_toolkit.array_types import AnyArray
 

@@ -1,126 +1,26 @@
-"""Whether a group of Zarr is what the contract of FTP-1 asks for, which has no validator of its own.
-
-Facts of the contract: its loader takes sensor and type of a tactile group from the first frame, finds weights
-of an encoder by the exact name of the sensor, and derives actions from poses or joints.
-"""
+"""Whether a group of Zarr is what the contract of FTP-1 asks for, which has no validator of its own."""
 
 from __future__ import annotations
 
 import re
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
-from realtouch.exchange.oxt import INSTRUCTION, PICTURE, SENSOR, TIMES
+from realtouch.exchange.oxt import PICTURE
+from realtouch.exchange.oxt_contract import NEEDED, PICTURES, RULES, ArrayRule
 from realtouch.exchange.picture_arrays import StoredArray, columns_of
-from realtouch.exchange.replay import ENDS
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.exchange.zarr_groups import ENDS
 from realtouch.exchange.zarr_recordings import DATA, data_arrays, episode_ends, group_in
 from realtouch.finding import Finding
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
 
-_CAMERA = "camera_(main|ego)_rgb|(left|right)_wrist_camera_rgb"
-_STATE = "(left|right)_(wrist_pose|arm_joints|hand_joints)"
-_TACTILE = r"(?P<side>\w+?)_tactile_(data|area|sensor|type)_(?P<group>.+)"
-_MEMBERS = ("data", "area", "sensor", "type")
-_HAND = "(?P<side>left|right)_hand_joints"
-_TYPES = f"state|binary|{PICTURE}"
-# Other sensors may have any name, but for these in another spelling.
-_SENSORS = rf"{SENSOR}|InspireHand|(?!(?i:gelsight[\W_]*mini|inspire[\W_]*hand)\Z).+"
-_TEXTS_SHOWN = 3
-_SLOTS = 32  # of the joints of a hand
-
-# Rule, names of arrays, and those that must be there for each of them; without any, one that fits must be.
-_NEEDED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("members", ".+", (TIMES, INSTRUCTION)),
-    ("camera", _CAMERA, ()),
-    ("state", _STATE, ()),
-    ("tactile", _TACTILE, ()),
-    ("tactile", _TACTILE, tuple(f"{{side}}_tactile_{each}_{{group}}" for each in _MEMBERS)),
-    ("joints", _HAND, ("{side}_hand_joints_idx",)),
-)
 _SCOPE = re.compile("_tactile_(data|area|sensor|type)_|_idx$")  # without which members have one name
-
-
-def _rises(times: AnyArray, starts: Int64) -> str:
-    wrong = np.setdiff1d(np.flatnonzero(~(times[1:] > times[:-1])) + 1, starts)  # NaN is wrong, too
-    if not len(wrong):
-        return ""
-    before, after = times[wrong[0] - 1 : wrong[0] + 1].tolist()
-    return f"{before} and then {after} in frame {wrong[0]:,}; {len(wrong):,} such frames"
-
-
-def _is_finite(values: AnyArray, starts: Int64) -> str:
-    return _such_as(values[~np.isfinite(values)])
-
-
-def _are_slots(values: AnyArray, starts: Int64) -> str:
-    return _such_as(values[(values < 0) | (values >= _SLOTS)])
-
-
-def _such_as(wrong: AnyArray) -> str:
-    return f"{len(wrong):,} values such as {wrong[0]}" if len(wrong) else ""
-
-
-def _is_text(pattern: str, values: AnyArray, starts: Int64) -> str:
-    found = np.unique(values).tolist()
-    is_one = len(found) == 1 and re.fullmatch(pattern, found[0])
-    return "" if is_one else ", ".join(map(repr, found[:_TEXTS_SHOWN]))
-
-
-class _Rule(NamedTuple):
-    """What arrays must be.
-
-    ``axes`` are those behind the first: numbers, letters for lengths that the members of a group share, and
-    ``...`` for one or more of any length. ``problem`` returns what is wrong with the values.
-    """
-
-    names: str
-    axes: str
-    types: str
-    name: str = ""
-    problem: Callable[[AnyArray, Int64], str] = lambda _values, _starts: ""
-    expected: str = ""
-
-
-_FINITE = ("finite", _is_finite, "finite numbers")
-_PICTURES = _Rule(r"\w+?_tactile_data_.+", "N H W 3", "B")
-"""Of tactile groups whose type is that of pictures."""
-
-_RULES = (
-    _Rule(TIMES, "", "iuf", "times", _rises, "times that rise in each episode"),
-    _Rule(INSTRUCTION, "", "U"),
-    _Rule(_CAMERA, "H W 3", "B"),
-    _Rule("((left|right)_wrist|camera_ego)_pose", "6", "f", *_FINITE),
-    _Rule("(left|right)_(arm|hand)_joints", "K", "f", *_FINITE),
-    _Rule(
-        "(left|right)_hand_joints_idx",
-        "K",
-        "iu",
-        "joints",
-        _are_slots,
-        f"slots below {_SLOTS}",
-    ),
-    _Rule(
-        r"\w+?_tactile_type_.+", "", "U", "type", partial(_is_text, _TYPES), f"one of {_TYPES} in all frames"
-    ),
-    _Rule(
-        r"\w+?_tactile_sensor_.+",
-        "",
-        "U",
-        "sensor",
-        partial(_is_text, _SENSORS),
-        f"a name, such as {SENSOR}, in all frames",
-    ),
-    _PICTURES,
-    _Rule(r"\w+?_tactile_data_.+", "N ...", "biufSU"),
-    _Rule(r"\w+?_tactile_area_.+", "N", "iu"),
-)
 _TYPE_NAMES = {"iuf": "numbers", "U": "text of a fixed length", "B": "uint8", "f": "floats", "iu": "integers"}
 
 _Problem = tuple[str, str, str, str]
@@ -158,7 +58,7 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
         starts = np.append(0, episode_ends(group, frames)[:-1])
     except InputError as error:
         yield "episodes", ENDS, error.what, "integers that rise to the number of frames"
-    for rule, pattern, wanted in _NEEDED:
+    for rule, pattern, wanted in NEEDED:
         found = [each.groupdict() for each in map(partial(re.fullmatch, pattern), names) if each]
         if not found and not wanted:
             yield rule, DATA, "no such array", f"an array that is called {pattern}"
@@ -174,13 +74,13 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
 def _unfit(arrays: dict[str, StoredArray], frames: int, starts: Int64) -> Iterator[_Problem]:
     """Yield what does not fit the rules."""
     lengths, types = defaultdict[str, dict[str, int]](dict), dict[str, list[str]]()
-    for rule in _RULES:
+    for rule in RULES:
         for name in filter(partial(re.fullmatch, rule.names), arrays):
             array, scope = arrays[name], _SCOPE.sub("", name)
             values = _values(array, frames)
             if rule.name == "type" and values is not None:
                 types[scope] = np.unique(values).tolist()
-            if rule is _PICTURES and types.get(scope) != [PICTURE]:
+            if rule is PICTURES and types.get(scope) != [PICTURE]:
                 continue
             if not _fits(array, rule, lengths[scope]):
                 shape = ", ".join(["T", *rule.axes.split()])
@@ -195,7 +95,7 @@ def _values(array: StoredArray, frames: int) -> AnyArray | None:
     return columns_of({"": lambda: array}, frames, ())[0].get("")
 
 
-def _fits(array: StoredArray, rule: _Rule, lengths: dict[str, int]) -> bool:
+def _fits(array: StoredArray, rule: ArrayRule, lengths: dict[str, int]) -> bool:
     """Return whether an array has the axes and the type of a rule; takes note of lengths."""
     sizes, axes = array.shape[1:], rule.axes.split()
     if axes[-1:] == ["..."]:

@@ -15,9 +15,9 @@ import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
 from realtouch.convert.conversion import Made, checksums, with_files, write_changed
-from realtouch.exchange.flat import PackedFormat
 from realtouch.exchange.sparsh_import import places_of_images
-from realtouch.stored_images import StoredImage, background_of
+from realtouch.exchange.touch_rows import NamedImage, TouchFormat
+from realtouch.stored_images import background_of
 from tactile_toolkit import store
 
 _FOLDER = "sparsh"
@@ -26,12 +26,12 @@ _PROTOCOL = 4
 _MOST_IN_MEDIAN = 256
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[StoredImage]) -> Made:
-    """Return the stored images of a shard as a list, with a table; the same touches give the same bytes."""
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
+    """Return the stored images of a shard as a list, with a table."""
     stream = io.BytesIO()
     arrow_csv.write_csv(_with_texts(index), stream)
     path = f"{_FOLDER}/{shard.split}/dataset_{shard.index:05d}"
-    stored = pickle.dumps([image["bytes"] for image in images], _PROTOCOL)
+    stored = pickle.dumps([bytes(image) for _, image in images], _PROTOCOL)
     return with_files(index, {f"{path}.pkl": stored, f"{path}.csv": stream.getvalue()})
 
 
@@ -62,4 +62,4 @@ def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> di
     return files | write_changed(folder, found)
 
 
-plan_sparsh = PackedFormat(_FOLDER, _pack, _write_backgrounds).plan
+plan_sparsh = TouchFormat(_FOLDER, _pack, _write_backgrounds).plan

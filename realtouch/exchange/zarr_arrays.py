@@ -1,8 +1,6 @@
-"""Arrays of Zarr 2 and 3 that others wrote, in a folder or a zip: read without codecs that run code.
+"""Groups of Zarr 2 and 3 that others wrote, in a folder or a zip: read without codecs that run code.
 
-What metadata state is checked before a chunk is opened: the codecs, of which only the lossless ones below are
-known, and the sizes of chunks and arrays. A chunk unpacks to its stated size and no further. (The package
-zarr follows links, and opens whatever codec is named.)
+Metadata of an array are checked before a chunk is opened, see :mod:`realtouch.exchange.zarr_layouts`.
 """
 
 from __future__ import annotations
@@ -11,154 +9,22 @@ import json
 import math
 import weakref
 import zipfile
-import zlib
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 from functools import cached_property, partial
-from importlib import import_module
 from itertools import product
 from typing import IO, Any
 
 import numpy as np
-import pyarrow as pa
 
+from realtouch.exchange import zarr_layouts
 from realtouch.exchange.picture_arrays import StoredArray
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
-from tactile_toolkit.errors import InputError, ItemError, needs_extra
+from tactile_toolkit.errors import InputError, ItemError
 
-_DIRECTIONS = {"C": 1, "F": -1}
-# Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
-_CHUNK_KEYS = {"default": ("c{}", "/"), "v2": ("", ".")}
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MOST_METADATA_BYTES = 1 << 20
-_MOST_CHUNKS = 1 << 18
 _SPARE_BYTES = 1 << 16  # that a chunk which does not compress may take beyond its values
-_WITHOUT_CHANGE = ("bytes", "transpose")  # of Zarr 3: how values lie in a chunk
-# Errors of the standard library, Arrow and numcodecs; a damaged header causes MemoryError.
-_UNREADABLE = (
-    *(OSError, EOFError, ValueError, TypeError, LookupError, RuntimeError, MemoryError, OverflowError),
-    *(zlib.error, zipfile.BadZipFile),
-)
-_LEVEL = 1
-
-
-def _deflated(data: bytes, size: int) -> bytes:
-    return zlib.decompressobj(47).decompress(data, size + 1)  # with the header of zlib or of gzip
-
-
-def _zstd(data: bytes, size: int) -> bytes:
-    return bytes(pa.Codec("zstd").decompress(data, size))
-
-
-def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) -> bytes:
-    """Unpack where the header, at some places, states the size unpacked, and that of all where it does."""
-    with needs_extra("reading this Zarr group", "numcodecs", "zarr"):
-        codec = import_module(f"numcodecs.{name}")
-    expected = zip(sizes_at, (size, len(data)), strict=False)
-    is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
-    return b"" if not is_stated else bytes(codec.decompress(data))
-
-
-_CODECS: dict[str, Callable[[bytes, int], bytes]] = {
-    "blosc": partial(_by_numcodecs, "blosc", (4, 12)),
-    "gzip": _deflated,
-    "lz4": partial(_by_numcodecs, "lz4", (0,)),
-    "zlib": _deflated,
-    "zstd": _zstd,
-}
-"""Functions that unpack data to a given number of bytes; a result of another length means damage."""
-
-
-@dataclass(frozen=True)
-class _Layout:
-    """What metadata state of an array, and by that how it is read.
-
-    ``axes`` is the order in which a chunk holds the axes; its file is called ``prefix`` and its number along
-    each axis, with ``separator`` between.
-    """
-
-    shape: tuple[int, ...]
-    chunks: tuple[int, ...]
-    dtype: np.dtype[Any]
-    fill: AnyArray
-    codecs: tuple[str, ...]
-    axes: tuple[int, ...]
-    prefix: str
-    separator: str
-
-    @property
-    def chunk_bytes(self) -> int:
-        return math.prod(self.chunks) * self.dtype.itemsize
-
-    @property
-    def counts(self) -> list[int]:
-        """Chunks along each axis."""
-        return [-(-size // part) for size, part in zip(self.shape, self.chunks, strict=True)]
-
-    def problem(self) -> str:
-        """Return why such an array cannot be read; empty if it can."""
-        unknown = [name for name in self.codecs if name not in _CODECS] or list(self.codecs[1:])
-        if unknown:
-            return (
-                f"the codec {unknown[0][:40]!r}; expected one of {', '.join(_CODECS)}, alone: others may run "
-                "code, lose values or are not known here; nothing was opened"
-            )
-        sizes, axes = [*self.shape, *self.chunks], list(range(len(self.shape)))
-        fits = all(type(size) is int and 0 <= size <= store.LARGEST for size in sizes) and all(self.chunks)
-        fits &= axes != [] and sorted(self.axes) == axes == list(range(len(self.chunks)))
-        fits &= self.dtype.kind in "biufSU" and self.dtype.itemsize > 0 and self.separator in ("/", ".")
-        if not fits:
-            return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
-        count = math.prod(self.counts)
-        return f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
-
-
-def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
-    """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
-    if dtype.kind in "SU":
-        stated = str(stated or "")
-    elif isinstance(stated, str):
-        stated = float(stated)
-    return np.full((), stated or np.zeros((), dtype), dtype.newbyteorder("="))
-
-
-def _layout_of_2(stated: Mapping[str, Any]) -> _Layout:
-    codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
-    dtype = np.dtype(str(stated["dtype"]))
-    return _Layout(
-        shape=tuple(stated["shape"]),
-        chunks=tuple(stated["chunks"]),
-        dtype=dtype,
-        fill=_fill(stated["fill_value"], dtype),
-        codecs=tuple(str(each["id"]) for each in codecs),
-        axes=tuple(range(len(stated["shape"]))[:: _DIRECTIONS[stated["order"]]]),
-        prefix="",
-        separator=str(stated.get("dimension_separator", ".")),
-    )
-
-
-def _layout_of_3(stated: Mapping[str, Any]) -> _Layout:
-    configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
-    keys, grid = stated["chunk_key_encoding"], stated["chunk_grid"]
-    prefix, separator = _CHUNK_KEYS[keys["name"]]
-    separator = str(keys.get("configuration", {}).get("separator", separator))
-    dtype = np.dtype(str(stated["data_type"]))
-    order = configurations.get("bytes", {}).get("endian", "little")
-    return _Layout(
-        shape=tuple(stated["shape"]),
-        chunks=tuple({"regular": grid["configuration"]}[grid["name"]]["chunk_shape"]),
-        dtype=dtype.newbyteorder(order),
-        fill=_fill(stated["fill_value"], dtype),
-        codecs=tuple(name for name in configurations if name not in _WITHOUT_CHANGE),
-        axes=tuple(configurations.get("transpose", {}).get("order", range(len(stated["shape"])))),
-        prefix=prefix.format(separator),
-        separator=separator,
-    )
-
-
-_LAYOUTS = {2: _layout_of_2, 3: _layout_of_3}
 
 
 class ZarrGroup:
@@ -176,7 +42,7 @@ class ZarrGroup:
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
             require_plain_archive(archive)
-        except (*_UNREADABLE, ItemError) as error:
+        except (*zarr_layouts.UNREADABLE, ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
 
@@ -199,7 +65,7 @@ class ZarrGroup:
             if error.reason == "missing":
                 return None
             raise self.refused(path, error.what) from error
-        except _UNREADABLE as error:
+        except zarr_layouts.UNREADABLE as error:
             raise self.refused(path, "a damaged file or zip") from error
         if len(found) > most:
             raise self.refused(path, f"a file of more than {most:,} bytes; expected at most that many")
@@ -231,8 +97,8 @@ class ZarrGroup:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
         try:
-            layout = _LAYOUTS[version](stated)
-        except _UNREADABLE as error:
+            layout = zarr_layouts.LAYOUTS[version](stated)
+        except zarr_layouts.UNREADABLE as error:
             raise self.refused(path, "no array, or not with the metadata of Zarr 2 or 3") from error
         problem, place = layout.problem(), f"{self.place}/{path}"
         if problem:
@@ -252,7 +118,7 @@ class ZarrGroup:
             return self.home.size_bytes(self.path)
         return sum(map(self.home.size_bytes, self.home.walk(self._below(path))))
 
-    def _block(self, path: str, layout: _Layout, number: int) -> AnyArray:
+    def _block(self, path: str, layout: zarr_layouts.ZarrLayout, number: int) -> AnyArray:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
@@ -267,52 +133,13 @@ class ZarrGroup:
                 target[...] = chunk[tuple(map(slice, target.shape))]
         return found
 
-    def _chunk(self, path: str, layout: _Layout, index: tuple[int, ...]) -> AnyArray | None:
-        name = f"{path}/{layout.prefix}{layout.separator.join(map(str, index))}"
+    def _chunk(self, path: str, layout: zarr_layouts.ZarrLayout, index: tuple[int, ...]) -> AnyArray | None:
+        name = f"{path}/{layout.chunk_name(index)}"
         data = self.read(name, 2 * layout.chunk_bytes + _SPARE_BYTES)
         if data is None:
             return None
         try:
-            for codec in layout.codecs:
-                data = _CODECS[codec](data, layout.chunk_bytes)
-            stored = np.frombuffer(data, layout.dtype).reshape([layout.chunks[axis] for axis in layout.axes])
-        except _UNREADABLE as error:
+            return layout.unpacked(data)
+        except zarr_layouts.UNREADABLE as error:
             expected = f"expected {layout.chunk_bytes:,} bytes unpacked"
             raise self.refused(name, f"a damaged chunk; {expected}") from error
-        return stored.transpose(np.argsort(layout.axes))
-
-
-class ZarrWriter(zipfile.ZipFile):
-    """A zip of arrays whose chunks follow each other along the first axis; equal arrays give equal bytes."""
-
-    def __init__(self, stream: IO[bytes]) -> None:
-        super().__init__(stream, "w")
-        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
-            self.add_json(path, {"zarr_format": 2})
-
-    def describe(self, path: str, shape: Sequence[int], length: int, dtype: np.dtype[Any]) -> None:
-        """Write what Zarr states of an array, given how many rows a chunk holds."""
-        stated = {
-            "zarr_format": 2,
-            "shape": list(shape),
-            "chunks": [length, *shape[1:]],
-            "dtype": dtype.str,
-            "order": "C",
-            "compressor": {"id": "zlib", "level": _LEVEL},
-            "fill_value": "" if dtype.kind == "U" else 0,
-            "filters": None,
-        }
-        self.add_json(f"{path}/.zarray", stated, indent=4)
-
-    def chunk(self, path: str, number: int, length: int, values: AnyArray) -> None:
-        """Write a chunk of ``length`` rows, with the other axes completely; zeros follow the last row."""
-        name = ".".join([str(number), *"0" * (values.ndim - 1)])
-        content = values.tobytes().ljust(length * values[:1].nbytes, b"\0")
-        self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
-
-    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
-        """Write a file of JSON."""
-        self._add(path, json.dumps(stated, indent=indent).encode())
-
-    def _add(self, path: str, content: bytes) -> None:
-        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing

@@ -14,8 +14,8 @@ import pyarrow as pa
 
 from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.replay import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.exchange.zarr_arrays import ZarrGroup
+from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
 from realtouch.import_columns import ImportColumns
 from realtouch.importing.recordings import TIME_S, Recording
 from realtouch.importing.source_files import NUMBERED, source_of

@@ -11,8 +11,9 @@ from typing import IO, NamedTuple
 
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.source_files import IMAGE_ENDINGS, source_of
+from realtouch.kind import KIND
 from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
-from tactile_toolkit import store
+from tactile_toolkit import places, store
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.text_tables import TABLE_ENDINGS
@@ -135,16 +136,15 @@ def _is_oxt(stream: IO[bytes]) -> bool:
 
 def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of what this toolkit exported, as its manifest states."""
-    if not home.exists(store.MANIFEST_FILE):
+    if store.manifest_so_far(home) is None:
         return None
-    manifest = store.read_manifest(home)
-    operation = manifest.spec.get("operation") if manifest is not None else None
-    if manifest is None or operation not in ("export", "frames"):
+    place = places.folder_place(home).require(KIND, "import")
+    if place.spec.get("operation") not in ("export", "frames"):
         raise InputError(
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )
-    layout = dict(manifest.spec["options"]).get("layout", "folder")
+    layout = dict(place.spec["options"]).get("layout", "folder")
     return Recognised(str(layout), store.MANIFEST_FILE)
 
 

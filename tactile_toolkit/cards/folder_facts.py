@@ -64,7 +64,7 @@ def folder_summary(
     ``manifest`` is one that will be written there, ``place`` the opened folder if it has none. Raises
     InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
     """
-    manifest = manifest or store.read_manifest(folder)
+    manifest = manifest or store.manifest_so_far(folder)
     splits = []
     if manifest is None:
         held = (place or places.folder_place(folder)).all_shards()

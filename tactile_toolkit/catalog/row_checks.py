@@ -40,7 +40,7 @@ def shards_to_check(
     unfinished: a check of the rest must not look like one of all.
     """
     place = places.open_place(name).require(kind, "validate").require_complete(split)
-    shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each)]
+    shards = [(each, shard) for each in place.chosen_splits(split) for shard in place.shards(each, kind=kind)]
     for _, shard in shards:
         mesh.require_mesh_columns(shard.schema, place.name, kind.made_by)
     return shards

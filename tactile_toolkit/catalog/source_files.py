@@ -34,7 +34,7 @@ def manifest_beside(shard: read.Shard) -> store.Manifest | None:
     data, _ = store.split_uri(shard.path)
     folder, name = store.split_uri(data.address())
     if name == store.DATA_FOLDER:
-        return store.read_manifest(folder)
+        return store.manifest_so_far(folder)
     return None
 
 

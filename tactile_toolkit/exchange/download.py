@@ -6,11 +6,9 @@
 from __future__ import annotations
 
 import contextlib
-import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import PurePosixPath
 from typing import Any
 
 import msgspec
@@ -25,11 +23,6 @@ _METADATA_FILES = (cards.CARD_FILE, store.MANIFEST_FILE)
 _EXTRA_FOLDERS = ("reports/", "previews/")
 _EXTRA_FILES = ("LICENSE", "LICENSE.md", "LICENSE.txt")
 _PICTURE_FOLDER = "images"
-# Folder in which the Hub's client keeps unfinished files, and the names of these files.
-_STAGE_FOLDER = ".cache/huggingface"
-_STAGED = re.compile(
-    rf"{_STAGE_FOLDER}/(?:[.]gitignore(?:[.]lock)?|CACHEDIR[.]TAG|download/.*[.](?:metadata|lock|incomplete))"
-)
 _THREADS = 8
 
 
@@ -104,7 +97,7 @@ def plan_download(
     repository = hub.open_repository(named.repo_id, named.revision, patient=True, on_wait=on_wait)
     if out is not None and repository.is_cache:  # which may list a part of the files only
         raise hub.not_cached(repository.repo_id, "the present list of files")
-    place = places.repository_place(repository, repository.repo_id, config=config)
+    place = places.repository_place(repository, repository.repo_id, config=config).require_config(config)
     if kind is not None and place.is_kind_stated:
         place.require(kind, "download")
     return _plan(repository, place.files, splits, None if out is None else store.open_folder(out))
@@ -253,7 +246,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     repository, record, leftover = plan.repository, plan.record, plan.leftover
     manifest = repository.manifest
     if isinstance(folder, store.LocalFolder):  # a link leads to what is not of this folder: refused first
-        for path in (_STAGE_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
+        for path in (store.PENDING_FOLDER, store.MANIFEST_FILE, *leftover, *record.files):
             folder.local_path(path)
     folder.remove_temporaries()
     # The record is written first, so that an interrupted download is recognised.
@@ -268,9 +261,6 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
     repository.fetch(plan.missing, folder, lambda done: on_progress(done, plan.missing_bytes))
     _write_metadata(plan, folder, manifest)
     store.write_download_record(folder, record)
-    if isinstance(folder, store.LocalFolder):
-        folder.remove_tree(_STAGE_FOLDER, _STAGED.fullmatch)
-        folder.remove_empty(str(PurePosixPath(_STAGE_FOLDER).parent))
 
 
 def _write_metadata(plan: DownloadPlan, folder: store.DataFolder, manifest: store.Manifest | None) -> None:

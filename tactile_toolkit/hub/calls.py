@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import inspect
+import os
 import re
 import time
 from collections.abc import Callable, Iterator
@@ -47,6 +48,8 @@ _LASTING = re.compile(
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
+_PROXIES = ("HTTPS_PROXY", "HTTP_PROXY", "ALL_PROXY")
+_ADDRESSES = ("HF_ENDPOINT", *_PROXIES, *map(str.lower, _PROXIES))
 _MOST_S = 1e9  # numbers may have thousands of digits
 
 # The address of a mirror may hold a password.
@@ -92,6 +95,18 @@ T = TypeVar("T")
 
 class TooLargeError(Exception):
     """More bytes arrive than were expected."""
+
+
+def require_addresses() -> None:
+    """Raise InputError for an address in the environment that is none; the client would quote it."""
+    for name in _ADDRESSES:
+        with contextlib.suppress(ValueError):
+            _ = urlsplit(os.environ.get(name, "")).port
+            continue
+        raise InputError(
+            f"the variable {name} is not an address; expected one such as https://HOST:PORT",
+            next="correct it, or unset it",
+        )
 
 
 def public_endpoint() -> str:
@@ -221,8 +236,18 @@ def call_with_retry(
 
 def _limit_session() -> None:
     """Let the session of the client limit the size and the time of all answers."""
-    # Before 1.0 it is a session of requests, one for each thread.
-    session = import_module("huggingface_hub").get_session()
+    require_addresses()
+    try:
+        # Before 1.0 it is a session of requests, one for each thread.
+        session = import_module("huggingface_hub").get_session()
+    except Exception as error:
+        # Its message may quote an address with a password.
+        found = str(error) if isinstance(error, ImportError) else type(error).__name__
+        given = ", ".join(name for name in _ADDRESSES if name in os.environ)
+        raise InputError(
+            f"the client of the Hub cannot be set up ({found}); set are {given or 'no addresses'}",
+            next="correct these variables, or unset them",
+        ) from None
     if hasattr(session, "event_hooks"):
         hooks = session.event_hooks
     else:

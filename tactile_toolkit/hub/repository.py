@@ -6,7 +6,6 @@ Files are kept in the cache of the Hub's own client, so that other programs find
 from __future__ import annotations
 
 import contextlib
-import json
 import os
 import re
 import threading
@@ -25,6 +24,7 @@ from tactile_toolkit.hub.calls import (
     counting_options,
     has_answered,
     not_cached,
+    require_addresses,
 )
 
 _PREFIX = "hf://datasets/"
@@ -89,6 +89,7 @@ def remember_commit(repo_id: str, revision: str, commit: str) -> None:
 
 
 def _cache_of(repo_id: str) -> Path:
+    require_addresses()  # which the client reads when it is imported
     from huggingface_hub import constants
 
     return Path(constants.HF_HUB_CACHE) / f"datasets--{repo_id.replace('/', '--')}"
@@ -145,16 +146,10 @@ class HubRepository:
         """Manifest of a data set made by the toolkit; None for other data sets, IntegrityError if damaged."""
         if store.MANIFEST_FILE not in self.remote:
             return None
-        text = self.local_paths((store.MANIFEST_FILE,))[0].read_text(encoding="utf-8", errors="replace")
-        try:
-            values = json.loads(text)
-        except ValueError:
+        content = self.local_paths((store.MANIFEST_FILE,))[0].read_bytes()
+        if store.is_of_others(content):
             return None
-        # Other tools write files of that name too.
-        is_ours = isinstance(values, dict) and {"schema_version", "shards"} <= values.keys()
-        if is_ours:
-            return store.Manifest.from_json(text, f"{self.repo_id}/{store.MANIFEST_FILE}")
-        return None
+        return store.Manifest.from_json(content, f"{self.repo_id}/{store.MANIFEST_FILE}")
 
     @cached_property
     def _listed(self) -> dict[str, store.HubFile]:
@@ -226,7 +221,8 @@ class HubRepository:
         """Fetch files, several at once, into the Hub's cache or a folder; the first failure ends all.
 
         Each file is compared with the digest of the manifest, or else that of the Hub. ``on_bytes`` gets the
-        total number of bytes that have arrived, from one thread at a time. Raises IntegrityError for a file
+        total number of bytes that have arrived, from one thread at a time. Other threads may still be at work
+        when this returns, and only this one changes a local folder. Raises IntegrityError for a file
         that arrived damaged twice (nothing of it is kept), HubError, StorageError.
         """
         lock, stopped, arrived, total = threading.Lock(), threading.Event(), dict[str, int](), 0
@@ -242,21 +238,26 @@ class HubRepository:
                 arrived[file.path] = size_bytes
                 on_bytes(total)
 
-        def fetch_one(file: store.HubFile) -> None:
+        def fetch_one(file: store.HubFile) -> str:
             place = self._fetch_checked(file, stage, partial(count, file))
             if folder is not None and not folder.is_local:
                 folder.upload(file.path, place)
                 place.unlink()
+            return file.path
 
         with contextlib.ExitStack() as stack:
-            stage = None
-            if folder is not None:
-                stage = Path(folder.root) if folder.is_local else stack.enter_context(store.scratch_folder())
+            stage, inside = None, ""
+            if isinstance(folder, store.LocalFolder):
+                inside = stack.enter_context(folder.stage())
+                stage = folder.local_path(inside)
+            elif folder is not None:
+                stage = stack.enter_context(store.scratch_folder())
             stack.callback(stopped.set)
             # Daemon threads; at exit, the interpreter waits for those of an executor.
             with ThreadPool(max(1, min(_FILES_AT_ONCE, len(files)))) as pool:
-                for _ in pool.imap_unordered(fetch_one, files):
-                    pass
+                for path in pool.imap_unordered(fetch_one, files):
+                    if isinstance(folder, store.LocalFolder):
+                        folder.move(f"{inside}/{path}", path)
 
     def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""
@@ -268,6 +269,8 @@ class HubRepository:
         options = {"repo_type": "dataset", "revision": self.commit, "local_dir": folder}
         options |= counting_options(count)
         cached = Path(self.folder.address(path))
+        if folder is None:
+            self._wait_for_another(path)
         # An intact file may have been fetched by another process meanwhile.
         for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
             fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
@@ -288,6 +291,16 @@ class HubRepository:
             "nothing of it was kept",
             next="try again later or through another network",
         )
+
+    def _wait_for_another(self, path: str) -> None:
+        """Wait for a process that fetches a file into the cache; BusyError if that process was stopped."""
+        # The client would wait on the same lock for ever, without a word.
+        cache = _cache_of(self.repo_id)
+        lock = cache.parent / ".locks" / cache.name / f"{self.remote[path].digest}.lock"
+        with contextlib.suppress(OSError):
+            lock.parent.mkdir(parents=True, exist_ok=True)
+            with store.locked(lock, is_patient=True):
+                pass
 
 
 def open_repository(

@@ -68,8 +68,8 @@ def find_mesh_files(place: str | PathLike[str]) -> MeshFiles | None:
 
 
 def _in_folder(root: Path) -> MeshFiles | None:
-    marks = (store.MANIFEST_FILE, "*.parquet", "*/*.parquet")
-    if any(next(root.glob(mark), None) for mark in marks):
+    has_rows = any(next(root.glob(pattern), None) for pattern in ("*.parquet", "*/*.parquet"))
+    if has_rows or store.manifest_so_far(store.open_folder(str(root))) is not None:
         return None  # a data set
     here = _classes_of(root, besides=_SPLITS)
     splits = {name: _classes_of(root / name) for name in _SPLITS if (root / name).is_dir()}

@@ -10,6 +10,7 @@ import numpy as np
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Float32, Float64, Int32
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
@@ -138,10 +139,17 @@ def open_solids(
 ) -> D | W:
     """Open shards as a data set of a kind, or as a stream where a class of streams is given.
 
-    ``name`` is the name of the data set, for messages. Raises InputError when a mesh column is missing.
+    ``name`` is the name of the data set, for messages. Raises InputError when a mesh column is missing, or
+    several files have different classes.
     """
     table = read.ShardedTable(shards)
-    require_mesh_columns(table.schema, name, kind.made_by)
+    schemas = table.schemas
+    for schema in schemas:
+        require_mesh_columns(schema, name, kind.made_by)
+    names = list(dict.fromkeys(read.class_names(each, kind.class_names, name) for each in schemas))
+    if len(names) > 1:
+        shown = " and ".join(", ".join(each) for each in names[:2])
+        raise InputError(f"{name!r} has the classes {shown}", next="open files of one data set together")
     if stream is not None:
         return stream(shards, dataset.record_class, kind.class_names)
-    return dataset(table, label_names=read.class_names(table.schema, kind.class_names, name))
+    return dataset(table, label_names=names[0])

@@ -10,6 +10,7 @@ from tactile_toolkit.places.split_files import (
     PARQUET,
     USUAL_SPLIT,
     parquet_paths,
+    require_some,
     split_of_file,
     splits_by_card,
     splits_by_name,
@@ -48,14 +49,16 @@ def repository_place(
         listed = shards_by_split(manifest)
         files = {split: tuple(each for each in found if each in {*paths}) for split, found in listed.items()}
         return Place(name, repository, files, manifest)
-    found = None
     if paths and CARD_FILE in repository.remote and not path:
         card = repository.local_paths((CARD_FILE,))[0].read_bytes()
-        found = splits_by_card(card, paths, config, name)
-    if found is None:
-        relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
-        found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
-    if not any(found.values()):
+        named = splits_by_card(card, paths, config, name)
+        if named is not None:
+            if repository.is_cache and not any(named.values()):
+                raise hub.not_cached(repository.repo_id, "it")
+            return Place(name, repository, require_some(named, name), config=config)
+    relative = splits_by_name((each.removeprefix(inside) for each in paths), name)
+    found = {split: tuple(f"{inside}{each}" for each in held) for split, held in relative.items()}
+    if not found:
         if repository.is_cache:
             raise hub.not_cached(repository.repo_id, "it")
         raise unknown_split("", (), name)

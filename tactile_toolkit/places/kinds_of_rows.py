@@ -34,10 +34,16 @@ def require_kind(found: DatasetKind, kind: DatasetKind, name: str, command: str 
     """
     if found.package == kind.package:
         return
-    asked, next_step = command_or_load(kind, command), f"use {found.package}.load({name!r})"
+    raise wrong_kind(found, name, command_or_load(kind, command), kind.content)
+
+
+def wrong_kind(found: DatasetKind, name: str, asked: str, content: str) -> InputError:
+    """Return the error for data of a kind; ``asked``, a command or function, is for other ``content``."""
+    next_step = f"use {found.package}.load({name!r})"
+    command = asked.partition(" ")[2]
     if command:
         next_step = f"run `{found.command} {found.command_like(command)} {shlex.quote(name)}`"
-    raise InputError(f"{name!r} holds {found.content}; `{asked}` is for {kind.content}", next=next_step)
+    return InputError(f"{name!r} holds {found.content}; `{asked}` is for {content}", next=next_step)
 
 
 def command_or_load(kind: DatasetKind, command: str) -> str:

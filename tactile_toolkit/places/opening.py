@@ -6,12 +6,12 @@ import os
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TypeAlias
+from typing import TypeAlias, cast
 
 from tactile_toolkit import hub, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.places.hub_place import hub_place
-from tactile_toolkit.places.other_files import is_parquet_file, not_a_set
+from tactile_toolkit.places.other_files import is_interrupted, is_parquet_file, not_a_set
 from tactile_toolkit.places.place import Place, shards_by_split
 from tactile_toolkit.places.published import published_set
 from tactile_toolkit.places.split_files import (
@@ -19,6 +19,7 @@ from tactile_toolkit.places.split_files import (
     PARQUET,
     USUAL_SPLIT,
     has_shards,
+    require_some,
     split_of_file,
     splits_by_card,
     splits_by_name,
@@ -65,15 +66,17 @@ def open_place(
     """
     if isinstance(name, Place):
         return name
-    if not isinstance(name, (str, os.PathLike)):
-        return _several(name, revision)
-    text = os.fsdecode(name)
-    local = _local(_without_short_name(text))
-    if local is not None:
-        found = _local_place(text, *local, config)
-    else:
-        found = hub_place(text, revision, config)
-    return replace(found, allow_incomplete=allow_incomplete)
+    found = _several(name, revision)
+    if found is None:
+        text = os.fsdecode(cast(Name, name))
+        local = _local(_without_short_name(text))
+        found = _local_place(text, *local, config) if local else hub_place(text, revision, config)
+        if local and revision is not None:
+            raise InputError(
+                f"{text!r} is not on the Hub and has no revisions; {revision!r} was asked for",
+                next="leave it out, or name a repository",
+            )
+    return replace(found.require_config(config), allow_incomplete=allow_incomplete)
 
 
 def folder_place(folder: store.DataFolder) -> Place:
@@ -81,8 +84,10 @@ def folder_place(folder: store.DataFolder) -> Place:
     return _local_place(folder.address(), folder, "", None)
 
 
-def _several(names: object, revision: str | None) -> Place:
-    """Return the place of several files that belong together, each of any split."""
+def _several(names: object, revision: str | None) -> Place | None:
+    """Return the place of several files that belong together, each of any split; None for a single name."""
+    if isinstance(names, (str, os.PathLike)):
+        return None
     files = [names]
     if isinstance(names, Iterable) and not isinstance(names, (bytes, bytearray)):
         files = list(names)
@@ -165,15 +170,17 @@ def _local_place(name: str, folder: store.DataFolder, file: str, config: str | N
     manifest = store.manifest_so_far(folder)
     if manifest is not None:
         return Place(name, folder, shards_by_split(manifest), manifest, manifest.complete)
-    found = None
+    if is_interrupted(folder):
+        raise not_a_set(folder, name)
     if folder.exists(CARD_FILE):
-        found = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
-    if found is None:
-        in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
-        if not has_shards(in_data):
-            in_data = _walked(folder)
-        found = splits_by_name(in_data, name)
-    if not any(found.values()):
+        named = splits_by_card(folder.read_bytes(CARD_FILE), _walked(folder), config, name)
+        if named is not None:
+            return Place(name, folder, require_some(named, name), config=config)
+    in_data = [f"{store.DATA_FOLDER}/{each}" for each in folder.names(store.DATA_FOLDER)]
+    if not has_shards(in_data):
+        in_data = _walked(folder)
+    found = splits_by_name(in_data, name)
+    if not found:
         raise not_a_set(folder, name)
     return Place(name, folder, found)
 

@@ -54,6 +54,11 @@ def is_parquet_file(folder: store.DataFolder, path: str) -> bool:
         return stream.read(len(_PARQUET_MARK)) == _PARQUET_MARK
 
 
+def is_interrupted(folder: store.DataFolder) -> bool:
+    """Return whether a folder has records of a run, which belong to a manifest."""
+    return bool(store.pending_shards(folder.names(store.PENDING_FOLDER)))
+
+
 def not_a_set(folder: store.DataFolder, name: str, path: str = "") -> InputError:
     """Return the error for a folder, or a file in it, without a data set; it names what was found."""
     found, next_step = _file_in_words(path) if path else _folder_in_words(folder)
@@ -74,7 +79,7 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
             return words
     if folder.exists("meta/info.json"):
         return "is a LeRobotDataset", _IMPORT_STEP
-    if store.PENDING_FOLDER in entries:
+    if is_interrupted(folder):
         return (
             f"is the folder of a run that was interrupted, and its {store.MANIFEST_FILE} is missing",
             "run the same command again, it continues",

@@ -12,17 +12,23 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from functools import cached_property
 
-from tactile_toolkit import hub, read, store
+from tactile_toolkit import hub, mesh, read, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind, is_for_others, kinds
 from tactile_toolkit.places.hub_files import hub_shards
-from tactile_toolkit.places.kinds_of_rows import command_or_load, kind_of_rows, require_kind
+from tactile_toolkit.places.kinds_of_rows import (
+    command_or_load,
+    kind_of_rows,
+    require_kind,
+    wrong_kind,
+)
 from tactile_toolkit.places.published import kind_of_published
 from tactile_toolkit.places.split_files import USUAL_SPLIT, files_of_split, split_of_file, unknown_split
 from tactile_toolkit.wording import with_count
 
 _COLUMNS_SHOWN = 8
+_TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_incomplete=True)"
 
 
 @dataclass(frozen=True)
@@ -45,6 +51,8 @@ class Place:
         Whether files were named, not a folder; they are opened as any split.
     allow_incomplete : bool
         Whether :meth:`shards` gives the finished shards of an unfinished split.
+    config : str or None
+        Configuration of the data card that was asked for.
     """
 
     name: str
@@ -54,6 +62,7 @@ class Place:
     complete: bool = True
     is_file: bool = False
     allow_incomplete: bool = False
+    config: str | None = None
     _found: dict[tuple[str, bool], tuple[read.Shard, ...]] = field(
         default_factory=dict, init=False, repr=False, compare=False
     )
@@ -111,10 +120,7 @@ class Place:
         """
         if self.is_kind_stated:
             return self._stated_kind
-        try:
-            return kind_of_rows(self._first_shard().schema)
-        except IntegrityError:
-            return None  # reading the rows reports the damage
+        return _kind_of(self._first_shard())
 
     @property
     def is_kind_stated(self) -> bool:
@@ -133,7 +139,7 @@ class Place:
         found = next(iter(self._found.values()), None)
         return (found or self.shards(self.splits[0]))[0]
 
-    def require(self, kind: DatasetKind, command: str = "") -> Place:
+    def require(self, kind: DatasetKind, command: str = "", shard: read.Shard | None = None) -> Place:
         """Return the place if it holds data of a kind, or of one that is opened by the same package.
 
         Parameters
@@ -142,27 +148,44 @@ class Place:
             Expected kind.
         command : str
             Command of the user, such as ``"export"``; without one, ``load`` of the package.
+        shard : Shard, optional
+            File whose rows count if the kind is not stated; by default the first.
 
         Raises
         ------
         InputError
             It holds another kind, or a manifest names one that is not installed.
         """
-        if self.kind is not None:
-            require_kind(self.kind, kind, self.name, command)
+        if isinstance(self.source, tuple):
+            for part in self.source:
+                part.require(kind, command)
+            return self
+        found = self.kind if shard is None or self.is_kind_stated else _kind_of(shard)
+        if found is not None:
+            require_kind(found, kind, self.name, command)
         elif self.manifest is not None:
             raise InputError(
                 f"{self.name!r} holds a data set of kind {self.manifest.kind!r}; expected {kind.content}",
                 next="install the package that made it",
             )
         else:
-            self._require_columns(kind, command)
+            self._require_columns(shard or self._first_shard(), kind, command)
         return self
 
-    def _require_columns(self, kind: DatasetKind, command: str) -> None:
+    def require_meshes(self, asked: str) -> Place:
+        """Return the place if it holds meshes of some kind, or rows of no kind, whose columns are not read.
+
+        ``asked`` is a command, such as ``"tactile-sim generate"``, or a function. Raises InputError.
+        """
+        if self.kind is not None and mesh.FACES not in self.kind.needs:
+            raise wrong_kind(self.kind, self.name, asked, "meshes")
+        self._refuse_files_for_others()
+        return self
+
+    def _require_columns(self, shard: read.Shard, kind: DatasetKind, command: str) -> None:
         """Refuse rows without the columns that a kind needs; readers report damaged files."""
         with suppress(IntegrityError):
-            names = read.column_names(self._first_shard().schema)
+            names = read.column_names(shard.schema)
             if not any(name in names for name in kind.needs):
                 shown = ", ".join(names[:_COLUMNS_SHOWN])
                 if len(names) > _COLUMNS_SHOWN:
@@ -174,6 +197,14 @@ class Place:
                     next=f"look at a row with `{kind.command} show {shlex.quote(self.name)}`",
                 )
 
+    def require_config(self, config: str | None) -> Place:
+        """Return the place if a configuration that was asked for decided its files; else raise InputError."""
+        if self.config == config:
+            return self
+        raise InputError(
+            f"{self.name!r} has no configurations, {config!r} was asked for", next="leave it out"
+        )
+
     def _refuse_files_for_others(self) -> None:
         if is_for_others(self.manifest):
             raise InputError(
@@ -182,16 +213,19 @@ class Place:
                 next="give the data set that it was made of, or open this one with `datasets`",
             )
 
-    def require_complete(self, split: str | None = None) -> Place:
+    def require_complete(self, split: str | None = None, *, may_take: bool = True) -> Place:
         """Return the place if it, or one split of it, is finished, or an unfinished one is allowed.
+
+        ``may_take`` is whether the command has an option to allow one, for the message.
 
         Raises
         ------
         IntegrityError
             A run that makes it is under way or was interrupted.
         """
-        if not (self.complete or self.allow_incomplete or (split is not None and self._is_whole(split))):
-            raise self._not_finished()
+        is_taken = self.allow_incomplete and self.splits  # some of its shards are finished
+        if not (self.complete or is_taken or (split is not None and self._is_whole(split))):
+            raise self._not_finished(may_take)
         return self
 
     def require_manifest(self, kind: DatasetKind) -> store.Manifest:
@@ -209,7 +243,7 @@ class Place:
                 f"no {store.MANIFEST_FILE} in {self.name!r}",
                 next=f"give the folder of a data set, such as one made by `{kind.made_by}`",
             )
-        self.require_complete()
+        self.require_complete(may_take=False)
         return self.manifest
 
     def _is_whole(self, split: str) -> bool:
@@ -218,22 +252,25 @@ class Place:
         records = self.manifest.shards_of(split)
         return bool(records) and len(records) == records[0].shard.count
 
-    def _not_finished(self) -> IntegrityError:
+    def _not_finished(self, may_take: bool = True) -> IntegrityError:
+        otherwise = ""
+        if may_take and not self.allow_incomplete:
+            otherwise = _TAKE_FINISHED
         again, record = "run the same command again", self.folder and store.read_download_record(self.folder)
         if record:
             again = f"download {record.repo_id} there again"
         return IntegrityError(
             f"the run that makes {self.name!r} is not finished ({self.unfinished})",
-            next=f"{again}, it continues; or take what is finished with --allow-incomplete "
-            "(allow_incomplete=True)",
+            next=f"{again}, it continues{otherwise}",
         )
 
     def split(self, split: str | None) -> str:
-        """Return a split, or the only one if none is named."""
+        """Return a split, or the only one of a finished data set if none is named."""
         if split is not None:
             return split
+        self.require_complete()
         if not self.splits:
-            raise self._not_finished()
+            raise unknown_split("", (), self.name)
         if len(self.splits) > 1:
             raise InputError(
                 f"{self.name!r} has the splits {', '.join(self.splits)}; expected one of them",
@@ -277,7 +314,7 @@ class Place:
         if (chosen, streaming) not in self._found:
             self._found[chosen, streaming] = self._find(chosen, streaming)
         if kind is not None:
-            self.require(kind)
+            self.require(kind, shard=self._found[chosen, streaming][0])
         return self._found[chosen, streaming]
 
     def all_shards(self) -> dict[str, tuple[read.Shard, ...]]:
@@ -340,6 +377,13 @@ class Place:
                 for record in records
             ]
         )
+
+
+def _kind_of(shard: read.Shard) -> DatasetKind | None:
+    """Return the kind of the rows of a file; None if it is damaged, which reading the rows reports."""
+    with suppress(IntegrityError):
+        return kind_of_rows(shard.schema)
+    return None
 
 
 def shards_by_split(manifest: store.Manifest) -> dict[str, tuple[str, ...]]:

@@ -167,10 +167,6 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
     """
     configs = _configurations(card, where)
     if not configs:
-        if config is not None:
-            raise InputError(
-                f"{where!r} has no configurations, {config!r} was asked for", next="leave it out"
-            )
         return None
     chosen = configs[_chosen(list(configs), configs, config, where)]
     folder = str(chosen.get("data_dir") or "").strip("/")
@@ -182,6 +178,17 @@ def splits_by_card(card: bytes, paths: Iterable[str], config: str | None, where:
         split: tuple(dict.fromkeys(path for each in named for path in _matching(folder, each, files)))
         for split, named in patterns.items()
     }
+
+
+def require_some(splits: Splits, where: str) -> Splits:
+    """Return the splits of a data card; InputError if none of the files that it names is there."""
+    if any(splits.values()):
+        return splits
+    raise InputError(
+        f"{CARD_FILE} of {where!r} names the files of {', '.join(splits)}; none of them is a Parquet file "
+        "there",
+        next=f"correct {CARD_FILE}, or give a Parquet file",
+    )
 
 
 def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:

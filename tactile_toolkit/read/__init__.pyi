@@ -59,6 +59,7 @@ from .stream import (
     loader_worker as loader_worker,
 )
 from .supported_types import (
+    supported_schema as supported_schema,
     supported_table as supported_table,
 )
 from .training_batches import (

@@ -259,6 +259,7 @@ class Shard:
         metadata = self.metadata
         if not self.is_remote:
             with self._named_damage():
+                self._require_same(self._found_now(), self.identity)  # the footer is that of another file
                 store.require_sound_columns(self.path, metadata, [index])
         group = metadata.row_group(index)
         columns = [group.column(number) for number in range(group.num_columns)]

@@ -61,6 +61,7 @@ from .locks import (
 from .manifest import (
     MANIFEST_FILE as MANIFEST_FILE,
     Manifest as Manifest,
+    is_of_others as is_of_others,
     read_manifest as read_manifest,
     without_collecting as without_collecting,
     write_manifest as write_manifest,
@@ -87,6 +88,7 @@ from .parquet import (
 )
 from .pending import (
     manifest_so_far as manifest_so_far,
+    pending_shards as pending_shards,
 )
 from .plan import (
     BuildPlan as BuildPlan,

@@ -20,8 +20,8 @@ PENDING_FOLDER = ".pending"
 NEXT_FOLDER = ".next"
 """Holds the data set that is to take the place of the one around it."""
 
-TEMPORARY = "tmp-[0-9a-f]{32}"
-"""Names of unfinished files in :data:`PENDING_FOLDER`, as a pattern."""
+TEMPORARY = "tmp-[0-9a-f]{32}(?s:/.*)?"
+"""Names of unfinished files in :data:`PENDING_FOLDER`, and of sub-folders of them, as a pattern."""
 
 VERSION_KEYS = ("size", "ETag", "etag", "blob_id", "mtime", "created", "LastModified", "inode")
 """What is known of a file, under which name each, that changes whenever it is replaced."""

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any, ClassVar, TypeVar
 
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, StorageError
 from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.files import (
     make_folder,
@@ -207,6 +207,18 @@ class LocalFolder(DataFolder):
             elif is_ours(path):
                 self.remove(path)
         self.remove_empty(folder)
+
+    @contextlib.contextmanager
+    def stage(self) -> Iterator[str]:
+        """Yield the path of a new sub-folder for files that :meth:`move` takes; all others are removed."""
+        path = f"{PENDING_FOLDER}/tmp-{uuid.uuid4().hex}"
+        make_folder(self.local_path(path))
+        try:
+            yield path
+        finally:
+            # Windows removes no file that is open: the next run does.
+            with contextlib.suppress(StorageError):
+                self.remove_temporaries()
 
     def remove_temporaries(self) -> None:
         """Remove unfinished files of writers; a writer that is still at work writes again."""

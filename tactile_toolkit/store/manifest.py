@@ -26,6 +26,8 @@ from tactile_toolkit.wording import with_count
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 3
 """The only version that is written and read."""
+# Fields by which a manifest is told from files of that name of other programs.
+_FIELDS = (b'"sha256_of_all_below"', b'"schema_version"', b'"shards"')
 # Fields that are left out of the text if they are empty.
 _OPTIONAL = ("libraries", "planned", "statistics", "trees")
 
@@ -167,6 +169,19 @@ class Manifest:
         if len(shards) < len(manifest.shards) or splits - {*manifest.split_order}:
             raise damaged_error(where, "shards: one is listed twice, or of no split in 'split_order'")
         return manifest
+
+
+def is_of_others(content: bytes) -> bool:
+    """Return whether a file of the manifest's name is of another program: JSON with no field of ours.
+
+    A manifest whose bytes were changed still has some of them.
+    """
+    if any(field in content for field in _FIELDS):
+        return False
+    with contextlib.suppress(ValueError):
+        json.loads(content)
+        return True
+    return False
 
 
 def read_manifest(folder: DataFolder) -> Manifest | None:

@@ -12,7 +12,7 @@ import msgspec
 
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.data_folder import PENDING_FOLDER, TEMPORARY, DataFolder
-from tactile_toolkit.store.manifest import Manifest, read_manifest
+from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, is_of_others, read_manifest
 from tactile_toolkit.store.sealed_json import Count, decode, require_seal, seal
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 
@@ -71,9 +71,15 @@ def pending_records(
 def manifest_so_far(folder: DataFolder) -> Manifest | None:
     """Read the manifest of a folder together with what an unfinished run has finished; None without manifest.
 
-    Sizes are compared, no content. Raises IntegrityError when the manifest is damaged.
+    Sizes are compared, no content. A file of that name of another program is no manifest. Raises
+    IntegrityError when the manifest is damaged.
     """
-    manifest = read_manifest(folder)
+    try:
+        manifest = read_manifest(folder)
+    except IntegrityError:
+        if is_of_others(folder.read_bytes(MANIFEST_FILE)):
+            return None
+        raise
     if manifest is None:
         return None
     begun = _begun_records(folder, manifest)
@@ -107,6 +113,7 @@ def remove_leftovers(folder: DataFolder, manifest: Manifest) -> None:
 
 def remove_pending(folder: DataFolder, kept: Collection[str] = ()) -> None:
     """Remove all pending records, report rows and temporary files but those to be kept."""
+    folder.remove_temporaries()
     for path in (f"{PENDING_FOLDER}/{name}" for name in folder.names(PENDING_FOLDER)):
         if is_pending(path) and path not in kept:
             folder.remove(path)

@@ -12,6 +12,7 @@ from typing import Annotated, Any
 import msgspec
 
 from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.redaction import redact
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.store.data_folder import PENDING_FOLDER
 from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
@@ -103,14 +104,14 @@ def shard_ranges(
 
 
 class Skipped(msgspec.Struct, frozen=True):
-    """An item of a source that gave no row: a stable word for counting, and a printable message."""
+    """An item of a source that gave no row: a stable word for counting, and a message without secrets."""
 
     id: Annotated[int, msgspec.Meta(ge=-LARGEST - 1, le=LARGEST)]
     reason: str
     message: str
 
     def __post_init__(self) -> None:
-        msgspec.structs.force_setattr(self, "message", printable(self.message))
+        msgspec.structs.force_setattr(self, "message", printable(redact(self.message)))
 
 
 class ShardRecord(msgspec.Struct, frozen=True, dict=True):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 import shlex
 import shutil
@@ -13,7 +14,11 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
+import mnist3d
+import realtouch
+import starstruck_gen
 from cli.shared import _COMMANDS
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import SHARED_COMMANDS, DatasetKind, kinds
 from tests.command_line import call
 from tests.realtouch import factories
@@ -28,6 +33,7 @@ CONTENT = {
     "seq": ("realtouch", "touches"),
     "synthetic": ("tactile-sim", "synthetic touches"),
     "imported": ("realtouch", "touches"),
+    "clips": ("realtouch", "touches"),
     "copied": ("mnist3d", "digits"),
 }
 PROGRAMS = ("mnist3d", "starstruck", "realtouch", "tactile-sim", "env-assets")
@@ -56,6 +62,10 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Path:
     run("tactile-sim", "generate", root / "digits", *press, "--out", root / "synthetic")
     run("realtouch", "export", root / "single", "--format", "webdataset", "--out", root / "tars")
     run("realtouch", "import", root / "tars", "--format", "webdataset", "--out", root / "imported")
+    run("realtouch", "export", root / "seq", "--format", "lerobot", "--out", root / "lerobot")
+    run("realtouch", "import", root / "lerobot", "--out", root / "clips")
+    shutil.rmtree(root / "lerobot")
+    run("mnist3d", "export", root / "digits", "--out", root / "solids", "--limit", 2)
     run("mnist3d", "merge", root / "digits", "--out", root / "copied")
     run("mnist3d", "export", root / "digits", "--format", "flat", "--out", root / "flat")
     run(
@@ -155,6 +165,134 @@ def test_an_unfinished_set_is_refused_unless_it_is_allowed(sets, tmp_path, capsy
             assert '"unfinished": "2 of 7 shards"' in (made / "manifest.json").read_text()
 
 
+COMMANDS_OF_ONE: dict[tuple[str, str], tuple[str, ...]] = {
+    ("realtouch", "load"): ("--split", "train"),
+    ("realtouch", "check"): ("-w", "1"),
+    ("realtouch", "reproduce"): (),
+    ("realtouch", "import"): ("--out", "OUT"),
+    ("realtouch", "resize"): ("--size", "32x24", "-w", "1", "--out", "OUT"),
+    ("realtouch", "select"): ("--limit", "1", "-w", "1", "--out", "OUT"),
+    ("tactile-sim", "generate"): ("--optics", "depth", "--dry-run", "-w", "1", "--out", "OUT"),
+    ("tactile-sim", "pairs"): ("--real", "REAL", "--split", "test", "--dry-run", "--out", "OUT"),
+}
+
+
+# Not all sets have the split that is loaded, all columns of the paper's, or enough touches for pairs.
+EXIT_CODES = {"load": (0, 2), "check": (0, 1), "reproduce": (1, 2), "import": (2,), "pairs": (2,)}
+
+
+def words_of(program: str, command: str, place: Path, sets: Path, out: Path) -> list[str]:
+    given = {"OUT": str(out), "REAL": str(sets / "single")}
+    options = COMMANDS_OF_ONE[program, command]
+    return [program, command, str(place), *(given.get(word, word) for word in options)]
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize("name", CONTENT)
+def test_so_do_the_commands_that_one_program_has(sets, tmp_path, capsys, name):
+    owner, content = CONTENT[name]
+    before = folder_bytes(sets / name)
+    for program, command in COMMANDS_OF_ONE:
+        code, said = asked(capsys, *words_of(program, command, sets / name, sets, tmp_path / command / "out"))
+        wanted = {"realtouch": "touches", "tactile-sim": "meshes"}[program]
+        if (owner in RELATED) == (wanted == "touches"):
+            assert f"`{program} {command}` is for" not in said
+            assert code in EXIT_CODES.get(command, (0,)), said
+        else:
+            assert code == 2, (command, said)
+            assert f"holds {content}; `{program} {command}` is for {wanted}; next: run `{owner} show " in said
+            assert said.count("\n") == 1
+        if code:
+            assert not (tmp_path / command).exists()
+    assert folder_bytes(sets / name) == before
+
+
+def test_solids_are_pressed_and_files_for_others_are_not(sets, tmp_path, capsys):
+    for name, code in (("solids", 0), ("digits", 0), ("flat", 2), ("tars", 2)):
+        words = words_of("tactile-sim", "generate", sets / name, sets, tmp_path / "out")
+        assert (found := asked(capsys, *words))[0] == code, found
+    assert "holds touches; `tactile-sim generate` is for meshes" in found[1]
+    code, said = asked(capsys, "mnist3d", "validate", str(sets / "flat"))
+    assert code == 2
+    assert "was made by `export` for other programs" in said
+    code, said = asked(capsys, "realtouch", "import", str(sets / "flat"), "--out", str(tmp_path / "out"))
+    assert code == 2
+    assert "holds digits; `realtouch import` is for touches" in said
+
+
+def test_what_is_pressed_of_an_unfinished_set_says_so(sets, tmp_path, capsys):
+    words = words_of("tactile-sim", "generate", sets / "unfinished", sets, tmp_path / "out")
+    words = [*(word for word in words if word != "--dry-run"), "--limit", "1", "--rounds", "1"]
+    code, said = asked(capsys, *words)
+    assert code == 3
+    assert "; or take what is finished with --allow-incomplete " in said
+    assert asked(capsys, *words, "--touches", "1", "--allow-incomplete")[0] == 0
+    assert '"unfinished": "2 of 7 shards"' in (tmp_path / "out" / "manifest.json").read_text()
+
+
+@pytest.fixture
+def half_touches(sets, tmp_path) -> str:
+    out = str(tmp_path / "half")
+    assert call("realtouch", "select", str(sets / "single"), "--part", "1/2", "-w", "1", "--out", out) == 0
+    return out
+
+
+def test_unfinished_touches_are_opened_only_if_that_is_allowed(half_touches, capsys):
+    """One split has all of its shards; without its name, it is not taken for the whole data set."""
+    code, said = asked(capsys, "realtouch", "load", half_touches)
+    assert code == 3
+    assert "is not finished (1 of 2 shards); next: run the same command again" in said
+    for words in (("--allow-incomplete",), ("--split", "train"), ("--split", "train", "--no-check")):
+        assert asked(capsys, "realtouch", "load", half_touches, *words)[0] == 0
+
+
+@pytest.mark.parametrize("program", ["realtouch", "starstruck"])
+def test_a_run_that_has_finished_nothing_yet_has_nothing_to_take(
+    sets, half_touches, tmp_path, capsys, program
+):
+    place = Path(half_touches)
+    if program == "starstruck":
+        place = Path(shutil.copytree(sets / "unfinished", tmp_path / "scenes"))
+    for record in (place / ".pending").glob("*.json"):
+        record.unlink()
+    for command in (*commands_of(program), "show"):
+        if command not in ("info", "verify", "card"):
+            words = options_of(command, tmp_path / "out")
+            if command != "show":
+                words = (*words, "--allow-incomplete")
+            code, said = asked(capsys, program, command, str(place), *words)
+            assert code == 3, (command, said)
+            assert re.search(
+                r"is not finished \(0 of \d shards\); next: run the same command again, it conti", said
+            )
+            assert not said.endswith("=True)\n"), "that was given"
+        assert not (tmp_path / "out").exists()
+    assert call(program, "info", str(place)) == 0
+
+
+def test_a_next_step_names_no_option_that_the_command_lacks(half_touches, sets, capsys):
+    for program, command, place in (
+        ("realtouch", "card", half_touches),
+        ("starstruck", "card", str(sets / "unfinished")),
+        ("starstruck", "upload", str(sets / "unfinished")),
+    ):
+        more = ("someone/name",) if command == "upload" else ()
+        code, said = asked(capsys, program, command, place, *more)
+        assert code == 3
+        assert said.endswith("next: run the same command again, it continues\n")
+
+
+def test_records_without_a_manifest_are_a_run_that_was_interrupted(sets, tmp_path, capsys):
+    place = Path(shutil.copytree(sets / "unfinished", tmp_path / "set"))
+    (place / "manifest.json").unlink()
+    for program in ("starstruck", "realtouch", "mnist3d"):
+        for command in ("info", "verify", "show"):
+            code, said = asked(capsys, program, command, str(place))
+            assert code == 2
+            assert "is the folder of a run that was interrupted, and its manifest.json is missing" in said
+            assert said.endswith("next: run the same command again, it continues\n")
+
+
 def save_to_disk(folder: Path) -> None:
     import datasets
 
@@ -246,7 +384,22 @@ def test_a_folder_of_data_sets_names_them(sets, capsys):
     for name in ("single", "seq"):
         shutil.move(sets.parent / name, sets / name)
     assert code == 2
-    assert "holds 9 data sets (copied, digits, flat); expected" in said
+    assert "holds 10 data sets (clips, copied, digits); expected" in said
+
+
+def test_a_manifest_of_another_program_changes_nothing(sets, tmp_path, capsys):
+    place = Path(shutil.copytree(sets / "single", tmp_path / "single"))
+    (place / "manifest.json").write_text('{"name": "a web page"}')
+    for command in ("info", "verify", "check", "card", "merge", "show"):
+        words = options_of(command, tmp_path / command)
+        code, said = asked(capsys, "realtouch", command, str(place), *words)
+        assert code == 0, said
+    solids = Path(shutil.copytree(sets / "solids", tmp_path / "solids"))
+    (solids / "manifest.json").write_text("[]")
+    code, said = asked(capsys, "mnist3d", "info", str(solids))
+    assert "is a folder of meshes (2, such as " in said
+    words = words_of("tactile-sim", "generate", solids, sets, tmp_path / "out")
+    assert asked(capsys, *words)[0] == 0
 
 
 def test_rows_of_no_kind_are_refused(tmp_path, capsys):
@@ -257,6 +410,41 @@ def test_rows_of_no_kind_are_refused(tmp_path, capsys):
             code, said = asked(capsys, program, command, str(tmp_path), *words)
             assert code == 2
             assert "holds rows of no kind of this toolkit (columns x, y); " in said
+
+
+def file_of(folder: Path) -> Path:
+    return next(iter(sorted((folder / "data").iterdir())))
+
+
+def test_each_of_several_files_and_each_split_is_of_the_kind(sets, tmp_path):
+    """The first file does not decide for others: a scene read as a digit would have another class."""
+    loaders = {"digits": mnist3d.load, "scenes": starstruck_gen.load, "single": realtouch.load}
+    for name, load in loaders.items():
+        for other, words in (("digits", "digits"), ("scenes", "scenes"), ("single", "touches")):
+            files = [str(file_of(sets / each)) for each in (name, other)]
+            if name != other:
+                with pytest.raises(InputError, match=rf"holds {words}; `\w+.load` is for "):
+                    load(files)
+            else:
+                assert len(load(files)) == 2 * len(load(files[0]))
+    (tmp_path / "data").mkdir()
+    for split, name in (("train", "digits"), ("test", "scenes")):
+        shutil.copy(file_of(sets / name), tmp_path / "data" / f"{split}-00000-of-00001.parquet")
+    assert len(mnist3d.load(tmp_path, "train")) == 10
+    with pytest.raises(InputError, match=r"holds scenes; `mnist3d.load` is for digits"):
+        mnist3d.load(tmp_path, "test")
+
+
+def test_files_of_several_sets_have_the_same_classes(sets, tmp_path):
+    table = pq.read_table(file_of(sets / "digits"))
+    features = json.loads(table.schema.metadata[b"huggingface"])
+    features["info"]["features"]["label"]["names"] = ["b", "a"]
+    other = table.replace_schema_metadata({"huggingface": json.dumps(features)})
+    pq.write_table(other, tmp_path / "other.parquet")
+    with pytest.raises(
+        InputError, match=r"has the classes 0, 1, .* and b, a; next: open files of one data set"
+    ):
+        mnist3d.load([file_of(sets / "digits"), tmp_path / "other.parquet"])
 
 
 def test_files_for_other_programs_are_no_source(sets, tmp_path, capsys):

@@ -79,3 +79,13 @@ def test_a_training_is_by_default_the_published_one_with_a_start_by_simulation()
         **{"sensor_noise": None, "noise": 0.0, "discriminator_noise": 0.0},
         **{"seed": 0, "checkpoint_every": 1000, "log_every": 50},
     }
+
+
+@pytest.mark.parametrize(
+    "words", [("starstruck", "generate"), ("mnist3d", "generate"), ("mnist3d", "split", "x")]
+)
+def test_integers_of_any_length_are_read(words, tmp_path, capsys):
+    assert call(*words, "--seed", 10**45, "--out", tmp_path / "out") == 2
+    said = f"error: --seed is {10**45}; expected an integer of at least 0, below 2**63\n"
+    assert capsys.readouterr().err == said
+    assert not (tmp_path / "out").exists()

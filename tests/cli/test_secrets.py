@@ -13,6 +13,7 @@ from urllib.parse import quote
 import pytest
 import typer
 from hypothesis import HealthCheck, given, settings, strategies as st
+from PIL import Image
 
 import env_assets
 import mnist3d
@@ -124,6 +125,26 @@ def test_no_function_repeats_it(function, secret, form):
         told.append([*traceback.format_exception(caught.value), repr(caught.value), *map(str, warned)])
     assert told[0] == told[1]
     assert OTHER not in "".join(told[0])
+
+
+@settings(max_examples=20, deadline=None, suppress_health_check=list(HealthCheck))
+@given(
+    secret=st.text("abcXYZ019/+=%~-_.", min_size=4),
+    form=st.sampled_from([FORMS[index] for index in (0, 2, 3, 9, 10, 11)]),
+)
+def test_nor_is_one_that_stands_in_a_source(secret, form, tmp_path_factory, capfd):
+    """A table of recordings names a file by an address: it is left out, and noted in the manifest."""
+    folder = tmp_path_factory.mktemp("recordings")
+    hidden = f"k{secret}{OTHER}"  # in a text, digits and a slash may be a port
+    lines = ["file,label", *(f'"{name}",0' for name in ("a.png", form.format(hidden)))]
+    (folder / "labels.csv").write_text("\n".join(lines))
+    Image.new("RGB", (8, 8)).save(folder / "a.png")
+    out = tmp_path_factory.mktemp("out")
+    assert call("realtouch", "import", folder, "--out", out, "-w", "1", "--json") == 0
+    told = "".join(capfd.readouterr())
+    assert "left out: " in told
+    assert OTHER not in told
+    assert not [path for path in out.rglob("*") if path.is_file() and OTHER.encode() in path.read_bytes()]
 
 
 def test_nor_does_a_process_of_its_own():

@@ -144,7 +144,7 @@ def test_what_is_no_data_set_is_named(provider, assets, tmp_path):
         provider.meshes("nothing-of-that-name")
     with pytest.raises(InputError, match=r"no split 'tset' .*it has train, test, printed_train"):
         provider.meshes(str(assets / "mnist3d"), "tset")
-    with pytest.raises(InputError, match=r"is not a data set of meshes: column 'mesh\.vertices' is missing"):
+    with pytest.raises(InputError, match=r"holds touches; `AssetProvider\.meshes` is for meshes"):
         provider.meshes("real-single")
 
 

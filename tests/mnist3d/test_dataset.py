@@ -62,6 +62,18 @@ def test_plain_datasets_reads_the_folder(folder, digits):
     np.testing.assert_array_equal(np.stack(row["mesh.faces"]), digits[5].faces)
 
 
+def test_the_columns_of_the_published_set_are_enough(folder, digits, tmp_path):
+    """Ids, labels and meshes: writers are unknown, and volumes follow from the meshes."""
+    import pyarrow.parquet as pq
+
+    (shard,) = digits.files
+    table = pq.read_table(shard.path, columns=["id", "label", "mesh.vertices", "mesh.faces"])
+    pq.write_table(table, tmp_path / "test.parquet")
+    published = mnist3d.load(str(tmp_path), "test")
+    assert published.writers.tolist() == [digit.writer for digit in published] == [-1] * ROWS
+    np.testing.assert_allclose(published.volumes_m3, digits.volumes_m3, rtol=1e-6)
+
+
 def test_other_columns_are_refused(tmp_path):
     import pyarrow as pa
     import pyarrow.parquet as pq

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.exchange.zarr_arrays import ZarrWriter
+from realtouch.exchange.zarr_writer import ZarrWriter
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
 
@@ -34,8 +34,7 @@ def write_zip(path: Path, images: Any = FRAMES, ends: Any = ENDS, **arrays: Any)
     with path.open("wb") as stream, ZarrWriter(stream) as group:
         for name, values in data.items():
             values = np.asarray(values)
-            group.describe(name, values.shape, len(values), values.dtype)
-            group.chunk(name, 0, len(values), values)
+            group.add_blocks(name, values.shape, values.dtype, len(values), [values])
     return path
 
 

@@ -18,7 +18,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.exchange.zarr_arrays import ZarrWriter
+from realtouch.exchange.zarr_writer import ZarrWriter
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError
 from tactile_toolkit.touch import decode_image
 from tests.command_line import call
@@ -137,7 +137,7 @@ def test_diffusion_policy_reads_the_replay_buffer(
     source: Path, tmp_path: Path, small_shards: None, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As ``ReplayBuffer.copy_from_path``: all arrays of data are as long as the last of the ends says."""
-    monkeypatch.setattr("realtouch.exchange.replay.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.exchange.zarr_writer.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path, "replay", split="train")
     with zipfile.ZipFile(tmp_path / "replay" / "touches.zarr.zip") as group:
         for path in ("", "data/", "meta/"):
@@ -307,8 +307,7 @@ def test_a_replay_buffer_is_one_group_and_asks_for_its_extra(
         ZarrWriter(stream) as group,
     ):
         for name, values in (("data/tactile", pixels), ("meta/episode_ends", np.array([2]))):
-            group.describe(name, values.shape, len(values), values.dtype)
-            group.chunk(name, 0, len(values), values)
+            group.add_array(name, values)
     with zipfile.ZipFile(source / "b.zarr.zip") as archive:
         archive.extractall(source / "b.zarr")
     (source / "b.zarr.zip").unlink()

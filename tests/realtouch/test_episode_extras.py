@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import io
 import json
+import zipfile
 from itertools import chain
 from pathlib import Path
 from typing import Any
@@ -11,6 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from PIL import Image
 
 import realtouch
 from realtouch.exchange.lerobot_import import find_lerobot
@@ -19,6 +22,7 @@ from realtouch.exchange.replay_import import find_replay
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import RoundTruth
 from tests.realtouch.found import per_frame
 
@@ -138,6 +142,60 @@ def test_large_integers_with_gaps_are_not_rounded(
     for layout in ("lerobot", "replay", "oxt"):
         with pytest.raises(IntegrityError, match=r"stamp_ns.*integers of 2\*\*53 or more, some missing"):
             realtouch.export(home, tmp_path / layout, layout)  # type: ignore[arg-type]
+
+
+def with_depth(source: Path, home: Path) -> tuple[Path, list[np.ndarray]]:
+    """Write the rounds of a set of images with maps of depth; return those, in metres."""
+    (row, *_) = pq.read_table(source / "data").slice(0, 1).to_pylist()
+    height, width = decode_image(row["sensor_image"][0]["bytes"]).shape[:2]
+    random = np.random.default_rng(5)
+    counts = random.integers(0, 2**16, (3, 5, height, width), np.uint16)
+    files: list[list[dict[str, Any]]] = []
+    for maps in counts:
+        streams = [io.BytesIO() for _ in maps]
+        for stream, each in zip(streams, maps, strict=True):
+            Image.fromarray(each).save(stream, "PNG")
+        files.append([{"bytes": stream.getvalue(), "path": None} for stream in streams])
+    return with_extras(source, home, {"depth_um": files}), list(counts.reshape(15, height, width) / 1e6)
+
+
+def test_maps_of_depth_have_a_unit(single_folder: Path, tmp_path: Path) -> None:
+    home, depths_m = with_depth(single_folder, tmp_path / "home")
+    frames, features, stats = exported(home, tmp_path / "out")
+    height, width = depths_m[0].shape
+    assert features["observation.images.depth"] == {
+        "dtype": "image",
+        "shape": [height, width, 1],
+        "names": ["height", "width", "channels"],
+        "info": {"is_depth_map": True, "depth_unit": "m"},
+    }
+    for image, depth_m in zip(frames["observation.images.depth"].to_pylist(), depths_m, strict=True):
+        shown_m = np.asarray(Image.open(io.BytesIO(image["bytes"])))
+        assert shown_m.dtype == np.float32
+        np.testing.assert_allclose(shown_m, depth_m, rtol=1e-7)
+    depth_stats = stats["observation.images.depth"]
+    assert np.shape(depth_stats["mean"]) == (1, 1, 1)
+    np.testing.assert_allclose(np.ravel(depth_stats["mean"]), np.mean(depths_m), rtol=1e-6)
+    np.testing.assert_allclose(np.ravel(depth_stats["max"]), np.max(depths_m), rtol=1e-6)
+    (again, *_) = found(find_lerobot, tmp_path / "out" / "lerobot")
+    assert again.left_out == ("observation.images.depth",)
+    realtouch.export(home, tmp_path / "oxt", "oxt")
+    with zipfile.ZipFile(tmp_path / "oxt" / "oxt" / "touches.zarr.zip") as group:
+        assert not any("depth" in name for name in group.namelist())
+
+
+def test_a_map_of_another_size_is_named(single_folder: Path, tmp_path: Path) -> None:
+    home, _ = with_depth(single_folder, tmp_path / "home")
+    (path,) = (home / "data").glob("*.parquet")
+    table = pq.read_table(path)
+    maps, stream = table["depth_um"].to_pylist(), io.BytesIO()
+    Image.fromarray(np.zeros((2, 3), np.uint16)).save(stream, "PNG")
+    maps[1][4]["bytes"] = stream.getvalue()
+    place = table.schema.get_field_index("depth_um")
+    table = table.set_column(place, "depth_um", pa.array(maps, table.schema.field("depth_um").type))
+    pq.write_table(table, path, row_group_size=1)
+    with pytest.raises(IntegrityError, match=r"row 1, touch 4, field 'depth_um': a map \(2, 3\)"):
+        realtouch.export(home, tmp_path / "out", "lerobot")
 
 
 @pytest.mark.parametrize(("layout", "find"), [("oxt", find_oxt), ("replay", find_replay)])

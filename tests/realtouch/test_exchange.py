@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import shard_tasks
-from realtouch.exchange import flat, lerobot
+from realtouch.exchange import lerobot, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -101,7 +101,7 @@ def test_row_groups_hold_as_many_touches_as_their_bytes_allow(
     single_folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     largest = max(len(row["image"]) for row in expected(single_folder))
-    monkeypatch.setattr(flat, "_GROUP_BYTES", 5 * largest)
+    monkeypatch.setattr(touch_rows, "_GROUP_BYTES", 5 * largest)
     realtouch.export(single_folder, tmp_path, "flat", split="train")
     (file,) = (pq.ParquetFile(path).metadata for path in (tmp_path / "data").iterdir())
     rows = [file.row_group(number).num_rows for number in range(file.num_row_groups)]
@@ -353,3 +353,14 @@ def test_lerobot_is_told_the_form_of_every_column(source: Path, tmp_path: Path) 
         assert features.pop("in_contact") == {"dtype": "bool", "shape": [1], "names": None}
     for name, feature in features.items():
         assert feature == {"dtype": "int64", "shape": [1], "names": None}, name
+
+
+def test_touches_without_labels_have_one_task(single_rows: list[dict], tmp_path: Path) -> None:
+    layout = Layout(leave_out=("label",))
+    factories.write_set(tmp_path / "source", {"train": single_rows}, "single", layout)
+    realtouch.export(tmp_path / "source", tmp_path / "robots", "lerobot")
+    home = tmp_path / "robots" / "lerobot"
+    tasks = pq.read_table(home / "meta" / "tasks.parquet").select(["task_index", "task"])
+    assert tasks.to_pylist() == [{"task_index": 0, "task": "touch an object"}]
+    assert json.loads((home / "meta" / "info.json").read_text())["total_tasks"] == 1
+    assert set(pq.read_table(home / "data")["task_index"].to_pylist()) == {0}

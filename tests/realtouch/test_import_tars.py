@@ -130,6 +130,20 @@ def test_a_tar_with_a_header_that_cannot_be_true(
     assert not (tmp_path / "out").exists()
 
 
+_VALUES = st.one_of(
+    st.floats(allow_nan=False), st.floats(-1e-4, 1e-4), st.integers(-(2**63), 2**63 - 1), st.text()
+)
+
+
+@given(st.lists(_VALUES | st.lists(_VALUES, max_size=3), max_size=12))
+@settings(max_examples=200, deadline=None)
+def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
+    fields = {f"{number}": value for number, value in enumerate(values)}
+    with tarfile.open(fileobj=io.BytesIO(tar_of([("a.jpg", b"", fields)]))) as tar:
+        content = tar.extractfile("a.json").read()  # type: ignore[union-attr]
+    assert content == json.dumps(fields, ensure_ascii=False, separators=(",", ":")).encode()
+
+
 @given(st.lists(st.tuples(st.text("abü/.", min_size=1, max_size=120), st.binary(max_size=1500)), max_size=12))
 @settings(max_examples=40, deadline=None)
 def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]]) -> None:
@@ -176,3 +190,14 @@ def test_headers_of_tars_are_read_as_tarfile_reads_them(data: st.DataObject) -> 
         else:
             found.append((header.name, header.size, header.type, header.isfile()))
     assert found[0] == found[1] or found[0] is tarfile.InvalidHeaderError
+
+
+def test_long_names_are_read_by_tarfile(tmp_path: Path) -> None:
+    names = [f"{'b' * 95}.jpg", f"{'c' * 96}.jpg", f"{'d' * 120}.jpg"]
+    home = tmp_path / "tars"
+    home.mkdir()
+    (home / "x.tar").write_bytes(tar_of((name, picture(1), {"round_id": name[0]}) for name in names))
+    with tarfile.open(home / "x.tar") as tar:
+        assert tar.getnames()[::2] == names
+    realtouch.import_touches(home, tmp_path / "out", "webdataset")
+    assert [each.id for each in realtouch.load(tmp_path / "out", "train")] == ["b", "c", "d"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import pickle
 from io import StringIO
 
 import pyarrow as pa
@@ -14,7 +15,7 @@ from cli.output import Sink
 from tactile_toolkit.cards.card_features import yaml_features
 from tactile_toolkit.cards.card_tables import column_type_text, markdown_table
 from tactile_toolkit.cards.yaml_head import head_text
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.errors import InputError, ItemError, UnfinishedError
 from tactile_toolkit.shown_text import markdown_code, markdown_text, printable, printable_json
 
 WILD = [
@@ -28,6 +29,13 @@ WILD = [
     ":smile:",
 ]
 wild = st.text() | st.sampled_from(WILD)
+
+
+@pytest.mark.parametrize("kind", [InputError, UnfinishedError])
+def test_what_was_found_is_told_from_the_next_step_whatever_a_path_holds(kind):
+    error = pickle.loads(pickle.dumps(kind("'a; next: b' is none", next="give another")))
+    assert error.what == "'a; next: b' is none"
+    assert str(error) == "'a; next: b' is none; next: give another"
 
 
 @given(wild)

@@ -13,6 +13,7 @@ import pytest
 
 import realtouch
 import starstruck_gen
+import tactile_sim
 from starstruck_gen.kind import KIND as SCENES
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.exchange import divide, merge_sets, plan_tables, write_part
@@ -55,10 +56,22 @@ def flat_touches(source: str, out: str, **run: Any) -> None:
     realtouch.export(source, out, "flat", **run)
 
 
+def pressed(source: str, out: str, **run: Any) -> None:
+    plan = tactile_sim.TouchPlan(rounds=1, touches=1)
+    tactile_sim.generate(source, tactile_sim.GenerateSpec(plan=plan, optics="depth"), out, **run)
+
+
 @pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("make", "copy"),
-    [(scenes, merged), (scenes, divided), (scenes, flat), (touches, resized), (touches, flat_touches)],
+    [
+        (scenes, merged),
+        (scenes, divided),
+        (scenes, flat),
+        (scenes, pressed),
+        (touches, resized),
+        (touches, flat_touches),
+    ],
 )
 def test_a_source_that_is_replaced_between_planning_and_copying_is_refused(
     make: Callable[[Path, int], str], copy: Callable[..., None], tmp_path: Path

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
 import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
-from huggingface_hub import constants
+from huggingface_hub import constants, file_download
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange import plan_download, run_download
@@ -111,7 +112,7 @@ def test_downloads_of_two_splits_at_once_make_one_set_of_both(server, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    "link", ["data", "reports", ".cache", "manifest.json", "data/test-00000-of-00002.parquet"]
+    "link", ["data", "reports", ".pending", "manifest.json", "data/test-00000-of-00002.parquet"]
 )
 def test_nothing_is_written_through_links_in_the_folder(server, tmp_path, client_here, link):
     out, elsewhere = tmp_path / "out", tmp_path / "elsewhere"
@@ -242,6 +243,29 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
         open_place(str(out)).shards("train")
     server.faults.clear()
     assert "data/train-00002-of-00004.parquet" in fetch(server, tmp_path, script(NAME, "train", out=out))[1]
+    assert verify(open_folder(str(out)), SCHEMA).ok
+
+
+def test_what_a_failed_download_still_does_changes_no_later_one(server, tmp_path, monkeypatch):
+    """The first failure ends a download; the thread of another file, about to write it, goes on later."""
+    out, going = tmp_path / "out", threading.Event()
+    threads, late = {*threading.enumerate()}, []
+
+    def lock_late(path, *args, _lock=file_download.WeakFileLock, **options):
+        if "toy.parquet" in str(path) and not late:
+            late.append(threading.current_thread())
+            going.wait(PATIENCE_S)
+        return _lock(path, *args, **options)
+
+    monkeypatch.setattr(file_download, "WeakFileLock", lock_late)
+    server.faults.fail("*/data/train-00002*", 503, times=99)
+    assert fetch(server, tmp_path, script(NAME, "train", out=out))[0] == 4
+    assert late, "the thread of the report stands still"
+    server.faults.clear()
+    fetch(server, tmp_path, script(NAME, "train", out=out))
+    going.set()
+    for thread in {*threading.enumerate()} - threads:
+        thread.join(PATIENCE_S)
     assert verify(open_folder(str(out)), SCHEMA).ok
 
 

@@ -14,7 +14,7 @@ from tactile_toolkit.errors import HubError, InputError
 from tactile_toolkit.hub.calls import call_with_retry, failure_of, not_cached, page_of
 from tactile_toolkit.redaction import redact
 from tests.hub_server import HubServer, hub
-from tests.tactile_toolkit.hub.client import run_here, settings
+from tests.tactile_toolkit.hub.client import run_here, run_python, settings
 
 
 @pytest.fixture
@@ -117,6 +117,33 @@ def test_an_endpoint_that_is_no_address_is_named(tmp_path, endpoint):
     text = said(endpoint, tmp_path, "with hub_failures('someone/set'): api.dataset_info('someone/set')")
     assert text.startswith(f"4 HubError no connection to the Hub at {endpoint} while reading")
     assert "next: check the network, HF_ENDPOINT" in text
+
+
+PART = "pa55"
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "words"),
+    [
+        (
+            "HF_ENDPOINT",
+            f"https://user:{PART}/word@127.0.0.1:9",
+            "the variable HF_ENDPOINT is not an address",
+        ),
+        ("HF_ENDPOINT", "http://[::1", "the variable HF_ENDPOINT is not an address"),
+        ("HTTPS_PROXY", f"http://user:{PART}/word@host:9", "the variable HTTPS_PROXY is not an address"),
+        ("all_proxy", f"nothing://{PART}@host:9", "cannot be set up (ValueError); set are "),
+    ],
+)
+def test_an_address_in_the_environment_that_is_none_is_not_quoted(tmp_path, name, value, words):
+    environment = {**settings("http://127.0.0.1:9", tmp_path), name: value}
+    environment.pop("NO_PROXY", None)
+    script = "import cli.mnist3d as each; import sys; sys.argv = ['mnist3d', 'info', 'a/b']; each.main()"
+    done = run_python(script, environment, Path(__file__).parents[3])
+    assert done.returncode == 2
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1
+    assert PART not in done.stderr + done.stdout
 
 
 def test_a_full_disk(server, tmp_path):

@@ -15,6 +15,8 @@ from hypothesis import given, strategies as st
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.places import Place, open_place
 from tactile_toolkit.places.split_files import splits_by_card, splits_by_name
+from tactile_toolkit.store import build, open_folder
+from tests.tactile_toolkit.toy import toy_plan
 
 
 def folder_of(root: Path, files: dict[str, int], card: str = "") -> Path:
@@ -127,6 +129,20 @@ def test_several_configurations_need_a_choice(tmp_path):
         open_place(folder, config="small")
 
 
+def test_a_configuration_is_refused_where_none_decides(tmp_path):
+    """Otherwise what is opened would not be what was asked for."""
+    plain = folder_of(tmp_path / "plain", {"train.parquet": 2})
+    file = plain / "train.parquet"
+    build(open_folder(str(tmp_path / "ours")), toy_plan())
+    said = folder_of(tmp_path / "said", {"train.parquet": 2}, "---\ntags: [x]\n---\n")
+    for name in (plain, file, [file], tmp_path / "ours", said):
+        with pytest.raises(InputError, match="has no configurations, 'small' was asked for; next: leave it"):
+            open_place(name, config="small")
+        with pytest.raises(InputError, match="is not on the Hub and has no revisions; 'main' was asked for"):
+            open_place(name, revision="main")
+        assert open_place(name).splits
+
+
 @pytest.mark.parametrize(
     "files",
     [
@@ -185,6 +201,10 @@ def test_a_split_of_the_card_without_files_is_named(tmp_path):
     assert place.splits == ("train",)
     with pytest.raises(IntegrityError, match="has 0 of 1 file of split 'test'; expected all"):
         place.shards("test")
+    (tmp_path / "monday.parquet").unlink()
+    said = "README.md of .* names the files of train, test; none of them is a Parquet file there"
+    with pytest.raises(InputError, match=said):
+        open_place(folder)
 
 
 @given(
@@ -225,3 +245,17 @@ def test_a_data_set_in_a_folder_is_not_of_that_folder(tmp_path):
     pq.write_table(pa.table({"id": [7]}), tmp_path / ".hidden" / "train.parquet")
     (tmp_path / "._train.parquet").write_bytes(b"of a Mac")
     assert ids_of(open_place(tmp_path)) == {"train": [0, 1]}
+
+
+@pytest.mark.parametrize(
+    ("text", "is_ours"), [('{"name": "x"}', False), ("[7]", False), ('{"shards": []}', True)]
+)
+def test_a_manifest_of_another_program_is_none(tmp_path, text, is_ours):
+    """On this machine as on the Hub; one of ours, of which bytes were changed, is damaged."""
+    folder = folder_of(tmp_path, {"train.parquet": 2})
+    (folder / "manifest.json").write_text(text)
+    if is_ours:
+        with pytest.raises(IntegrityError, match="is damaged"):
+            open_place(folder)
+    else:
+        assert ids_of(open_place(folder)) == {"train": [0, 1]}

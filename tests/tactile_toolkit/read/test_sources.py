@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import pickle
+from pathlib import Path
 
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 import starstruck_gen
 from starstruck_gen.scenes_on_the_fly import MadeScenes
+from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.read import Row, RowSource, Shard, all_blocks
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
@@ -43,3 +47,16 @@ def test_a_source_gives_the_same_rows_in_every_way(kind: str, shard: Shard) -> N
     assert source.column("id").to_pylist() == [row.value("id") for row in in_blocks]
     assert (copy.identity, copy.set_name, copy.origin) == (source.identity, source.set_name, source.origin)
     assert in_blocks[0].group.table.schema.equals(source.schema)
+
+
+def test_a_file_that_was_replaced_is_not_called_damaged(tmp_path: Path) -> None:
+    """The footer that is known is of another file: its positions of columns mean nothing."""
+    place = tmp_path / "train.parquet"
+    pq.write_table(pa.table({"id": range(1000), "text": ["a"] * 1000}), place)
+    shard = Shard(str(place))
+    assert len(shard) == 1000
+    pq.write_table(pa.table({"id": [1]}), tmp_path / "new.parquet")
+    (tmp_path / "new.parquet").replace(place)
+    for read in (lambda: next(shard.blocks(0)), shard.read, lambda: shard.column("id"), shard.fingerprint):
+        with pytest.raises(IntegrityError, match="was replaced or changed after the data set was loaded"):
+            read()

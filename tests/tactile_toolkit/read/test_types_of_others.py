@@ -15,6 +15,7 @@ import pytest
 import mnist3d
 import realtouch
 import starstruck_gen
+from realtouch.touch_options import ImportColumns
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.read.supported_types import supported_table, supported_type
 from tactile_toolkit.touch import decode_image
@@ -285,6 +286,49 @@ def test_values_with_nulls_and_slices_stay_the_same() -> None:
             found.validate(full=True)
     ours = pa.table({"x": [1], "y": ["a"]})
     assert supported_table(ours) is ours
+
+
+def to_views(data_type: pa.DataType) -> pa.DataType:
+    if pa.types.is_struct(data_type):
+        return pa.struct([each.with_type(to_views(each.type)) for each in data_type])
+    return {pa.string(): pa.string_view(), pa.binary(): pa.binary_view()}.get(data_type, data_type)
+
+
+IN_TYPES_OF_OTHERS: dict[str, Callable[[Any], Any]] = {
+    "views": lambda array: pa.array(array.to_pylist(), to_views(array.type)),
+    "dictionaries": lambda array: array.dictionary_encode() if array.type == pa.string() else array,
+    "large": lambda array: array.cast(large(array.type)),
+    "floats": lambda array: array.cast(pa.float64()) if pa.types.is_integer(array.type) else array,
+}
+
+
+@pytest.mark.parametrize("others", IN_TYPES_OF_OTHERS)
+def test_recordings_are_imported_from_types_of_others(
+    others: str, tables: dict[str, pa.Table], tmp_path: Path
+) -> None:
+    """A row for each touch with its picture, or a table that names files of pictures."""
+    images = [image for row in tables["single"]["sensor_image"].to_pylist() for image in row]
+    names = [f"{number}.jpg" for number in range(len(images))]
+    said = {"label": [0, 0, 1, 1, 2, 2], "round": list("aabbcc")}
+    pictures = [{**image, "path": name} for image, name in zip(images, names, strict=True)]
+    stored = pa.struct([("bytes", pa.binary()), ("path", pa.string())])
+    sources = {"flat": {"image": pa.array(pictures, stored)}, "folder": {"file": pa.array(names)}}
+    for layout, column in sources.items():
+        place = tmp_path / layout
+        place.mkdir()
+        table = pa.table({**column, **said})
+        pq.write_table(
+            with_columns(table, (*table.column_names,), IN_TYPES_OF_OTHERS[others]), place / "a.parquet"
+        )
+        for name, image in zip(names, images, strict=True) if layout == "folder" else ():
+            (place / name).write_bytes(image["bytes"])
+        realtouch.import_touches(place, tmp_path / f"{layout}-set", layout, ImportColumns(round="round"))
+        rows = realtouch.load(str(tmp_path / f"{layout}-set"), "train")
+        assert [row.id for row in rows] == ["a", "b", "c"]
+        assert rows.labels.tolist() == [0, 1, 2]
+        assert same(
+            [touch.image for touch in rows.touches()], [decode_image(each["bytes"]) for each in images]
+        )
 
 
 @needs_shared

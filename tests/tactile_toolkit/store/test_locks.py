@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import hashlib
 import os
 import signal
 import socket
@@ -20,6 +21,7 @@ from tactile_toolkit.errors import BusyError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.store import LOCK_FILE, Progress, build, locked, locks, open_folder
 from tests.processes import records_so_far
+from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
 from tests.tactile_toolkit.toy import folder_bytes, toy_plan
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="asks how a system with the module does it")
@@ -193,3 +195,19 @@ def test_a_stopped_reader_keeps_no_other_from_reading(tmp_path: Path, clock: Clo
             assert shard.block(0, 0).table["id"].to_pylist() == [0, 1, 2]
         assert shard.block(1, 0).table["id"].to_pylist() == [3, 4]
     assert 60 <= clock.now_s < 61, "for the second group of rows it was not waited"
+
+
+@needs_list
+def test_a_stopped_download_keeps_no_other_waiting(tmp_path: Path, clock: Clock) -> None:
+    with two_sets(tmp_path / "root") as server:
+        cache = tmp_path / "hf" / "hub"
+        digest = hashlib.sha256(CONTENT).hexdigest()
+        lock = cache / ".locks" / "datasets--someone--big" / f"{digest}.lock"
+        lock.parent.mkdir(parents=True)
+        with held(lock) as process:
+            code, kind, words = fetch(server, tmp_path, script(BIG))
+            assert (code, kind) == (2, "BusyError")
+            assert f"process {process.pid} on " in words
+            assert "which was stopped, holds" in words
+        assert 60 <= clock.now_s < 62
+        assert Path(fetch(server, tmp_path, script(BIG))[0], SHARD).read_bytes() == CONTENT

@@ -1,0 +1,152 @@
+"""Formats with a row a touch: the stored image as it is, and plain columns that every reader of tables knows.
+
+Of clips, a touch shows one frame. A format packs the touches of a shard into files of its own, and may write
+others once all shards are there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import pyarrow as pa
+
+from realtouch.contact import ContactMethod
+from realtouch.convert.conversion import (
+    Choices,
+    Conversion,
+    Made,
+    RowChoice,
+    Source,
+    WriteFiles,
+    checksums,
+    marked_repetitions,
+    schema_of,
+    stem_of_id,
+    table_of_columns,
+    with_files,
+)
+from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
+from realtouch.schema import POSE_COLUMN
+from realtouch.stored_images import image_column, require_intact
+from realtouch.stored_round import StoredRound
+from realtouch.touch import touch_id
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit import store
+from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
+
+_IMAGE = "image"
+_WHERE = {"seq": "frame {}: ", "single": ""}
+_GROUP_BYTES = 32 << 20
+_MOST_ROWS_PER_GROUP = 1 << 14
+
+NamedImage = tuple[str, memoryview]
+"""The name of the file of an image, and its bytes as they are stored."""
+
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], Made]
+"""Makes files of the touches of a shard, given their plain columns and images; returns an index, too."""
+
+
+@dataclass(frozen=True)
+class TouchFormat:
+    """A format of files below ``folder``; without one, the rows are the format.
+
+    ``pack`` makes the files of a shard, ``write_files`` those that follow from all rows. With ``no_gaps``, no
+    shard may be empty, as its files are numbered.
+    """
+
+    folder: str = ""
+    pack: PackTouches | None = None
+    write_files: WriteFiles = checksums
+    no_gaps: bool = False
+
+    def plan(
+        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
+    ) -> Conversion:
+        """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
+        if source.kind == "seq":
+            source.require_frame(method)
+            options = {**options, "frame": method}
+        return Conversion(
+            source,
+            "export",
+            options,
+            _Touches(method, source.class_names),
+            marked_repetitions(source, choices),
+            rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
+            extra_dirs=tuple(filter(None, [self.folder])),
+            write_files=self.write_files,
+            pack=self.pack and partial(self._pack_shard, self.pack),
+        )
+
+    def _pack_shard(
+        self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
+    ) -> Made:
+        """Return the files of a shard, and plain columns as its index; an empty shard has no files."""
+        index = rows.drop_columns([_IMAGE])
+        if len(rows):
+            return pack(shard, index, _images_of(rows[_IMAGE]))
+        if self.no_gaps:
+            raise IntegrityError(
+                f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
+                "without gaps; nothing of this file was written",
+                next="leave it out (`realtouch select`)",
+            )
+        return with_files(index, {})
+
+
+def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
+    """Yield the images of a column, without copies."""
+    for chunk in column.chunks:
+        for path, content in zip(chunk.field("path").to_pylist(), chunk.field("bytes"), strict=True):
+            yield path, memoryview(content.as_buffer()).cast("B")
+
+
+@dataclass(frozen=True)
+class _Touches:
+    """Step of ``export``: a row becomes one row for each touch; of clips, with the frame of the contact.
+
+    JPEGs pass through as they are stored. ``names`` are those of the classes.
+    """
+
+    method: ContactMethod
+    names: tuple[str, ...]
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the plain columns that the source can fill."""
+        poses = [f"{name}.position" for name in POSE_COLUMN.values()]
+        wanted: dict[str, tuple[pa.DataType, Sequence[str]]] = {
+            "id": (pa.string(), ()),
+            _IMAGE: (MEDIA_TYPE, ()),
+            "label": (pa.int64(), ()),
+            "label_name": (pa.string(), ()),
+            "object_id": (pa.int64(), ("object_id",)),
+            "round_id": (pa.string(), ()),
+            "touch": (pa.int64(), ()),
+            "frame": (pa.int64(), ()),
+            **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
+            **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
+        }
+        return pa.schema([*schema_of(source, wanted), *plain_extras(source).values()])
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Return the touches of a row; a round with a damaged touch is left out as a whole."""
+        row.label_value(self.names)
+        shown = list(shown_touches(row, self.method))
+        columns = columns_of_touches(row, shown, self.names)
+        name = row.name()
+        images: list[memoryview] = []
+        where = _WHERE[row.kind]
+        for each in shown:
+            images.append(each.stored)
+            try:
+                require_intact(images[-1])
+            except ValueError:
+                with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
+                    raise
+        columns["id"] = [touch_id(name, each.touch) for each in shown]
+        stem = stem_of_id(name)
+        columns[_IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
+        return table_of_columns(self.schema(row.group.table.schema), columns), {}

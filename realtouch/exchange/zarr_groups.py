@@ -1,0 +1,160 @@
+"""Zipped groups of Zarr with a row a frame: what replay buffers and Open-X-Tactile have in common.
+
+Facts of the formats (Zarr version 2, which opens a path that ends in ``.zip``): ``data`` has arrays of equal
+length along time, ``meta/episode_ends`` the number of the frame behind each episode; images are pixels. What
+the group is made of stays in the folder ``data`` of the export: a row a frame, its image as it was stored.
+Ids of rounds and names of classes, for which the formats have no place, lie in ``meta``; they mark the group
+as ours, so that its poses are known to be some.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import IO
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.contact import ContactMethod
+from realtouch.convert.conversion import Choices, Conversion, Source
+from realtouch.exchange.episode_extras import FEATURE
+from realtouch.exchange.episodes import ACTION, CONTACT, IMAGE, STATE, TIME, Episodes
+from realtouch.exchange.zarr_writer import ZarrWriter, rows_of_chunk
+from realtouch.schema import EXTRA_PREFIX
+from realtouch.stored_images import decoded
+from realtouch.stored_round import stored_rows
+from tactile_toolkit import read, store
+from tactile_toolkit.array_types import AnyArray, UInt8
+
+ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+ROUND, TOUCH = "round_id", "touch"
+"""Arrays of ``meta`` with an entry an episode; the second, if episodes are clips."""
+
+CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
+"""Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
+
+OUR_NAMES = {
+    **{STATE: "gel_pose", ACTION: "pos_in_cell", TIME: "time_s", CONTACT: CONTACT},
+    **{name: name for name in ("label", "object_id")},
+}
+"""Names of columns of frames, as :data:`COLUMNS` states them."""
+
+_PICTURE = {IMAGE, f"{IMAGE}.bytes", f"{IMAGE}.path"}
+_IN_MEMORY_BYTES = 64 << 20
+
+AddArrays = Callable[[Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
+"""Adds arrays of ``data`` to those of columns, given a row a frame; returns attributes of ``meta``."""
+
+
+@dataclass(frozen=True)
+class GroupFormat:
+    """A format of groups: its name and folder, its arrays, and the type of poses.
+
+    ``pictures`` is an array of ``data``, ``sensors`` the length of its axis of sensors, where there is one.
+    ``arrays`` are names for columns of frames, ``add`` makes all further arrays.
+    """
+
+    name: str
+    folder: str
+    pictures: str
+    arrays: Mapping[str, str]
+    add: AddArrays = lambda _step, _table, _arrays: {}
+    sensors: tuple[int, ...] = ()
+    number: pa.DataType = pa.float32()  # noqa: RUF009 - a constant
+
+    def plan(
+        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
+    ) -> Conversion:
+        """Plan a group; reads footers and one header. InputError for several splits."""
+        step = Episodes.of(source, choices, self.name, self.number)
+        options = {**options, "image_size": [step.size[1], step.size[0]]}
+        write = partial(self._write_group, step)
+        return Conversion(
+            source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
+        )
+
+    def _write_group(
+        self, step: Episodes, folder: store.DataFolder, manifest: store.Manifest
+    ) -> dict[str, str]:
+        """Write a zipped group of all frames, once those of all shards are there.
+
+        Returns the checksum of the file by its path; an unchanged file is not written again.
+        """
+        shards = [
+            read.Shard(folder.address(record.shard.data_path)) for record in manifest.shards if record.rows
+        ]
+        path = f"{self.folder}/touches.zarr.zip"
+        with tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES) as made:
+            self._write(step, made, shards)
+            made.seek(0)
+            digest = hashlib.file_digest(made, "sha256").hexdigest()
+            if not store.is_unchanged(folder, path, digest):
+                folder.write(path, lambda stream: _copy(made, stream))
+        return {path: digest}
+
+    def _write(self, step: Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+        table = pa.concat_tables(
+            [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
+        )
+        arrays, attributes = self._arrays(step, table)
+        path, size = f"data/{self.pictures}", step.size
+        rows, shape = rows_of_chunk(3 * size[0] * size[1]), (len(table), *self.sensors, *size, 3)
+        with ZarrWriter(stream) as group:
+            group.add_json(ATTRIBUTES, attributes)
+            for name, values in arrays.items():
+                group.add_array(name, values)
+            blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
+            group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
+
+    def _arrays(self, step: Episodes, table: pa.Table) -> tuple[dict[str, AnyArray], dict[str, object]]:
+        """Return all arrays but the pictures, and what is said of them: the attributes of ``meta``."""
+        columns = {name: table[name].combine_chunks() for name in table.schema.names}
+        known = {name: array for name, array in self.arrays.items() if name in columns}
+        kept = {array: OUR_NAMES[name] for name, array in known.items()}
+        of_clips = []
+        for extra in step.extras:
+            known[extra.name] = array = extra.name.removeprefix(FEATURE)
+            kept[array] = own_name = extra.stored.partition(".")[2]
+            of_clips += [own_name] * extra.stored.startswith(EXTRA_PREFIX["touch"])
+        arrays = {array: _numbers(columns[name]) for name, array in known.items()}
+        stated = self.add(step, table, arrays)
+        starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
+        found = {f"data/{name}": values for name, values in arrays.items()}
+        for name in (ROUND, TOUCH):
+            if name in columns:
+                found[f"meta/{name}"] = _numbers(columns[name].take(starts))
+        found[ENDS] = np.append(starts[1:], len(table)).astype("<i8")
+        return found, {CLASSES: step.names, COLUMNS: kept, PER_CLIP: of_clips, **stated}
+
+
+def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
+    """Yield the pixels of all frames, so many at a time, each time in the same memory."""
+    block, at = np.empty((rows, *size, 3), np.uint8), 0
+    for row in stored_rows(shards, [IMAGE]):
+        image = row.group.table[IMAGE][row.index].as_py()
+        decoded(image["bytes"], image["path"], block[at])
+        at = (at + 1) % rows
+        if not at:
+            yield block
+    if at:
+        yield block[:at]
+
+
+def _copy(source: IO[bytes], target: IO[bytes]) -> None:
+    source.seek(0)
+    shutil.copyfileobj(source, target)
+
+
+def _numbers(values: pa.Array) -> AnyArray:
+    """Return numbers, texts, or lists of equal length, as an array, little end first; empty for no text."""
+    if pa.types.is_fixed_size_list(values.type):
+        return _numbers(values.flatten()).reshape(len(values), -1)
+    if pa.types.is_string(values.type):
+        return np.array([text or "" for text in values.to_pylist()], "<U")
+    found: AnyArray = values.to_numpy(zero_copy_only=False)
+    return found.astype(found.dtype.newbyteorder("<"))
