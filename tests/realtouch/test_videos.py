@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import struct
 import sys
 import tracemalloc
@@ -12,8 +11,6 @@ from typing import Any
 
 import av
 import numpy as np
-import pyarrow as pa
-import pyarrow.parquet as pq
 import pytest
 
 import realtouch
@@ -444,18 +441,6 @@ def test_a_table_that_names_videos_in_another_column_is_not_passed_over(tmp_path
     (tmp_path / "cuts.csv").write_text("recording,start_s,end_s\n1.avi,0,0.1\n")
     (found,) = recordings(tmp_path, image="Datei")
     assert found.values == {"Datei": "1.avi", "Gegenstand": "Kügelchen"}
-
-
-@pytest.mark.parametrize("ending", ["parquet", "jsonl"])
-def test_a_table_of_videos_has_any_ending(ending: str, tmp_path: Path) -> None:
-    (tmp_path / "1.avi").write_bytes(AVIS["no index"][0])
-    lines = {"file": ["1.avi"], "label": ["mug"], "force": [1.5]}
-    if ending == "parquet":
-        pq.write_table(pa.table(lines), tmp_path / "table.parquet")
-    else:
-        (tmp_path / "table.jsonl").write_text(json.dumps({name: each[0] for name, each in lines.items()}))
-    (found,) = recordings(tmp_path)
-    assert found.values == {name: each[0] for name, each in lines.items()}
 
 
 def test_folders_are_classes_where_they_hold_all_videos(tmp_path: Path) -> None:
