@@ -95,6 +95,15 @@ BENCHMARKS = {
     "native_environments": Benchmark(("tactile_envs",)),
     "learned_optics": Benchmark(("tactile_sim/learned",)),
     "touches": Benchmark(("tactile_sim",)),
+    "elastic": Benchmark(
+        (
+            "tactile_sim/elastic.py",
+            "tactile_sim/elastic_kernels.py",
+            "tactile_sim/elastic_layer.py",
+            "tactile_sim/elastic_response.py",
+            "tactile_sim/elastic_vectors.py",
+        )
+    ),
     "training_order": Benchmark(("realtouch/touch_tensors.py", "tactile_toolkit/touch", *_READ)),
     "scale": Benchmark((*_STORE, "mnist3d/digit_generation.py")),
 }
@@ -134,6 +143,7 @@ COMPARED = (
     ("exchange.import_320", "touch imported, `webdataset`", "by hand"),
     ("touches.depth_64", "synthetic touch, depth", ""),
     ("touches.taxim_64", "synthetic touch, Taxim", ""),
+    ("elastic.press", "press of an elastic gel, 5 N", "plain, double precision"),
     ("learned_optics.float32_1", "image by CycleGAN, 1 at a time", ""),
     ("learned_optics.float32_16", "image by CycleGAN, 16 at a time", ""),
     ("learned_optics.bfloat16_16", "image by CycleGAN, 16 at a time, bfloat16", ""),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import os
-from dataclasses import MISSING
+from dataclasses import MISSING, fields
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -19,12 +19,12 @@ from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import generate_set, print_set
 from cli.shared import add_shared
-from tactile_sim import SENSOR_NOISE, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
+from tactile_sim import SENSOR_NOISE, ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
 from tactile_sim.sensor_models import GELSIGHT_MINI
 from tactile_toolkit import mesh, run, store, touch
 from tactile_toolkit.catalog import INCOMPLETE, RowFilter
-from tactile_toolkit.checked_fields import choice, integer, real, switch, text
+from tactile_toolkit.checked_fields import choice, integer, option_name, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
@@ -45,6 +45,7 @@ def generate(
     out: str = out_folder("touches"),
     plan: Annotated[dict[str, Any], OptionsOf(TouchPlan)],
     picture: Annotated[dict[str, Any], OptionsOf(GenerateSpec)],
+    press: Annotated[dict[str, Any], OptionsOf(ElasticPress)],
     making: Making,
     sink: Sink,
 ) -> None:
@@ -53,6 +54,8 @@ def generate(
     Example: tactile-sim generate digits --split test --rounds 1 --touches 32 --out touches
 
     Example: tactile-sim generate part.stl --positions object --sensor digit --optics depth --out touches
+
+    Example: tactile-sim generate digits --gel elastic --force-n 1:10 --slide-mm 0:0.5 --markers 7x9
 
     In a folder of mesh files, each sub-folder is a class, or each file; train and test are splits.
 
@@ -64,7 +67,7 @@ def generate(
     given = chosen.given()
     split = given.pop("split")
     splits = split and (split,)
-    spec = _spec_of(sink, picture, plan=TouchPlan(**plan), **given)
+    spec = _spec_of(sink, picture, plan=TouchPlan(**plan), press=_press_of(press), **given)
     if not making.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
@@ -87,6 +90,20 @@ def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
     return spec
+
+
+def _press_of(given: dict[str, Any]) -> ElasticPress | None:
+    """Return the press of the options that were given; InputError for those of a gel that is not elastic."""
+    if given.get("gel") is not None:
+        return ElasticPress(**given)
+    names = {each.name: option_name(each) for each in fields(ElasticPress)}
+    others = [names[name] for name in given if name != "gel"]
+    if others:
+        raise InputError(
+            f"{others[0]} is given, and the gel is not elastic: its presses have one depth and no force",
+            next="add --gel elastic, or leave it out",
+        )
+    return None
 
 
 def _print_made(
@@ -133,6 +150,7 @@ def render(
     turn_deg: float = real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
     picture: Annotated[dict[str, Any], OptionsOf(GenerateSpec)],
+    press: Annotated[dict[str, Any], OptionsOf(ElasticPress)],
     out: Path = text(
         Path("touch.png"), name="--out", metavar="FILE", read=local_place, help="Image to write."
     ),
@@ -143,22 +161,31 @@ def render(
     Example: tactile-sim render part.stl --at-mm 10,20 --turn-deg 17 --size 320x240 --out touch.png
 
     Example: tactile-sim render part.stl --at-mm object --out touch.png
+
+    Example: tactile-sim render part.stl --gel elastic --force-n 5 --markers 7x9 --draw-markers
     """
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}")
-    spec = _spec_of(sink, picture)
+    spec = _spec_of(sink, picture, press=_press_of(press))
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")
     seen = tactile_sim.preview_touch(solid, spec, at, math.radians(turn_deg))
     encoded = touch.encode_image(seen.picture, image_format, spec.quality)
     store.open_folder(str(out.parent.absolute())).write_bytes(out.name, encoded)
-    sink.document({"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact})
+    document = {"file": str(out), "sensor_z_m": seen.sensor_z_m, "contact": seen.contact, **seen.forces}
+    sink.document(document)
     sink.line(
         f"{out}: the sensor stops {1e3 * seen.sensor_z_m:.3f} mm above the plate; "
         f"{100 * seen.contact:.1f} % of the image is in contact with the object"
     )
+    if seen.forces:
+        x_n, y_n, z_n = seen.forces["force_n"]
+        sink.line(
+            f"the gel is pressed in by {1e3 * seen.forces['press_depth_m']:.3f} mm with {z_n:.2f} N; shear "
+            f"{x_n:.2f} N along x, {y_n:.2f} N along y, torque {1e3 * seen.forces['torque_nm'][2]:.2f} N mm"
+        )
     if not seen.contact:
         (low_x, low_y), (high_x, high_y) = (1e3 * seen.bounds_m).tolist()
         sink.info(

@@ -417,11 +417,15 @@ def _outside_code(text: str) -> Iterator[str]:
 
 def _formats_page() -> str:
     """Write the columns of every kind of data set, from schemas and from the words of their cards."""
+    import pyarrow as pa
+
     from env_assets.wrench.dataset import WrenchRow, wrench_schema
     from mnist3d.digit_rows import DigitRow, digit_schema
     from realtouch.schema import KNOWN_COLUMNS
     from realtouch.touch_card import WORDS
     from starstruck_gen.scene_rows import SceneRow, scene_schema
+    from tactile_sim import ElasticPress
+    from tactile_sim.elastic_rows import elastic_types
     from tactile_sim.touch_rows import SyntheticRound, synthetic_schema
     from tactile_toolkit.cards import FolderSummary
     from tactile_toolkit.cards.card import card_words
@@ -433,6 +437,8 @@ def _formats_page() -> str:
             "frame below", "frame of the mesh"
         )
 
+    press = ElasticPress(markers=(7, 9), contact_maps=True)
+    further = {"plate_z_m": pa.float64(), **elastic_types(press, (64, 64))}
     meant = card_words(WORDS)["columns"]["rounds"]
     rows = [
         (f"`{column}`", words, *meant.get(column, ("", "")))
@@ -448,8 +454,9 @@ def _formats_page() -> str:
         "frames of the longest clip. Sets hold clips (`sensor_video`) or images (`sensor_image`). Other "
         "columns stay as they are.\n\n"
         + markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows),
-        "## Synthetic touches (`tactile-sim`)\n\n"
-        + table(synthetic_schema(tuple(map(str, range(10)))), SyntheticRound),
+        "## Synthetic touches (`tactile-sim`)\n\nThe columns after those of the touched object are of gels "
+        "of another thickness and of elastic ones, with 7 x 9 markers in images of 64 x 64 pixels.\n\n"
+        + table(synthetic_schema(tuple(map(str, range(10))), further), SyntheticRound),
         "## The wrench (`env-assets`)\n\n" + table(wrench_schema(), WrenchRow),
     ]
     return "\n\n".join(parts) + "\n"

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from realtouch.force_pictures import force_views
 from realtouch.kind import KIND
 from realtouch.picture_views import evenly_spaced
 from realtouch.rounds import TouchRound, TouchSeqRound
@@ -93,7 +94,8 @@ def _item(
     """Show a round."""
     most, heights_m, least_m = known
     touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
-    stills, columns, tile_px = sheet_of([touch.image for touch in touches])
+    views = [force_views(touch) for touch in touches]
+    stills, columns, tile_px = sheet_of([np.hstack(each) for each in views], views=len(views[0]))
     media = {"stills.jpg": stills}
     listed = []
     for touch in touches:
@@ -167,13 +169,16 @@ def _share(met: Bool | None) -> str:
     return "more than half" if met.mean() > 0.5 else "half or fewer"
 
 
-def sheet_of(images: Sequence[UInt8], columns: int = 8) -> tuple[bytes, int, tuple[int, int]]:
+def sheet_of(
+    images: Sequence[UInt8], columns: int = 8, *, views: int = 1
+) -> tuple[bytes, int, tuple[int, int]]:
     """Lay pictures, (H, W, 3), out in rows without gaps: a JPEG, its columns, width and height of a tile.
 
-    Tiles have the proportions of the first picture and are at most 160 pixels wide.
+    Tiles have the proportions of the first picture, and each of the ``views`` side by side in it is at most
+    160 pixels wide.
     """
     height, width = images[0].shape[:2]
-    tile_width = min(width, _TILE_WIDTH_PX)
+    tile_width = min(width, _TILE_WIDTH_PX * views)
     tile_height = max(1, round(tile_width * height / width))
     columns = min(columns, len(images))
     tiles = [resized(image, tile_width, tile_height) for image in images]

@@ -9,6 +9,7 @@ from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
 
 from tactile_sim import Sensor, SensorNoise, center_view
+from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M
 from tactile_sim.sensor_noise import checked_noise
 from tactile_toolkit.checked_fields import check_fields, checked_integer, choice, integer, real, switch
@@ -18,6 +19,7 @@ from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from realtouch import TouchSingleDataset
+    from tactile_sim import Gel
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
@@ -138,6 +140,15 @@ class Config(EpisodeConfig):
     gel_thickness, penetration_depth : float
         Thickness of the gel, and how far the highest point under it is pressed in, metres; ``gel_m`` and
         ``press_m`` of :class:`tactile_sim.Sensor`. The published environments have no such settings.
+    elastic_gel : tactile_sim.Gel, str, path or mapping, optional
+        A gel that gives way: also ``"elastic"``, a JSON file, or a mapping with values of attributes of
+        :class:`tactile_sim.Gel`. Images then show its surface, and ``force`` is observed: that of the object
+        on the gel, newtons, x, y, z in the frame of the sensor, z as it is pressed in. Each touch is solved,
+        which takes far longer than the rest of a step.
+    press_force : float, optional
+        Normal force at which the sensor stops on an elastic gel, newtons, but at half of its thickness at
+        the latest; without it, it stops where the highest point is ``gel_thickness`` less
+        ``penetration_depth`` deep.
     penetration_depth_reduction_std : float
         Standard deviation of how much higher than it is the sensor is observed, metres.
     max_platform_penetration : float, optional
@@ -172,6 +183,8 @@ class Config(EpisodeConfig):
     max_tilt_angle: float = real(pi / 4, 0, pi / 4)
     gel_thickness: float = real(GEL_M, above=0, most=0.1)
     penetration_depth: float = real(PRESS_DEPTH_M, above=0, most=0.1)
+    elastic_gel: Gel | None = None
+    press_force: float | None = real(None, above=0, below=1000, optional=True)
     penetration_depth_reduction_std: float = real(0.0, 0, 1)
     max_platform_penetration: float | None = real(None, 0, 1, optional=True)
     sensor_noise: SensorNoise | None = None
@@ -184,10 +197,25 @@ class Config(EpisodeConfig):
         EpisodeConfig.__post_init__(self)
         object.__setattr__(self, "sensor_noise", _noise_of(self.sensor_noise))
         self.sensor(self.sensor_output_size)
+        object.__setattr__(self, "elastic_gel", _gel_of(self.elastic_gel))
+        self._check_press()
         if self.sensor_type == DIRECT:
             raise InputError(
                 f"sensor_type of the environment is {DIRECT!r}; expected one of {', '.join(SENSORS)}",
                 next="choose an id with RealSnap, which shows recorded images",
+            )
+
+    def _check_press(self) -> None:
+        """Refuse settings that the gel cannot have (InputError)."""
+        if self.elastic_gel is None and self.press_force is not None:
+            raise InputError(
+                f"press_force of the environment is {self.press_force!r}, and its gel is not elastic",
+                next='add elastic_gel="elastic", or leave it out',
+            )
+        if self.elastic_gel is not None and self.max_platform_penetration is not None:
+            raise InputError(
+                "max_platform_penetration of the environment is for a gel that is not elastic",
+                next="set it to None",
             )
 
     def sensor(self, size_px: tuple[int, int]) -> Sensor:
@@ -208,6 +236,24 @@ def _noise_of(given: object) -> SensorNoise | None:
     if isinstance(given, (str, PathLike)):
         return SensorNoise.named(fspath(given))
     return checked_noise(given, "sensor_noise of the environment")
+
+
+def _gel_of(given: object) -> Gel | None:
+    """Return the elastic gel of a setting: as an option names it, or with values of its attributes."""
+    if given is None:
+        return None
+    if isinstance(given, (str, PathLike)):
+        return gel_named(fspath(given))
+    from tactile_sim.elastic import Gel  # numba
+
+    if isinstance(given, Gel):
+        return given
+    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(Gel)}:
+        return Gel(**given)
+    raise InputError(
+        f"elastic_gel of the environment is {given!r}; expected a Gel, 'elastic', a JSON file, or a mapping "
+        f"of {', '.join(each.name for each in fields(Gel))}"
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

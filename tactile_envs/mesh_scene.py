@@ -13,6 +13,7 @@ from realtouch import Poses
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.elastic_gel import ElasticGel
 from tactile_envs.episode_kernels import place
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion, require_move
@@ -54,7 +55,12 @@ class MeshScene:
         self.config, self.num_envs = config, num_envs
         self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
-        self._toucher = Toucher(camera.sensor, config.least_height_m, num_envs, threads)
+        self._elastic: ElasticGel | None = None
+        met = camera.sensor
+        if config.elastic_gel is not None:
+            self._elastic = ElasticGel(config, camera.sensor)
+            met = self._elastic.sensor
+        self._toucher = Toucher(met, config.least_height_m, num_envs, threads)
         self._motion = Motion.of(config)
         self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
         self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
@@ -72,6 +78,9 @@ class MeshScene:
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": image,
         }
+        if self._elastic is not None:
+            most = np.full(3, np.inf, np.float32)
+            self.observation_parts["force"] = gym.spaces.Box(-most, most)
 
     def __getstate__(self) -> dict[str, Any]:
         """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
@@ -183,10 +192,13 @@ class MeshScene:
             # One draw for all, as published.
             slip_m = rng.normal(scale=config.translation_perturbation_scale, size=2)
             drift = np.array([*slip_m, rng.normal(scale=config.rotation_perturbation_scale)])
-        has_depth = config.depth_in_info or self._camera.sees_depth
+        has_depth = config.depth_in_info or self._camera.sees_depth or self._elastic is not None
         sensors, places = self._sensors[rows], self.places[rows]
         draws = self._randomization.touch(len(sensors), rng)
         touches = self._press(rows, draws.lifts_m, sensors, places, drift, has_depth)
+        felt: dict[str, AnyArray] = {}
+        if self._elastic is not None:
+            touches, felt["force"] = self._elastic.press(touches, sensors, self._axes[rows], self._motion)
         if rows is not EVERY:  # otherwise both are views
             self._sensors[rows], self.places[rows] = sensors, places
         images = self._camera.pictures(touches, draws.bases)
@@ -197,7 +209,7 @@ class MeshScene:
         info: dict[str, AnyArray] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = touches.depths_m
-        return Readings({"sensor_pos": touches.positions, "sensor_img": images}, info)
+        return Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
 
     def _press(
         self, rows: Rows, lifts_m: Float64, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
@@ -269,7 +281,7 @@ class MeshScene:
             self._targets[row],
             self._felt[row],
             self.config.cell_size,
-            self._toucher.window_m,
+            self._camera.sensor.window_m,
             self._axes[row, :2, :2],
         )
 

@@ -53,14 +53,11 @@ class Toucher:
     ----------
     window : ndarray of float64, shape (6,)
         Of the gel, as kernels take it.
-    window_m : tuple of float
-        Its width and height, metres.
     """
 
     def __init__(self, sensor: Sensor, least_m: float, num_envs: int, threads: int) -> None:
         size_px = sensor.size_px
         self._image_shape = size_px[::-1]
-        self.window_m = sensor.window_m
         middle = [size / 2 - 0.5 - at for size, at in zip(size_px, sensor.sample_px, strict=True)]
         per_m = size_px[0] / sensor.window_m[0]
         self.window = np.array([per_m, *middle, sensor.press_m, sensor.gel_m, least_m])

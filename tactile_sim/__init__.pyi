@@ -1,10 +1,14 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .elastic import Contact as Contact, Gel as Gel, solve_contact as solve_contact
+from .gel_modulus import fit_youngs_modulus as fit_youngs_modulus
 from .generation import TouchGenerator as TouchGenerator, generate as generate
+from .markers import marker_grid_px as marker_grid_px, marker_positions_px as marker_positions_px
 from .optics import make_optics as make_optics
 from .pair_generation import PairsGenerator as PairsGenerator, make_pairs as make_pairs
 from .learning_specs import PairsSpec as PairsSpec, TrainConfig as TrainConfig
 from .poses import pose as pose
+from .press_spec import ElasticPress as ElasticPress
 from .pressable import Pressable as Pressable
 from .pressing import Pressed as Pressed, render_touch as render_touch
 from .round_plan import RoundPlan as RoundPlan, plan_round as plan_round

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from tactile_sim.card_gel import CardGel
 from tactile_sim.kind import KIND
 from tactile_sim.pairs import PairRow, decode_depth
 from tactile_sim.sensor import sensor_of_model
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
-from tactile_sim.touch_rows import OtherGelRound
+from tactile_sim.touch_rows import SyntheticRound
 from tactile_sim.touch_spec import WINDOWS
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, UInt8
@@ -50,14 +51,14 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     width, height = spec["size_px"]
     plan = spec["plan"]
     layer_m = spec.get("layer_m", 0.0)
-    sensor = _sensor_of(spec)
+    sensor, gel = _sensor_of(spec), CardGel.of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
     touches, on_object = (sum(each[name] for each in counts) for name in ("touches", "on_object"))
     cards.Card(
         template=KIND.card_template,
         title="Synthetic touches",
-        columns=meanings(OtherGelRound),
+        columns=meanings(SyntheticRound),
         picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
         licence="mit",
         tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
@@ -76,6 +77,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             *_objects_in_words(manifest.spec["source"]),
             ("optics", f"{spec['optics']}: {_OPTICS[spec['optics']]}"),
             *sensor.lines,
+            *gel.lines,
             ("surface", f"printed, in layers of {1e3 * layer_m:g} mm" if layer_m else "as modelled"),
             ("noise", _NOISE[spec["optics"] == "depth"] if spec.get("noise") else "none"),
             (
@@ -88,9 +90,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             "size_text": f"{width} x {height} pixels",
             "sensor": sensor.name,
             "gel_mm": f"{sensor.model.gel_mm:g}",
-            "press_mm": f"{1e3 * sensor.model.press_m:g}",
+            "stops": gel.stops
+            or f"the highest point under it is {1e3 * sensor.model.press_m:g} mm deep in it",
+            "shown": gel.shown,
             "window_mm": sensor.window_mm,
-            "more": sensor.more,
+            "more": gel.more or sensor.more,
             "touches": f"{touches:,}",
             "follows": "the seed, the split, the object and the number of the round"
             + (", and the given touches," if plan.get("given") else ""),
@@ -156,7 +160,7 @@ def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:
     if spec["optics"] == "cyclegan":
         shown = "Images show of prints, gels and noise what the generator learned."
     return [
-        "No force, dynamics or tilt: the gel stops by geometry alone, and nothing moves while it is touched.",
+        *CardGel.of(spec).limits,
         shown,
         *missed_text(touches - on_object, touches),
     ]

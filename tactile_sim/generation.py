@@ -17,12 +17,12 @@ from tactile_sim.given_solids import GivenSolid, GivenSolids, Meshes, given_soli
 from tactile_sim.kind import KIND
 from tactile_sim.optics import Optics, make_optics
 from tactile_sim.pressable import Pressable
-from tactile_sim.pressing import render_touch
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import plan_round
+from tactile_sim.round_press import further_types, images_without_noise, pressed_round
 from tactile_sim.sensor import Sensor, sensor_of_model, sensor_of_window
 from tactile_sim.sensor_noise import add_noise
-from tactile_sim.touch_rows import DRAWN, OtherGelRound, SyntheticRound, synthetic_schema
+from tactile_sim.touch_rows import DRAWN, SyntheticRound, synthetic_schema
 from tactile_sim.touch_spec import GenerateSpec
 from tactile_toolkit import catalog, generation, mesh, read, store
 from tactile_toolkit.array_types import UInt8
@@ -31,7 +31,6 @@ from tactile_toolkit.places import Name, Place, open_place
 from tactile_toolkit.touch import (
     CLASS_NAMES,
     IMAGE_SUFFIX,
-    PRESS_DEPTH_M,
     RENDERED_CONTACT_M,
     encode_image,
 )
@@ -39,6 +38,7 @@ from tactile_toolkit.touch import (
 # Encoded images in memory, which is all that a worker holds of a shard.
 _SHARD_BYTES = 64 << 20
 _SMALLEST_SHARD_BYTES = 2 << 20
+_SMALLEST_ELASTIC_TOUCHES = 128  # take as long as 2 MB of others
 _SHARDS = 32  # of smaller sets: several for each worker, so that all end at about the same time
 _GROUP_BYTES = 8 << 20
 # Images without contact repeat from round to round: shorter pages would hide that from zstd, longer ones
@@ -48,6 +48,7 @@ _PAGE_BYTES = 1 << 20
 _IMAGE_BYTES = "sensor_image.list.element.bytes"
 # The published 64 x 64 touches take 0.21 (110,578,548 bytes for 128,000 images).
 _JPEG_BYTES_PER_PX = 0.25
+_MAP_BYTES_PER_PX = 8  # pressure and displacement, in half precision
 
 
 Solids: TypeAlias = "mesh.SolidDataset[Any] | GivenSolids"
@@ -129,10 +130,14 @@ class TouchGenerator(generation.RowGenerator):
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored: images and random numbers without a dictionary."""
-        drawn = (f"{name}.list.element.list.element" for name in DRAWN)
+        vectors = (name for name, each in further_types(self.spec).items() if read.list_depth(each)[0] == 2)
+        drawn = (f"{name}.list.element.list.element" for name in (*DRAWN, *vectors))
         values_per_page = None
         if self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE:
             values_per_page = _ROUNDS_PER_PAGE * self.spec.plan.touches
+        smallest = self._rounds_for(_SMALLEST_SHARD_BYTES)
+        if self.spec.press is not None:
+            smallest = min(smallest, max(1, _SMALLEST_ELASTIC_TOUCHES // self.spec.plan.touches))
         libraries = ["numpy", "pillow", "pyarrow"]
         if self.spec.optics == "cyclegan":
             libraries.append("torch")
@@ -145,7 +150,7 @@ class TouchGenerator(generation.RowGenerator):
         return generation.StorageLayout(
             style,
             libraries=tuple(libraries),
-            smallest=self._rounds_for(_SMALLEST_SHARD_BYTES),
+            smallest=smallest,
             largest=self._rounds_for(_SHARD_BYTES),
             wanted=_SHARDS,
             sampled=3,  # a round of 32 touches takes some 10 ms, preparing a solid 28 ms
@@ -155,12 +160,15 @@ class TouchGenerator(generation.RowGenerator):
     def _rounds_for(self, size_bytes: int) -> int:
         width, height = self.spec.size_px
         # 600 bytes are the tables at the start of each JPEG.
-        round_bytes = self.spec.plan.touches * (width * height * _JPEG_BYTES_PER_PX + 600)
+        touch_bytes = width * height * _JPEG_BYTES_PER_PX + 600
+        if self.spec.press is not None and self.spec.press.contact_maps:
+            touch_bytes += width * height * _MAP_BYTES_PER_PX
+        round_bytes = self.spec.plan.touches * touch_bytes
         return int(min(1024, max(1, size_bytes // round_bytes)))
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return synthetic_schema(self.source[split].label_names, _row_type(self.spec))
+        return synthetic_schema(self.source[split].label_names, further_types(self.spec))
 
     def make(self, split: str, items: Any) -> Iterator[SyntheticRound | store.Skipped]:
         """Render the rounds; for an object that bounds no solid yield the reason, once."""
@@ -191,8 +199,12 @@ class TouchGenerator(generation.RowGenerator):
 
     def statistics(self, rows: Sequence[SyntheticRound]) -> Mapping[str, int]:
         """Count touches, and those on the object."""
-        contact_height_m = self.spec.sensor.press_m + RENDERED_CONTACT_M
-        on_object = sum(int((row.gel_position_m[:, 2] >= contact_height_m).sum()) for row in rows)
+        plate_m = self.spec.sensor.press_m
+        on_object = 0
+        for row in rows:
+            if row.plate_z_m is not None:
+                plate_m = row.plate_z_m
+            on_object += int((row.gel_position_m[:, 2] >= plate_m + RENDERED_CONTACT_M).sum())
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 
@@ -236,15 +248,12 @@ def _make_row(
     targets = np.tile(np.eye(4), (touches, 1, 1))
     targets[:, :2, 3] = plan.positions_m
     # The last pose is that after the last touch.
-    pressed = render_touch(solid, plan.object_poses[:-1], targets, sensor)
-    pictures = optics.render(pressed.depth_m, sensor, spec.size_px)
-    pictures = noisy(spec, pictures, split, object_id, number)
+    key = (split, object_id, number)
+    pressed, further = pressed_round(spec, solid, plan.object_poses[:-1], targets, sensor, key)
+    pictures = noisy(spec, images_without_noise(spec, optics, sensor, pressed), *key)
     images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
     suffix = IMAGE_SUFFIX[spec.image_format]
-    row_type, stored = _row_type(spec), dict[str, Any]()
-    if row_type is OtherGelRound:
-        stored["plate_z_m"] = sensor.press_m
-    return row_type(
+    return SyntheticRound(
         id=f"{object_id}-{number}",
         label=label,
         object_id=object_id,
@@ -257,15 +266,8 @@ def _make_row(
         images=[(each, f"{touch:03d}.{suffix}") for touch, each in enumerate(images)],
         object_position_m=plan.object_position_m[:-1],
         object_quaternion=plan.object_quaternion[:-1],
-        **stored,
+        **further,
     )
-
-
-def _row_type(spec: GenerateSpec) -> type[SyntheticRound]:
-    """Return the class of the rows: those of a GelSight Mini are as published."""
-    if spec.sensor.press_m == PRESS_DEPTH_M:
-        return SyntheticRound
-    return OtherGelRound
 
 
 def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, number: int) -> UInt8:

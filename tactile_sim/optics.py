@@ -42,22 +42,33 @@ class Optics(ABC):
         return width, height
 
     @abstractmethod
-    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
         """Return shades from 0 to 1, float32, (n, H, W, 3), of depth maps (n, h, w), metres.
 
         They have the requested size if the optics scale shades themselves, otherwise the size of the maps.
+        With ``is_surface``, the maps are the surface of an elastic gel, which is not smoothed any more.
         """
 
-    def render(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> UInt8:
-        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres."""
-        levels = np.rint(self.shades(depth_m, sensor, size_px) * np.float32(255))
+    def render(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> UInt8:
+        """Return pictures (n, H, W, 3), uint8, in the size asked for, of depth maps (n, h, w), metres.
+
+        ``is_surface`` is as of :meth:`shades`.
+        """
+        shades = self.shades(depth_m, sensor, size_px, is_surface=is_surface)
+        levels = np.rint(shades * np.float32(255))
         return scaled(np.asarray(levels, np.uint8), size_px)
 
 
 class DepthOptics(Optics):
     """The depth image itself, grey: black deepest in the gel, white no contact."""
 
-    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
         """Return the depth image in red, green and blue."""
         return np.repeat(depth_image(depth_m, sensor)[..., None], 3, axis=-1)
 

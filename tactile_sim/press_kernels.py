@@ -14,6 +14,7 @@ from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.compiled import compiled
 
 _EDGE_PX = 1e-9  # as in tactile_toolkit.mesh.raster, whose steps these are
+_WARP_STEPS, _SAME_PX = 8, 1e-4  # displacements change by far less than their size from point to point
 
 Point: TypeAlias = tuple[float, float, float]
 
@@ -183,3 +184,51 @@ def to_depth(heights_m: Float64, image: Float32, press_m: float, gel_m: float) -
             clipped = clipped if clipped < gel_m else gel_m
             shown[column] = np.float32((clipped - press_m) / span)
     return float(highest)
+
+
+@compiled
+def show_surface(
+    out: Float64,
+    corner: tuple[int, int],
+    inward_m: Float64,
+    moved_m: Float64,
+    pixel_m: tuple[float, float],
+    gel_m: float,
+) -> None:
+    """Write how far the surface of an elastic gel is from the sensor, as it looks through the gel; metres.
+
+    ``out`` (h, w) is the window whose first pixel is at row and column ``corner`` of the whole gel, of which
+    ``inward_m`` (H, W) is how far the surface is pressed in, and ``moved_m`` (H, W, 2) how far along x and y
+    what is seen has moved, both by points at rest.
+    """
+    rows, columns = inward_m.shape
+    for row in range(out.shape[0]):
+        for column in range(out.shape[1]):
+            here_x, here_y = float(column + corner[1]), float(row + corner[0])
+            x, y = here_x, here_y
+            for _ in range(_WARP_STEPS):
+                left, top, across, down = _cell(x, y, rows, columns)
+                before_x, before_y = x, y
+                x = here_x - _mixed(moved_m[..., 0], left, top, across, down) / pixel_m[0]
+                y = here_y + _mixed(moved_m[..., 1], left, top, across, down) / pixel_m[1]
+                if abs(x - before_x) + abs(y - before_y) < _SAME_PX:
+                    break
+            left, top, across, down = _cell(x, y, rows, columns)
+            out[row, column] = gel_m - _mixed(inward_m, left, top, across, down)
+
+
+@compiled
+def _cell(x: float, y: float, rows: int, columns: int) -> tuple[int, int, float, float]:
+    """Return the pixel to the upper left of a column and a row, and how far they are beyond it."""
+    x, y = min(max(x, 0.0), columns - 1.0), min(max(y, 0.0), rows - 1.0)
+    left, top = min(int(x), max(columns - 2, 0)), min(int(y), max(rows - 2, 0))
+    return left, top, x - left, y - top
+
+
+@compiled
+def _mixed(values: Float64, left: int, top: int, across: float, down: float) -> float:
+    """Read a map linearly between four pixels; one of a single row or column has no others."""
+    right, bottom = min(left + 1, values.shape[1] - 1), min(top + 1, values.shape[0] - 1)
+    upper = values[top, left] * (1.0 - across) + values[top, right] * across
+    lower = values[bottom, left] * (1.0 - across) + values[bottom, right] * across
+    return float(upper * (1.0 - down) + lower * down)

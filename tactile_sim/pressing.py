@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence, Sized
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Callable, Sequence, Sized
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from tactile_sim.elastic_press import STILL, Load, WholeGel, loads_of
 from tactile_sim.poses import as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
 from tactile_sim.sensor import Sensor, full_view
@@ -16,6 +17,9 @@ from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
+
+if TYPE_CHECKING:
+    from tactile_sim.elastic import Contact, Gel
 
 _PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
@@ -34,11 +38,25 @@ class Pressed:
         The depth image of the environments: 0 deepest in the gel, 1 no contact.
     sensor_z_m : float, or ndarray of float64, shape (n,)
         Height of the sensor where it stops, metres, cell frame.
+    contacts : tuple of Contact
+        Of an elastic gel the contact of each touch: maps of the window of the image, forces of the whole gel.
+        ``depth_m`` is then the surface of the gel, greater than its thickness where it bulges.
     """
 
     depth_m: Float64
     image: Float32
     sensor_z_m: float | Float64
+    contacts: tuple[Contact, ...] = ()
+
+    @property
+    def contact(self) -> Contact:
+        """The contact of one touch of an elastic gel; InputError if there are none or several."""
+        if len(self.contacts) != 1:
+            raise InputError(
+                f"there are {len(self.contacts)} contacts; expected one, of one touch of an elastic gel",
+                next="press with gel=tactile_sim.Gel() and force_n=5.0, or look into contacts",
+            )
+        return self.contacts[0]
 
 
 def render_touch(
@@ -48,11 +66,18 @@ def render_touch(
     sensor: Sensor | None = None,
     *,
     cell_m: tuple[float, float] = CELL_M,
+    gel: Gel | None = None,
+    force_n: Any = None,
+    depth_m: Any = None,
+    slide_m: Any = STILL,
+    twist_rad: Any = 0.0,
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 
-    The sensor comes down along its own axis until the highest point under its pixels is pressed into the gel
-    by the press depth, as the published environments define it; there is no force and no motion of the solid.
+    The sensor comes down along its own axis. Without ``gel``, it stops where the highest point under its
+    pixels is pressed into the gel by the press depth, as the published environments define it, and the depth
+    map is the solid, cut there; there is no force. An elastic gel gives way: the whole gel is solved, the
+    sensor stops at a force or a depth, and the depth map is the surface of the gel.
 
     Parameters
     ----------
@@ -64,6 +89,17 @@ def render_touch(
         The sensor; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float
         Width and depth of the plate, metres.
+    gel : Gel, optional
+        Elastic properties of the gel. The rest is for an elastic gel only.
+    force_n : float or array_like, shape (n,), optional
+        Normal force at which the sensor stops, newtons; but at half the thickness of the gel at the latest,
+        where linear theory ends.
+    depth_m : float or array_like, shape (n,), optional
+        How far the highest point under the whole gel is pressed in, metres; in place of a force.
+    slide_m : array_like, shape (2,) or (n, 2)
+        How far the solid then slides along x and y of the gel's frame, metres.
+    twist_rad : float or array_like, shape (n,)
+        How far it then turns about the sensor's axis, radians, counter-clockwise with x right and y up.
 
     Returns
     -------
@@ -73,36 +109,95 @@ def render_touch(
     Raises
     ------
     InputError
-        A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it.
+        A mesh is not closed, a pose is not rigid, or a sensor is off the cell or points away from it; an
+        elastic gel has not one of force and depth, or a rigid one has.
     """
-    # Importing numba takes half a second.
-    from tactile_sim.press_kernels import rasterise, to_depth
-
     sensor = sensor or full_view()
     objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
     solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
     is_single = not isinstance(solid, (list, tuple)) and objects.ndim == targets.ndim == 2
     objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
     count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
-    prepared = [Pressable.of(each) for each in solids]
     _require_above_cell(targets, cell_m)
-    shape = (count, *sensor.size_px[::-1])
-    depth_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(count)
-    affines = _to_pixels(inverse_times(targets, objects), sensor)
-    plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
-    corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*cell_m, 0.0] / 2
-    ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
-    for touch in range(count):
-        out = depth_m[touch]
-        out.fill(-2 * max(cell_m))  # far end of the camera, beyond object and plate
-        rasterise(out, corners_m, _PLATE_FACES, ball_m, plates[touch % len(plates)], None)
-        here, affine = prepared[touch % len(prepared)], affines[touch % len(affines)]
-        rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
-        highest_m[touch] = to_depth(out, image[touch], sensor.press_m, sensor.gel_m)
-    sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * (highest_m + sensor.press_m)
+    loads = None
+    if gel is not None or not (force_n is None and depth_m is None and slide_m is STILL and twist_rad == 0.0):
+        loads = loads_of(gel, count, sensor, force_n, depth_m, slide_m, twist_rad)
+    if loads is None:
+        scene = _Scene.of(solids, objects, targets, sensor, cell_m)
+        made = _cut(scene, count, sensor)
+    else:
+        whole = WholeGel.of(sensor)
+        scene = _Scene.of(solids, objects, targets, whole.sensor, cell_m)
+        made = _given_way(scene, loads, whole, sensor)
+    sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * made.sensor_z_m
     if is_single:
-        return Pressed(depth_m[0], image[0], float(sensor_z_m[0]))
-    return Pressed(depth_m, image, sensor_z_m)
+        return Pressed(made.depth_m[0], made.image[0], float(sensor_z_m[0]), made.contacts)
+    return replace(made, sensor_z_m=sensor_z_m)
+
+
+def _cut(scene: _Scene, count: int, sensor: Sensor) -> Pressed:
+    """Press a gel that shows the solid, cut where it stops; heights are counted from the targets."""
+    from tactile_sim.press_kernels import to_depth  # numba
+
+    shape = (count, *sensor.size_px[::-1])
+    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(count)
+    for touch in range(count):
+        scene.raise_heights(touch, depths_m[touch])
+        highest_m[touch] = to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
+    return Pressed(depths_m, image, highest_m + sensor.press_m)
+
+
+def _given_way(scene: _Scene, loads: Sequence[Load], whole: WholeGel, sensor: Sensor) -> Pressed:
+    """Press an elastic gel; heights are counted from the targets."""
+    depths_m, stops_m = np.empty((len(loads), *sensor.size_px[::-1])), np.empty(len(loads))
+    contacts = []
+    for touch, load in enumerate(loads):
+        heights_m = np.empty(whole.sensor.size_px[::-1])
+        scene.raise_heights(touch, heights_m)
+        contacts.append(load.press(heights_m, whole, depths_m[touch]))
+        stops_m[touch] = heights_m.max() + sensor.gel_m - contacts[-1].depth_m
+    return Pressed(depths_m, depth_image(depths_m, sensor), stops_m, tuple(contacts))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Scene:
+    """Solids on the plate as sensors see them: maps to pixels of the solids and of the plate, (n, 3, 4).
+
+    The plate has ``corners_m`` (4, 3), and ``ball_m`` (1, 4) around it.
+    """
+
+    solids: list[Pressable]
+    affines: Float64
+    plates: Float64
+    corners_m: Float64
+    ball_m: Float64
+    rasterise: Callable[..., None]
+
+    @classmethod
+    def of(
+        cls,
+        solids: list[Any],
+        objects: Float64,
+        targets: Float64,
+        sensor: Sensor,
+        cell_m: tuple[float, float],
+    ) -> _Scene:
+        # Importing numba takes half a second.
+        from tactile_sim.press_kernels import rasterise
+
+        affines = _to_pixels(inverse_times(targets, objects), sensor)
+        plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
+        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*cell_m, 0.0] / 2
+        ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
+        return cls([Pressable.of(each) for each in solids], affines, plates, corners_m, ball_m, rasterise)
+
+    def raise_heights(self, touch: int, out: Float64) -> None:
+        """Write the heights under the pixels of one touch, metres along the sensor's axis."""
+        out.fill(-2 * self.ball_m[0, 3])  # far end of the camera, beyond object and plate
+        plate = self.plates[touch % len(self.plates)]
+        self.rasterise(out, self.corners_m, _PLATE_FACES, self.ball_m, plate, None)
+        here, affine = self.solids[touch % len(self.solids)], self.affines[touch % len(self.affines)]
+        self.rasterise(out, here.vertices_m, here.faces, here.blocks_m, affine, here.layers(affine))
 
 
 def _count_of(**given: Sized) -> int:

@@ -36,6 +36,9 @@ class Sensor:
         How far the highest point under the gel is pressed into it, metres; less than the thickness.
     sample_px : tuple of float
         Where in a pixel the surface is sampled, pixels from its centre, x right and y up.
+    surface_m : tuple of float
+        Width and height of the whole gel, metres, whose middle is that of the window. A window that is larger
+        counts as part of the gel.
 
     Raises
     ------
@@ -48,6 +51,7 @@ class Sensor:
     gel_m: float = real(GEL_M, above=0, most=0.1)
     press_m: float = real(PRESS_DEPTH_M, above=0)
     sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
+    surface_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "size_px", checked_size_px(self.size_px))
@@ -56,6 +60,11 @@ class Sensor:
             raise InputError(
                 f"press_m of the sensor is {self.press_m!r}; expected less than gel_m, {self.gel_m!r}"
             )
+
+    @property
+    def pixel_m(self) -> tuple[float, float]:
+        """Width and height of a pixel, metres."""
+        return self.window_m[0] / self.size_px[0], self.window_m[1] / self.size_px[1]
 
 
 def checked_size_px(size_px: object) -> tuple[int, int]:
@@ -115,10 +124,12 @@ def sensor_of_model(model: SensorModel, window: str, size_px: tuple[int, int]) -
     square pixels. Pixels are sampled at their centres.
     """
     sides_mm = (model.width_mm, model.height_mm)
+    surface_m = (model.width_mm / 1e3, model.height_mm / 1e3)
     if window == "center":
         pitch_mm = min(side_mm / side_px for side_mm, side_px in zip(sides_mm, size_px, strict=True))
         sides_mm = (pitch_mm * size_px[0], pitch_mm * size_px[1])
-    return Sensor(size_px, (sides_mm[0] / 1e3, sides_mm[1] / 1e3), model.gel_mm / 1e3, model.press_m)
+    window_m = (sides_mm[0] / 1e3, sides_mm[1] / 1e3)
+    return Sensor(size_px, window_m, model.gel_mm / 1e3, model.press_m, surface_m=surface_m)
 
 
 def sensor_of_window(window: str, size_px: tuple[int, int]) -> Sensor:

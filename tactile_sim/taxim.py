@@ -42,11 +42,17 @@ class TaximOptics(Optics):
     def __init__(self) -> None:
         self._calibration = taxim_package().calibration
 
-    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
-        """Return shades of red, green and blue, in the size of the depth maps."""
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
+        """Return shades of red, green and blue, in the size of the depth maps.
+
+        The surface of an elastic gel (``is_surface``) is shown as it is: Taxim lets the gel sag beside a
+        contact, where one that is confined bulges.
+        """
         tables = _picture_tables(*depth_m.shape[1:])
         out = np.empty((*depth_m.shape, 3), np.float32)
-        render_taxim(out, depth_m, sensor.gel_m, self._calibration, tables)
+        render_taxim(out, depth_m, sensor.gel_m, self._calibration, tables, is_surface)
         return out
 
 

@@ -330,6 +330,14 @@ def _pressed_gel(
 
 
 @compiled
+def _add_bulges(soft: Float64, depth_m: Float64, gel_m: float) -> None:
+    """Raise the surface of the gel, mm, where it is higher than at rest."""
+    for row in range(len(soft)):
+        for column in range(soft.shape[1]):
+            soft[row, column] += max(depth_m[row, column] - gel_m, 0.0) * 1000.0
+
+
+@compiled
 def _slopes(soft: Float64, per_row: float, per_column: float, flat_slope: float) -> tuple[Float64, Float64]:
     """Return slope and direction at the inner pixels; those at the edge take those of their neighbours."""
     rows, columns = soft.shape
@@ -432,9 +440,18 @@ def _follow(
 
 @compiled
 def render_taxim(
-    out: Float32, depths_m: Float64, gel_m: float, tables: Calibration, picture: PictureTables
+    out: Float32,
+    depths_m: Float64,
+    gel_m: float,
+    tables: Calibration,
+    picture: PictureTables,
+    is_surface: bool,
 ) -> None:
-    """Render pictures (n, H, W, 3), 0 to 1, of depth, metres; see :mod:`tactile_sim.optics`."""
+    """Render pictures (n, H, W, 3), 0 to 1, of depth, metres; see :mod:`tactile_sim.optics`.
+
+    With ``is_surface``, depth is that of the gel itself, which may lie above the gel at rest: only the last
+    filter, of the width of a pixel of 320, is left.
+    """
     rows, columns = depths_m.shape[1:]
     per_row = rows / float(tables.height) / 2.0 / tables.pixel_mm
     per_column = columns / float(tables.width) / 2.0 / tables.pixel_mm
@@ -443,9 +460,13 @@ def render_taxim(
     for number in range(len(depths_m)):
         soft, contact = _pressed_gel(depths_m[number], gel_m, picture.gel_mm, tables.contact_scale)
         # Around the contact, which stays, the gel leaves the solid smoothly.
-        for level in range(len(pyramid)):
-            kept = contact if level < len(pyramid) - 1 else none
-            blur(soft, pyramid[level][0], pyramid[level][1], 1, kept, soft)
+        last = len(pyramid) - 1
+        if is_surface:
+            _add_bulges(soft, depths_m[number], gel_m)
+        else:
+            for level in range(last):
+                blur(soft, pyramid[level][0], pyramid[level][1], 1, contact, soft)
+        blur(soft, pyramid[last][0], pyramid[last][1], 1, none, soft)
         slope, direction = _slopes(soft, per_row, per_column, tables.flat_slope)
         shade = _shades(slope, direction, tables)
         _cast_shadows(shade, soft, direction, _rim(contact, picture.windows), tables, picture)

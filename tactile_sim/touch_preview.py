@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -10,9 +11,9 @@ from tactile_sim.generation import depth_sensor, noisy
 from tactile_sim.optics import make_optics
 from tactile_sim.poses import pose
 from tactile_sim.pressable import Pressable
-from tactile_sim.pressing import render_touch
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import on_object
+from tactile_sim.round_press import images_without_noise, pressed_round
 from tactile_sim.touch_spec import GenerateSpec
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.mesh import MeshLike
@@ -20,6 +21,7 @@ from tactile_toolkit.touch import RENDERED_CONTACT_M
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
+_SHOWN = ("force_n", "torque_nm", "press_depth_m", "slide_m", "twist_rad", "marker_flow_px")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +38,16 @@ class TouchPreview:
         Share of the image in which the gel touches the object; 0 if it touches the plate alone.
     bounds_m : ndarray of float64, shape (2, 2)
         Least, then greatest x and y of the object as it stands, metres, cell frame.
+    forces : dict
+        Of an elastic gel ``force_n``, ``torque_nm``, ``press_depth_m``, ``slide_m``, ``twist_rad``, and of
+        markers ``marker_flow_px``, as lists and numbers; see :class:`tactile_sim.SyntheticRound`.
     """
 
     picture: UInt8
     sensor_z_m: float
     contact: float
     bounds_m: Float64
+    forces: dict[str, Any] = field(default_factory=dict)
 
 
 def preview_touch(
@@ -80,13 +86,17 @@ def preview_touch(
         points_m = on_object(_POINTS, solid, np.tile(stands, (_POINTS, 1, 1)), keyed_rng("look"))
         away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
         stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
-    pressed = render_touch(solid, stands, pose(x_m, y_m), sensor)
-    # Noise is drawn as for round 0 of object 0, so that it is the same each time.
-    pictures = optics.render(pressed.depth_m[None], sensor, spec.size_px)
-    picture = noisy(spec, pictures, "look", 0, 0)[0]
-    is_object = pressed.sensor_z_m - pressed.depth_m >= RENDERED_CONTACT_M
-    touched = float((is_object & (pressed.depth_m < sensor.gel_m)).mean())
-    return TouchPreview(picture, float(pressed.sensor_z_m), touched, _bounds_m(solid, stands))
+    # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
+    key = ("look", 0, 0)
+    pressed, further = pressed_round(spec, solid, stands[None], pose(x_m, y_m)[None], sensor, key)
+    picture = noisy(spec, images_without_noise(spec, optics, sensor, pressed), *key)[0]
+    sensor_z_m, depth_m = float(np.ravel(pressed.sensor_z_m)[0]), pressed.depth_m[0]
+    is_met = depth_m < sensor.gel_m
+    if pressed.contacts:
+        is_met = pressed.contact.is_contact
+    touched = float((is_met & (sensor_z_m - depth_m >= RENDERED_CONTACT_M)).mean())
+    forces = {name: further[name][0].tolist() for name in _SHOWN if name in further}
+    return TouchPreview(picture, sensor_z_m, touched, _bounds_m(solid, stands), forces)
 
 
 def _bounds_m(solid: Pressable, stands: Float64) -> Float64:

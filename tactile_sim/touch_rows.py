@@ -1,20 +1,30 @@
-"""The columns of synthetic touches: those of the published synthetic sets, then ours."""
+"""The columns of synthetic touches: those of the published sets, then ours, then those of some sets."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from typing import Any
 
 import pyarrow as pa
 
 from tactile_toolkit import read
-from tactile_toolkit.array_types import Float64
-from tactile_toolkit.rows import column, plain_schema, row
+from tactile_toolkit.array_types import Float16, Float32, Float64
+from tactile_toolkit.rows import column, columns, plain_schema, row
 from tactile_toolkit.touch import MEDIA_TYPE, with_features
+
+EXTRA = "extra."
+"""How the names of columns begin that only some sets have: ``touch.extra["force_n"]`` reads them."""
 
 _CELL = "m, cell frame"
 _XY = read.vectors_type(pa.float64(), 2)
 _XYZ = read.vectors_type(pa.float64(), 3)
 _XYZW = read.vectors_type(pa.float64(), 4)
+
+
+def _extra(name: str, unit: str, meaning: str) -> Any:
+    """Declare a further column of an elastic gel, in the frame of the sensor, whose type a set chooses."""
+    return column(pa.null(), unit, meaning, name=f"{EXTRA}{name}", default=None)
 
 
 @row
@@ -58,14 +68,42 @@ class SyntheticRound:
     object_quaternion: Float64 = column(
         _XYZW, "T x 4: x, y, z, w", "its orientation then", name="info.touched_object_pose.quaternion"
     )
-
-
-@row
-class OtherGelRound(SyntheticRound):
-    """One round of a sensor whose press depth is not that of the GelSight Mini, which readers take."""
-
-    plate_z_m: float = column(
-        pa.float64(), "m, cell frame", "height of the sensor where it stops on the bare plate"
+    plate_z_m: float | None = column(
+        pa.float64(), "m, cell frame", "height of the sensor where it stops on the bare plate", default=None
+    )
+    force_n: Float32 | None = _extra(
+        "force_n", "T x 3, N", "force of the object on the gel; z as it is pressed in"
+    )
+    torque_nm: Float32 | None = _extra(
+        "torque_nm", "T x 3, N m", "its torque about the middle of the surface of the gel"
+    )
+    press_depth_m: Float32 | None = _extra(
+        "press_depth_m", "T, m", "how far the highest point under the gel is pressed in"
+    )
+    contact_point_m: Float32 | None = _extra(
+        "contact_point_m", "T x 2, m", "where the normal force acts, from the middle of the gel"
+    )
+    slide_m: Float32 | None = _extra(
+        "slide_m", "T x 2, m", "how far the object slid under the gel after the press"
+    )
+    twist_rad: Float32 | None = _extra(
+        "twist_rad", "T, rad", "how far it turned, counter-clockwise in the image"
+    )
+    marker_positions_px: Float32 | None = _extra(
+        "marker_positions_px",
+        "T x 2 M, px",
+        "column and row of each marker, one row of markers after the other",
+    )
+    marker_flow_px: Float32 | None = _extra(
+        "marker_flow_px", "T x 2 M, px", "how far each marker moved: column, row"
+    )
+    pressure_kpa: Float16 | None = _extra(
+        "pressure_kpa", "T x H W, kPa", "pressure on the gel under each pixel, row after row"
+    )
+    displacement_mm: Float16 | None = _extra(
+        "displacement_mm",
+        "T x 3 H W, mm",
+        "displacement of its surface under each pixel: along x, along y, into the gel",
     )
 
 
@@ -81,7 +119,19 @@ DRAWN = (
 
 
 def synthetic_schema(
-    class_names: tuple[str, ...], row_type: type[SyntheticRound] = SyntheticRound
+    class_names: tuple[str, ...], optional: Mapping[str, pa.DataType] | None = None
 ) -> pa.Schema:
-    """Return the Arrow schema of a shard."""
-    return with_features(plain_schema(row_type), class_names)
+    """Return the Arrow schema of a shard; ``optional`` are the types of the further columns that it has."""
+    stored = plain_schema(SyntheticRound)
+    known = {each.name for each in columns(SyntheticRound).values()}
+    further = {
+        columns(SyntheticRound)[each.name].name for each in fields(SyntheticRound) if each.default is None
+    }
+    types = dict(optional or {})
+    chosen = [
+        pa.field(each.name, types.get(each.name, each.type))
+        for each in stored
+        if each.name not in further or each.name in types
+    ]
+    assert set(types) <= known, "optional columns are declared"
+    return with_features(pa.schema(chosen), class_names)

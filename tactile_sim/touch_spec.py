@@ -11,6 +11,7 @@ from dataclasses import dataclass, field, fields
 from importlib.util import find_spec
 from typing import TYPE_CHECKING, Any, Literal
 
+from tactile_sim.press_spec import ElasticPress
 from tactile_sim.sensor_models import GELSIGHT_MINI, SENSORS, SensorModel, checked_sensor
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
@@ -40,6 +41,8 @@ SENSOR_NOISE = "none|calibrated|STD|FILE"
 # A round is held in memory: at 320 x 240 pixels these are 0.9 GB of images and 2.5 GB of depth.
 _MOST_TOUCHES = 4096
 _MOST_PIXELS = _MOST_TOUCHES * 320 * 240
+# Of an elastic gel, 2 GB of pressure, traction and displacement.
+_MOST_ELASTIC_PIXELS = _MOST_PIXELS // 8
 _MOST_ROUNDS = 1_000_000
 
 _STORED_NAMES = {"positions": "place", "object_placement": "lie", "perturb": "shift"}  # in manifests
@@ -191,6 +194,8 @@ class GenerateSpec:
         Others have depth images: Taxim and the generators are calibrated for the Mini. ``"center"`` is then
         the largest part of their sensing area with square pixels, and ``"full"`` all of it, rendered in their
         own pixels and scaled.
+    press : ElasticPress or None
+        Presses of an elastic gel; None for a gel that is pressed to one depth and shows the solid, cut there.
     ids, labels, per_class : optional
         Only objects with these ids (a pair stands for all from its first to its last), of these classes, and
         of these the first ``per_class`` of each class of a split; then ``limit``.
@@ -239,6 +244,7 @@ class GenerateSpec:
         help="Geometry of the sensor: a known one, or as in a JSON file. Others than the Mini need --optics "
         "depth.",
     )
+    press: ElasticPress | None = None
     ids: IdChoice | None = None
     labels: Sequence[str] | None = None
     per_class: int | None = integer(None, 1, optional=True)
@@ -254,6 +260,7 @@ class GenerateSpec:
                 next="add --optics taxim, or give the standard deviation of another noise, such as 0.005",
             )
         object.__setattr__(self, "sensor", checked_sensor(self.sensor))
+        self._check_press()
         if not self.has_other_sensor:
             return
         if self.optics != "depth":
@@ -267,6 +274,29 @@ class GenerateSpec:
             raise InputError(
                 f"the plan has {self.plan.touches:,} touches in a round; expected at most {most:,} in the "
                 f"pixels of the sensor {self.sensor.name!r}",
+                next="divide them into several rounds",
+            )
+
+    def _check_press(self) -> None:
+        """Refuse rounds of an elastic gel whose maps would not fit into memory (InputError)."""
+        if self.press is None:
+            return
+        if not isinstance(self.press, ElasticPress):
+            raise InputError(f"press of the touches is {self.press!r}; expected an ElasticPress, or None")
+        press_m, gel_m = self.press.press_m, self.sensor.gel_mm / 1e3
+        if press_m is not None and not press_m[1] < gel_m:
+            raise InputError(
+                f"the press is {press_m[1]:g} m deep; expected less than the gel is thick, {gel_m:g} m",
+                next="give a smaller depth (--press-mm)",
+            )
+        width, height = self.size_px
+        if self.window == "full":
+            width, height = self.sensor.width_px, self.sensor.height_px
+        most = _MOST_ELASTIC_PIXELS // (width * height)
+        if self.plan.touches > most:
+            raise InputError(
+                f"the plan has {self.plan.touches:,} touches in a round; expected at most {most:,} with an "
+                f"elastic gel of {width} x {height} pixels",
                 next="divide them into several rounds",
             )
 
@@ -290,6 +320,8 @@ class GenerateSpec:
         sensor: dict[str, Any] = {}
         if self.has_other_sensor:
             sensor = {"sensor": self.sensor.to_dict()}
+        if self.press is not None:
+            sensor["press"] = self.press.to_dict()
         return {
             "size_px": list(self.size_px),
             "optics": self.optics,

@@ -14,6 +14,7 @@ Int64: TypeAlias = NDArray[np.int64]
 Integers: TypeAlias = NDArray[np.integer[Any]]
 """Integers of any width."""
 
+Float16: TypeAlias = NDArray[np.float16]
 Float32: TypeAlias = NDArray[np.float32]
 Float64: TypeAlias = NDArray[np.float64]
 Floating: TypeAlias = NDArray[np.floating[Any]]

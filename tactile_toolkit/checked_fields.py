@@ -142,6 +142,13 @@ def rule_of(declared: Field[Any]) -> Rule | None:
     return rule
 
 
+def option_name(declared: Field[Any]) -> str:
+    """Return the option of a field: ``--size`` of ``size_px``."""
+    rule = rule_of(declared)
+    stated = rule.option.get("name") if rule is not None else None
+    return (stated or f"--{declared.name.replace('_', '-')}").split()[0]
+
+
 def metavar_of(name: str, rule: Rule) -> str:
     """Return the placeholder for the value of an option, such as the unit that the field's name ends in."""
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)

@@ -113,13 +113,12 @@ def plain_schema(row_type: type) -> pa.Schema:
 
 
 def table_of(rows: Sequence[Any], schema: pa.Schema) -> pa.Table:
-    """Pack rows of one class into a table; ``schema`` has their columns and any metadata."""
+    """Pack rows of one class into a table of the columns that ``schema`` has, with its types and metadata."""
     if not rows:
         return schema.empty_table()
-    stored = [attribute for attribute, each in columns(type(rows[0])).items() if each.role != "hidden"]
+    attributes = {each.name: attribute for attribute, each in columns(type(rows[0])).items()}
     arrays = [
-        _array([getattr(each, attribute) for each in rows], data_type)
-        for attribute, data_type in zip(stored, schema.types, strict=True)
+        _array([getattr(each, attributes[field.name]) for each in rows], field.type) for field in schema
     ]
     return pa.Table.from_arrays(arrays, schema=schema)
 

@@ -9,8 +9,10 @@ from pathlib import Path
 import mnist3d
 import realtouch
 import starstruck_gen
+import tactile_sim
 from mnist3d.ink.sheet import enlarge
 from mnist3d.sources.synthetic import SyntheticSource
+from tests.tactile_sim.elastic_bodies import LAYER_M, PIXEL_M, bumps
 from tests.tactile_sim.sets import touch_sets
 
 
@@ -25,6 +27,17 @@ def main(folder: Path, touches: Path) -> None:
         touch_sets(folder / "scenes", folder)
     literal = mnist3d.solidify(source.image(1234).pixels, method="literal")
     (folder / "literal").write_bytes(literal.vertices_m.tobytes() + literal.faces.tobytes())
+    contact = tactile_sim.solve_contact(
+        bumps(1),
+        PIXEL_M,
+        tactile_sim.Gel(),
+        thickness_m=LAYER_M,
+        force_n=5.0,
+        slide_m=(2e-4, 1e-4),
+        twist_rad=0.03,
+    )
+    fields = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
+    (folder / "contact").write_bytes(b"".join(field.tobytes() for field in fields))
     small = source.image(1234).pixels[::8, ::8]
     (folder / "enlarged").write_bytes(enlarge(small, (8 * small.shape[0], 8 * small.shape[1])).tobytes())
 

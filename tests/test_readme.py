@@ -20,6 +20,7 @@ PUBLISHED = "TimSchneider42/tactile-mnist-touch-real-single-t256-64x64"
 PAGES = (
     "docs/tour.md",
     "docs/touches.md",
+    "docs/elastic.md",
     "docs/concepts/folder.md",
     "docs/howto/print.md",
     "docs/howto/handwriting.md",
@@ -28,6 +29,8 @@ PAGES = (
     "docs/howto/exchange.md",
     "docs/howto/check.md",
     "docs/howto/your_sensor.md",
+    "docs/howto/forces.md",
+    "docs/elastic.md",
     "docs/howto/libraries.md",
     "docs/howto/environments.md",
     "docs/howto/train_agent.md",

@@ -53,7 +53,9 @@ class CycleganOptics(Optics):
         super().depth_size(width, height)
         return self.size_px
 
-    def shades(self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int]) -> Float32:
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
         """Return shades of red, green and blue in the size asked for; equal depth is computed only once."""
         images = depth_image(depth_m, sensor)
         # Many depth maps are equal: four of five real touches have no contact. A digest takes far less time

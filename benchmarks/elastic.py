@@ -1,0 +1,158 @@
+"""How fast presses, slides and twists of an elastic gel are solved: against plain SciPy in double precision.
+
+Usage: python benchmarks/elastic.py [--touches 30]
+
+Touches of digits in random order at 5 N. The other way is the same contact by SciPy's transforms in double
+precision, depth by depth, with a secant on the force (tests/tactile_sim/elastic_reference.py). One thread,
+everything warm, processor time.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+for variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(variable, "1")
+
+import statistics
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+import numpy as np
+from figures import tell
+
+import mnist3d
+import tactile_sim
+from mnist3d.sources.synthetic import SyntheticSource
+from tactile_sim import elastic, elastic_layer
+from tests.tactile_sim.elastic_reference import PlainSolver
+
+FORCE_N, ROUNDS, DIGITS = 5.0, 5, 10
+SMALL, LARGE = (
+    (86, 64),
+    (320, 240),
+)  # the whole gel, whose middle an image of 64 x 64 shows; and that of a camera
+FREE, ROUGH = tactile_sim.Gel(friction=0.0), tactile_sim.Gel()
+MOTION = {"slide_m": (3e-4, 0.0), "twist_rad": 0.03}
+
+
+def main() -> None:
+    """Measure and print."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--touches", type=int, default=30)
+    count = parser.parse_args().touches
+    heights, pixels = touches_of(SMALL, count), pixels_of(SMALL)
+    plain = PlainSolver(SMALL[::-1], pixels, FREE, tactile_sim.full_view().gel_m)
+    other_s = timed(lambda height_m: secant(plain, height_m), heights, 1)
+
+    def solved(gel: tactile_sim.Gel, **motion: object) -> Callable[[np.ndarray], tactile_sim.Contact]:
+        return lambda height_m: solve(height_m, pixels, gel, **motion)
+
+    what = "86 x 64 pixels, 5 N"
+    tell("press", f"{what}, without friction", timed(solved(FREE), heights), "s", other=other_s)
+    tell("press_rough", f"{what}, friction 0.5", timed(solved(ROUGH), heights), "s", target="at most 0.005")
+    tell(
+        "slide",
+        f"{what}, slide and twist",
+        timed(solved(ROUGH, **MOTION), heights),
+        "s",
+        target="at most 0.015",
+    )
+    tell(
+        "error",
+        f"{what}: error of the surface, mean",
+        error_um(plain, heights, pixels),
+        "um",
+        target="at most 0.1",
+    )
+    large, pixels_of_large = touches_of(LARGE, count), pixels_of(LARGE)
+    blocks = elastic.block_px(*LARGE[::-1])
+    for name, gel in (("press_320", FREE), ("press_320_rough", ROUGH)):
+        seconds = timed(lambda h, gel=gel: solve(h, pixels_of_large, gel, block_px=blocks), large)
+        words = f"320 x 240 pixels, 5 N, friction {gel.friction:g}"
+        tell(name, words, seconds, "s", target="at most 0.00667")
+    tell("kernel", "kernels of a layer, once for each sensor", kernel_s(pixels), "s", target="at most 0.1")
+
+
+def pixels_of(size_px: tuple[int, int]) -> tuple[float, float]:
+    """Return width and height of a pixel of the whole gel, metres."""
+    window = tactile_sim.full_view().window_m
+    return window[0] / size_px[0], window[1] / size_px[1]
+
+
+def touches_of(size_px: tuple[int, int], count: int) -> list[np.ndarray]:
+    """Return heights under the gel, (H, W), metres, of touches that feel a digit."""
+    rng, source = np.random.default_rng(0), SyntheticSource(seed=1)
+    solids = [
+        tactile_sim.Pressable.of(mnist3d.solidify(source.image(100 + 37 * number).pixels))
+        for number in range(DIGITS)
+    ]
+    found: list[np.ndarray] = []
+    while len(found) < count:
+        solid = solids[rng.integers(DIGITS)]
+        lies, stands = tactile_sim.pose(z_m=-solid.foot_m), tactile_sim.pose(*rng.uniform(-0.03, 0.03, 2))
+        pressed = tactile_sim.render_touch(solid, lies, stands, tactile_sim.full_view(*size_px))
+        if pressed.sensor_z_m > 0.005:
+            found.append(pressed.sensor_z_m - pressed.depth_m)
+    return found
+
+
+def solve(height_m: np.ndarray, pixels: tuple[float, float], gel: tactile_sim.Gel, **how: object) -> object:
+    """Press at 5 N."""
+    thickness_m = tactile_sim.full_view().gel_m
+    return tactile_sim.solve_contact(height_m, pixels, gel, thickness_m=thickness_m, force_n=FORCE_N, **how)
+
+
+def secant(plain: PlainSolver, height_m: np.ndarray) -> float:
+    """Find the depth of 5 N to 0.1 %, by solutions at depths."""
+    below = height_m.max() - height_m[::-1]
+
+    def force_n(depth_m: float) -> float:
+        return float(plain.press(below, depth_m, False, None, 1e-3)[0].sum() * plain.area_m2)
+
+    one, two = 5e-4, 1e-3
+    first, second = force_n(one) - FORCE_N, force_n(two) - FORCE_N
+    while abs(second) > 1e-3 * FORCE_N:
+        one, two = two, max(two - second * (two - one) / (second - first), 0.3 * two)
+        first, second = second, force_n(two) - FORCE_N
+    return two
+
+
+def timed(work: Callable[[np.ndarray], object], heights: list[np.ndarray], rounds: int = ROUNDS) -> float:
+    """Return the median over rounds of the mean processor time of a touch, seconds."""
+    work(heights[0])
+    times = []
+    for _ in range(rounds):
+        start = time.process_time()
+        for height_m in heights:
+            work(height_m)
+        times.append((time.process_time() - start) / len(heights))
+    return statistics.median(times)
+
+
+def error_um(plain: PlainSolver, heights: list[np.ndarray], pixels: tuple[float, float]) -> float:
+    """Return the mean distance from surfaces in double precision, micrometres."""
+    far = []
+    for height_m in heights:
+        exact = plain.solve(height_m[::-1], FORCE_N)
+        ours = solve(height_m, pixels, FREE)
+        far.append(np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean())
+    return 1e6 * float(np.mean(far))
+
+
+def kernel_s(pixels: tuple[float, float]) -> float:
+    """Return the processor time of a layer that no touch has used, seconds."""
+    start = time.process_time()
+    for number in range(ROUNDS):
+        shear_pa = ROUGH.shear_modulus_pa * (1 + 1e-3 * number)
+        elastic_layer.layer_of(SMALL[::-1], pixels, shear_pa, 0.48, tactile_sim.full_view().gel_m)
+    return (time.process_time() - start) / ROUNDS
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,292 @@
+"""A gel that is elastic: pressure, shear and displacement where a rigid body is pressed into it.
+
+The gel is a linear elastic layer without side faces, bonded to a rigid plate. Contact is that of Signorini
+(pressure and gap are not negative, and one of them is zero), friction that of Coulomb.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from tactile_toolkit.array_types import AnyArray, Bool, Float64
+from tactile_toolkit.builtin_values import to_builtin
+from tactile_toolkit.checked_fields import check_fields, real
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+
+_TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
+_SHEAR_TOLERANCE = 5e-5  # root mean square of the error along the surface, relative to the largest motion
+_LEAST_DEPTH_M = 1e-9
+_HALF = 0.5
+_MOST_BLOCKS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Gel:
+    """Material of a gel, and its friction.
+
+    The defaults are those of no particular sensor: soft silicone, which is nearly incompressible. How to find
+    the modulus of a gel is stated in the documentation (Forces, shear, markers).
+
+    Attributes
+    ----------
+    youngs_modulus_pa : float
+        Young's modulus, Pa.
+    poisson_ratio : float
+        Poisson's ratio, 0 to 0.5.
+    friction : float
+        Coefficient of friction; 0 for a surface that slides freely.
+
+    Raises
+    ------
+    InputError
+        A value is out of range.
+    """
+
+    youngs_modulus_pa: float = real(0.2e6, least=1e2, most=1e9)
+    poisson_ratio: float = real(0.49, least=0, most=0.5)
+    friction: float = real(0.5, least=0, most=1000)
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the gel")
+
+    @property
+    def shear_modulus_pa(self) -> float:
+        """Shear modulus, Pa."""
+        return self.youngs_modulus_pa / (2.0 * (1.0 + self.poisson_ratio))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contact:
+    """The state of a gel into which a body is pressed.
+
+    Axes: x along the columns, y against the rows (row 0 has the greatest y), z from the body into the gel;
+    a right-handed frame, as of :func:`tactile_sim.render_touch`. Forces are those of the body on the gel, so
+    that of a press is positive along z. Moments are about the centre of the window, on the surface.
+
+    Attributes
+    ----------
+    depth_m : float
+        How far the highest point of the body lies above the surface of the gel at rest, metres.
+    pressure_pa : ndarray of float64, shape (H, W)
+        Pressure of the body on the gel, Pa; 0 outside of the contact.
+    traction_pa : ndarray of float64, shape (H, W, 2)
+        Shear stress of the body on the gel along x and y, Pa.
+    displacement_m : ndarray of float64, shape (H, W, 3)
+        Displacement of the surface along x, y and z, metres; a negative z is a bulge.
+    is_contact : ndarray of bool, shape (H, W)
+        Where the body touches the gel.
+    is_stick : ndarray of bool, shape (H, W)
+        Where it sticks: the shear stress is below friction times pressure. Without a slide it is where
+        the gel, which the press pushes aside, is held by friction; without friction it is nowhere.
+    force_n : tuple of float
+        Force of the body on the gel along x, y and z, newtons.
+    torque_nm : tuple of float
+        Torque of the body on the gel about x, y and z, newton metres: ``(sum y f_z, -sum x f_z,
+        sum (x f_y - y f_x))``.
+    iterations : int
+        Steps of the solvers, all together.
+    residual : float
+        Largest error of the gap in the contact, relative to the depth.
+    """
+
+    depth_m: float
+    pressure_pa: Float64
+    traction_pa: Float64
+    displacement_m: Float64
+    is_contact: Bool
+    is_stick: Bool
+    force_n: tuple[float, float, float]
+    torque_nm: tuple[float, float, float]
+    iterations: int
+    residual: float
+
+
+def solve_contact(
+    height_m: AnyArray,
+    pixel_m: float | tuple[float, float],
+    gel: Gel,
+    *,
+    thickness_m: float,
+    depth_m: float | None = None,
+    force_n: float | None = None,
+    slide_m: tuple[float, float] = (0.0, 0.0),
+    twist_rad: float = 0.0,
+    block_px: int = 1,
+) -> Contact:
+    """Press a rigid body into a gel, then slide and twist it.
+
+    Press, slide and twist are made at once: the result is that of one step, not of a history. Points of the
+    gel are named by where they are at rest; the shape of the body is that under them before the slide.
+    No pixel outside of the window is loaded: give the heights under the whole gel, and cut out what an image
+    shows. Results depend on the arguments alone.
+
+    Parameters
+    ----------
+    height_m : array_like, shape (H, W)
+        Height of the body under the gel, metres, towards the gel, from any zero; row 0 at the greatest y.
+    pixel_m : float or tuple of float
+        Size of a pixel, metres, or its width and height.
+    gel : Gel
+        Material and friction.
+    thickness_m : float
+        Thickness of the gel, metres; infinite for a half-space.
+    depth_m : float, optional
+        How far the highest point of the body is pressed in, metres, above 0.
+    force_n : float, optional
+        The force of the press, newtons, above 0; exactly one of depth and force is given.
+    slide_m : tuple of float
+        How far the body then moves along x and y, metres; it drags the gel with it, so that a slide along
+        +x makes a force along +x.
+    twist_rad : float
+        How far it turns about the centre of the window, radians, counter-clockwise as seen in the image.
+    block_px : int
+        Side of the blocks of pixels whose mean heights are solved, with a result in the size of
+        ``height_m``; 1 solves every pixel. H and W are multiples of it.
+
+    Returns
+    -------
+    Contact
+        Pressure, traction, displacement, force and torque.
+
+    Raises
+    ------
+    InputError
+        A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
+    """
+    heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
+    target = _checked_target(depth_m, force_n)
+    slide = _checked_motion(slide_m, twist_rad)
+    _require(thickness_m > 0, f"thickness_m is {thickness_m!r}; expected a number above 0")
+    _require(
+        block_px >= 1 and not any(count % block_px for count in heights.shape),
+        f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
+        f"{heights.shape[1]} columns are multiples",
+    )
+    return _solve(heights, pixel, gel, float(thickness_m), *target, slide, int(block_px))
+
+
+def block_px(height_px: int, width_px: int) -> int:
+    """Return a size of blocks for an image: of at most 100 blocks along its longer side, 1 for small images.
+
+    Parameters
+    ----------
+    height_px, width_px : int
+        Size of the image, pixels.
+
+    Returns
+    -------
+    int
+        For :func:`solve_contact`: it divides both; 4 for 320 x 240 pixels.
+    """
+    common = math.gcd(height_px, width_px)
+    fits = (size for size in range(1, common + 1) if common % size == 0)
+    longer = max(height_px, width_px)
+    return next((size for size in fits if longer <= _MOST_BLOCKS * size), common)
+
+
+def _solve(
+    heights: Float64,
+    pixel_m: tuple[float, float],
+    gel: Gel,
+    thickness_m: float,
+    target: float,
+    is_force: bool,
+    motion: tuple[float, float, float],
+    block_px: int,
+) -> Contact:
+    # Importing numba takes half a second.
+    from tactile_sim import elastic_kernels, elastic_layer, elastic_surface
+
+    coarse = heights
+    if block_px > 1:
+        coarse = elastic_surface.block_means(heights, block_px)
+    rows, columns = coarse.shape
+    width_m, height_m = (size * block_px for size in pixel_m)
+    area_m2 = width_m * height_m
+    layer = elastic_layer.layer_of(
+        (rows, columns), (width_m, height_m), gel.shear_modulus_pa, gel.poisson_ratio, thickness_m
+    )
+    highest = heights.max()
+    # The highest point of the body lies higher than the highest mean.
+    higher = highest - coarse.max()
+    wanted = target / area_m2
+    if not is_force:
+        wanted = max(target - higher, _LEAST_DEPTH_M)
+    fields, is_contact, is_stick, depth, error, steps = elastic_kernels.solve(
+        coarse.max() - coarse,
+        (width_m, height_m),
+        wanted,
+        is_force,
+        gel.friction,
+        motion,
+        layer,
+        elastic_layer.field_width(columns),
+        gel.youngs_modulus_pa / min(thickness_m, math.sqrt(area_m2) * columns),
+        (_TOLERANCE, _SHEAR_TOLERANCE),
+    )
+    force_n, torque_nm = elastic_surface.resultants(fields, (width_m, height_m))
+    depth += higher
+    if block_px > 1:
+        masks = np.stack([is_contact, is_stick]).astype(np.float64)
+        is_contact, is_stick = elastic_surface.bring_up(masks, block_px) > _HALF
+        fields = elastic_surface.bring_up(fields, block_px)
+    elastic_surface.follow_body(fields[5], is_contact, depth - (highest - heights))
+    return Contact(
+        depth,
+        fields[0],
+        np.moveaxis(fields[1:3], 0, 2),
+        np.moveaxis(fields[3:], 0, 2),
+        is_contact,
+        is_stick & is_contact,
+        force_n,
+        torque_nm,
+        steps,
+        error,
+    )
+
+
+def _require(fits: bool, what: str) -> None:
+    if not fits:
+        raise InputError(what)
+
+
+def _checked_heights(height_m: AnyArray) -> Float64:
+    heights = np.ascontiguousarray(height_m, np.float64)
+    _require(
+        heights.ndim == 2 and 0 < heights.size <= MAX_IMAGE_PIXELS,
+        f"height_m has shape {heights.shape}; expected (H, W), at most {MAX_IMAGE_PIXELS:,} pixels",
+    )
+    _require(bool(np.isfinite(heights).all()), "height_m has values that are not finite")
+    return heights
+
+
+def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
+    pixel = np.asarray(pixel_m, np.float64)
+    _require(
+        pixel.shape in ((), (2,)) and bool((pixel > 0).all() and np.isfinite(pixel).all()),
+        f"pixel_m is {pixel_m!r}; expected a number above 0, metres, or width and height",
+    )
+    width, height = np.broadcast_to(pixel, 2).tolist()
+    return width, height
+
+
+def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float, bool]:
+    """Return the depth or the force, and whether it is the force."""
+    _require((depth_m is None) != (force_n is None), "expected exactly one of depth_m and force_n")
+    ((name, value),) = ((n, v) for n, v in (("depth_m", depth_m), ("force_n", force_n)) if v is not None)
+    _require(math.isfinite(value) and value > 0, f"{name} is {value!r}; expected a number above 0")
+    return float(value), name == "force_n"
+
+
+def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
+    motion = to_builtin((*slide_m, twist_rad))
+    _require(
+        len(motion) == 3 and all(isinstance(each, int | float) and math.isfinite(each) for each in motion),
+        f"slide_m is {slide_m!r} and twist_rad is {twist_rad!r}; expected two finite numbers and one",
+    )
+    along_x, along_y, twist = map(float, motion)
+    return along_x, along_y, twist

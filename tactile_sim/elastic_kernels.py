@@ -1,0 +1,456 @@
+"""Kernels of the elastic gel, in numba: contact and friction on a layer.
+
+Each operation is an IEEE one in a fixed order, so results do not depend on the processor. Columns of fields
+beyond those of the window are never in contact; see :mod:`tactile_sim.elastic_response`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from tactile_sim import elastic_vectors as vectors
+from tactile_sim.elastic_response import Layer, Work, respond, work_of
+from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.compiled import compiled
+
+_MOST_PASSES = 5  # of pressure and shear, each with the displacement that the other one makes
+_FIRST_PASS = 10.0  # times the tolerance: the first pass is only a start for the others
+_COUPLED = 0.3  # times the tolerance: change of the coupled displacement that ends the passes
+_MOST_STEPS = 300
+_MOST_CHANGED = 40  # pixels that join or leave the contact; for more of them a convolution is cheaper
+_OFF_BOUNDS = 0.01  # share of the tractions that may be off their limits
+_PROJECTED = 6  # steps after which tractions are put back to their limits
+_STICKS = 1.0 - 1e-5  # share of the largest traction below which a pixel is not at its limit; float32
+_FAR_M = 1e6
+
+keep_apart = vectors.keep_apart
+
+
+@compiled
+def press(
+    p: Float32,
+    u: Float32,
+    below: Float32,
+    target: float,
+    is_force: bool,
+    layer: Layer,
+    work: Work,
+    width: int,
+    tolerance: float,
+) -> tuple[float, float, int]:
+    """Solve for pressure, from ``p`` on: Polonsky and Keer, Wear 231, 1999, section 3.
+
+    ``target`` is the sum of the pressure, or the depth; ``below`` how far the body lies below its highest
+    point. ``u`` gets the displacement. Returned are depth, largest error of the gap relative to it, steps.
+    """
+    keep_apart()
+    t, r, gap = np.zeros_like(p), np.empty_like(p), np.empty_like(p)
+    old, keep, depth, error, step, is_stale = 1.0, 0.0, target, np.inf, 0, True
+    while True:
+        if is_stale:
+            respond(p, u, layer, work, width)
+        depth, square, error, lowest = _gaps(p[0], u[0], below[0], gap[0], target, is_force)
+        if (error <= tolerance * depth and lowest >= -tolerance * depth) or step == _MOST_STEPS:
+            break
+        step += 1
+        factor = np.float32(keep * square / old)
+        old = square
+        for place in range(p.size):
+            t[0, place] = gap[0, place] + factor * t[0, place] if p[0, place] > 0.0 else np.float32(0.0)
+        respond(t, r, layer, work, width)
+        length = _step_length(p[0], gap[0], t[0], r[0], is_force)
+        keep, is_stale = _take_step(p[0], u[0], gap[0], t[0], r[0], length, layer.near, width)
+        if is_force:
+            total = 0.0
+            for value in p[0]:
+                total += value
+            scale = np.float32(target / total)
+            for place in range(p.size):
+                p[0, place] *= scale
+                u[0, place] *= scale
+    return depth, error / depth, step
+
+
+@compiled
+def _gaps(
+    p: Float32, u: Float32, below: Float32, gap: Float32, target: float, is_force: bool
+) -> tuple[float, float, float, float]:
+    """Write the gaps; return the depth, their sum of squares and largest in the contact, lowest outside."""
+    depth = target
+    if is_force:
+        total, count = 0.0, 0
+        for place in range(len(p)):
+            if p[place] > 0.0:
+                total += u[place] + below[place]
+                count += 1
+        depth = total / count
+    square, error, lowest = 0.0, 0.0, np.float32(0.0)
+    near = np.float32(depth)
+    for place in range(len(p)):
+        value = (u[place] - near) + below[place]
+        gap[place] = value
+        if p[place] > 0.0:
+            square += value * value
+            error = max(error, abs(value))
+        else:
+            lowest = min(lowest, value)
+    return depth, square, error, float(lowest)
+
+
+@compiled
+def _step_length(p: Float32, gap: Float32, t: Float32, r: Float32, is_force: bool) -> float:
+    mean = 0.0
+    if is_force:
+        count = 0
+        for place in range(len(p)):
+            if p[place] > 0.0:
+                mean += r[place]
+                count += 1
+        mean /= count
+    along, bent = 0.0, 0.0
+    for place in range(len(p)):
+        if p[place] > 0.0:
+            along += gap[place] * t[place]
+            bent += (r[place] - mean) * t[place]
+    # A contact of one pixel has no freedom at a given force.
+    return along / bent if bent > 0.0 else 0.0
+
+
+@compiled
+def _take_step(
+    p: Float32,
+    u: Float32,
+    gap: Float32,
+    t: Float32,
+    r: Float32,
+    length: float,
+    near: Float32,
+    width: int,
+) -> tuple[float, bool]:
+    """Change pressure and displacement.
+
+    Returned are 1 if no pixel joined the contact, 0 otherwise, and whether the displacement is stale: as
+    too many pixels joined or left.
+    """
+    keep_apart()
+    changed, added = np.empty(_MOST_CHANGED, np.int64), np.empty(_MOST_CHANGED, np.float32)
+    count, keep, tau = 0, 1.0, np.float32(length)
+    # The first step of a contact of one pixel has no length: what overlaps joins with that of its own.
+    joins = tau if tau > 0.0 else np.float32(1.0) / near[len(near) // 2]
+    for place in range(len(p)):
+        u[place] -= tau * r[place]
+        new, wanted = np.float32(0.0), np.float32(0.0)
+        if p[place] > 0.0:
+            wanted = p[place] - tau * t[place]
+            new = max(wanted, np.float32(0.0))
+        if new == 0.0 and gap[place] < 0.0:
+            new -= joins * gap[place]
+            keep = 0.0
+        p[place] = new
+        if new != wanted:
+            if count < _MOST_CHANGED:
+                changed[count], added[count] = place, new - wanted
+            count += 1
+    if count > _MOST_CHANGED:
+        return keep, True
+    rows = len(p) // width
+    for number in range(count):
+        row, column = changed[number] // width, changed[number] % width
+        for line in range(rows):
+            first = (line - row + rows - 1) * (2 * width - 1) + width - 1 - column
+            for place in range(width):
+                u[line * width + place] += added[number] * near[first + place]
+    return keep, False
+
+
+class _Shear(NamedTuple):
+    """State of the pixels in contact, by their number: traction, what is left to move, direction, bound."""
+
+    places: Int64
+    bound: Float32
+    wanted: Float32
+    q: Float32
+    rest: Float32
+    free: Float32
+    last: Float32
+    steps: Float32
+    curved: Float32
+    slips: Bool
+
+
+@compiled
+def shear(
+    q: Float32,
+    bound: Float32,
+    wanted: Float32,
+    slips: Bool,
+    layer: Layer,
+    work: Work,
+    width: int,
+    tolerance: float,
+) -> int:
+    """Solve for the tractions ``q``, from those given on: least energy with |q| <= ``bound``.
+
+    Projected conjugate gradients. A pixel at its limit that would slide on has only the direction along the
+    circle |q| = bound, which is curved: multiplier / bound is added to the stiffness (Nocedal and Wright,
+    Numerical Optimization, 2006, section 12.5). Returned is the number of steps; ``slips`` gets the pixels
+    at their limit.
+    """
+    keep_apart()
+    places = np.nonzero(bound > 0.0)[0]
+    count = len(places)
+    pairs = (2, count)
+    kind = np.float32
+    state = _Shear(
+        places,
+        bound[places],
+        np.empty(pairs, kind),
+        np.empty(pairs, kind),
+        np.empty(pairs, kind),
+        np.empty(pairs, kind),
+        np.zeros(pairs, kind),
+        np.zeros(pairs, kind),
+        np.zeros(count, kind),
+        np.zeros(count, np.bool_),
+    )
+    for number in range(count):
+        at = places[number]
+        for axis in range(2):
+            state.wanted[axis, number], state.q[axis, number] = wanted[axis, at], q[axis, at]
+    largest = 0.0
+    for number in range(count):
+        _project(state.q, state.bound, number, False)
+        x, y = state.wanted[0, number], state.wanted[1, number]
+        largest = max(largest, x * x + y * y)
+    q[:] = 0.0
+    bend, old, step, since, is_stale = np.empty_like(q), 1.0, 0, 0, True
+    while True:
+        if is_stale:
+            _put(state.q, q, state.places)
+            respond(q, bend, layer, work, width)
+            _rest(state, bend)
+            since = 0
+        is_done = _free_part(state) <= tolerance * math.sqrt(largest) or step == _MOST_STEPS
+        if is_done and since == 0:
+            break
+        off = 0.0
+        if not is_done:
+            step, since = step + 1, since + 1
+            old = _direction(state, layer.own_shear, old)
+            _put(state.steps, q, state.places)
+            respond(q, bend, layer, work, width)
+            off = _move(state, bend)
+        is_stale = is_done or off > _OFF_BOUNDS or since == _PROJECTED
+        if is_stale:
+            for number in range(count):
+                _project(state.q, state.bound, number, state.slips[number])
+    slips[:] = False
+    _put(state.q, q, state.places)
+    for number in range(count):
+        slips[places[number]] = state.slips[number]
+    return step
+
+
+@compiled
+def _put(values: Float32, field: Float32, places: Int64) -> None:
+    for number in range(len(places)):
+        field[0, places[number]], field[1, places[number]] = values[0, number], values[1, number]
+
+
+@compiled
+def _project(q: Float32, bound: Float32, number: int, is_limit: bool) -> None:
+    """Shorten a traction to its bound, or give it that length."""
+    size = np.float32(math.sqrt(q[0, number] * q[0, number] + q[1, number] * q[1, number]))
+    if size > bound[number] or (is_limit and size > 0.0):
+        q[0, number] *= bound[number] / size
+        q[1, number] *= bound[number] / size
+
+
+@compiled
+def _rest(state: _Shear, bend: Float32) -> None:
+    """Write how far the pixels in contact still have to move."""
+    for number in range(len(state.places)):
+        for axis in range(2):
+            state.rest[axis, number] = state.wanted[axis, number] - bend[axis, state.places[number]]
+
+
+@compiled
+def _outward(state: _Shear, number: int) -> tuple[float, float, float]:
+    """Return the direction of a traction, and its size."""
+    q_x, q_y = state.q[0, number], state.q[1, number]
+    size = math.sqrt(q_x * q_x + q_y * q_y)
+    if size == 0.0:
+        return 0.0, 0.0, 0.0
+    return q_x / size, q_y / size, size
+
+
+@compiled
+def _free_part(state: _Shear) -> float:
+    """Write the part of what is left that tractions may still follow; return its root mean square."""
+    keep_apart()
+    left = 0.0
+    for number in range(len(state.places)):
+        bound = state.bound[number]
+        out_x, out_y, size = _outward(state, number)
+        rest_x, rest_y = state.rest[0, number], state.rest[1, number]
+        outward = rest_x * out_x + rest_y * out_y
+        slips = outward > 0.0 and size >= _STICKS * bound
+        state.slips[number] = slips
+        state.curved[number] = outward / bound if slips else np.float32(0.0)
+        if slips:
+            rest_x, rest_y = rest_x - outward * out_x, rest_y - outward * out_y
+        state.free[0, number], state.free[1, number] = rest_x, rest_y
+        left += rest_x * rest_x + rest_y * rest_y
+    return math.sqrt(left / max(len(state.places), 1))
+
+
+@compiled
+def _direction(state: _Shear, own: float, old: float) -> float:
+    """Write the next direction: preconditioned, conjugate to the last one (Polak and Ribiere)."""
+    keep_apart()
+    new, changed = 0.0, 0.0
+    for number in range(len(state.places)):
+        inverse = 1.0 / (own + state.curved[number])
+        for axis in range(2):
+            free = state.free[axis, number]
+            new += inverse * free * free
+            changed += inverse * free * (free - state.last[axis, number])
+            state.last[axis, number] = free
+    keep = max(changed / old, 0.0)
+    for number in range(len(state.places)):
+        inverse = 1.0 / (own + state.curved[number])
+        step_x, step_y = state.steps[0, number], state.steps[1, number]
+        if state.slips[number]:
+            out_x, out_y, _ = _outward(state, number)
+            outward = step_x * out_x + step_y * out_y
+            step_x, step_y = step_x - outward * out_x, step_y - outward * out_y
+        state.steps[0, number] = inverse * state.free[0, number] + keep * step_x
+        state.steps[1, number] = inverse * state.free[1, number] + keep * step_y
+    return new
+
+
+@compiled
+def _move(state: _Shear, bend: Float32) -> float:
+    """Go along the direction to the least energy; return the share of tractions that is off the bounds."""
+    keep_apart()
+    along, bent = 0.0, 0.0
+    for number in range(len(state.places)):
+        at, curved = state.places[number], state.curved[number]
+        step_x, step_y = state.steps[0, number], state.steps[1, number]
+        along += state.free[0, number] * step_x + state.free[1, number] * step_y
+        bent += (bend[0, at] + curved * step_x) * step_x + (bend[1, at] + curved * step_y) * step_y
+    length, off, whole = np.float32(along / bent if bent > 0.0 else 0.0), 0.0, 0.0
+    for number in range(len(state.places)):
+        at = state.places[number]
+        for axis in range(2):
+            state.q[axis, number] += length * state.steps[axis, number]
+        state.rest[0, number] -= length * bend[0, at]
+        state.rest[1, number] -= length * bend[1, at]
+        q_x, q_y = state.q[0, number], state.q[1, number]
+        size = math.sqrt(q_x * q_x + q_y * q_y)
+        whole += size
+        if size > state.bound[number] or state.slips[number]:
+            off += abs(size - state.bound[number])
+    return off / whole if whole > 0.0 else 0.0
+
+
+@compiled
+def solve(
+    below_m: Float64,
+    pixel_m: tuple[float, float],
+    target: float,
+    is_force: bool,
+    friction: float,
+    motion: tuple[float, float, float],
+    layer: Layer,
+    width: int,
+    start: float,
+    tolerance: tuple[float, float],
+) -> tuple[Float64, Bool, Bool, float, float, int]:
+    """Press, then move along x and y and turn; see :func:`tactile_sim.solve_contact`.
+
+    ``below_m`` (R, C) is how far the body lies below its highest point, row 0 at the greatest y; rows of
+    fields are counted from the least y. ``start`` is the pressure per depth of the first guess. Returned are
+    pressure, traction and displacement (6, R, C), the masks of contact and stick, depth, error and steps.
+    """
+    rows, columns = below_m.shape
+    size, kind = rows * width, np.float32
+    work = work_of(layer, width)
+    below = np.full((1, size), _FAR_M, kind)
+    for row in range(rows):
+        for column in range(columns):
+            below[0, row * width + column] = below_m[rows - 1 - row, column]
+    one, two = (1, size), (2, size)
+    p, u, lifted, before = np.zeros(one, kind), np.empty(one, kind), np.zeros(one, kind), np.zeros(one, kind)
+    q, side, wanted = np.zeros(two, kind), np.empty(two, kind), np.empty(two, kind)
+    bound, slips = np.zeros(size, kind), np.zeros(size, np.bool_)
+    _first_guess(p[0], below[0], target, is_force, start)
+    steps, depth, error = 0, 0.0, 0.0
+    for number in range(_MOST_PASSES):
+        looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
+        press_tolerance, shear_tolerance = looseness * tolerance[0], looseness * tolerance[1]
+        depth, error, count = press(
+            p, u, below + lifted, target, is_force, layer, work, width, press_tolerance
+        )
+        steps += count
+        respond(p, side, layer, work, width)
+        if friction == 0.0:
+            break
+        for place in range(size):
+            bound[place] = friction * p[0, place]
+            x = (place % width - (columns - 1) / 2) * pixel_m[0]
+            y = (place // width - (rows - 1) / 2) * pixel_m[1]
+            wanted[0, place] = motion[0] - motion[2] * y - side[0, place]
+            wanted[1, place] = motion[1] + motion[2] * x - side[1, place]
+        steps += shear(q, bound, wanted, slips, layer, work, width, shear_tolerance)
+        before[:] = lifted
+        respond(q, lifted, layer, work, width)
+        change = 0.0
+        for place in range(size):
+            if p[0, place] > 0.0:
+                change = max(change, abs(lifted[0, place] - before[0, place]))
+        if change <= _COUPLED * tolerance[0] * depth:
+            break
+    respond(p, u, layer, work, width)
+    respond(q, wanted, layer, work, width)
+    fields = np.empty((6, rows, columns))
+    contact, stick = np.empty((rows, columns), np.bool_), np.empty((rows, columns), np.bool_)
+    for row in range(rows):
+        for column in range(columns):
+            at, line = row * width + column, rows - 1 - row
+            fields[0, line, column] = p[0, at]
+            for axis in range(2):
+                fields[1 + axis, line, column] = q[axis, at]
+                fields[3 + axis, line, column] = wanted[axis, at] + side[axis, at]
+            fields[5, line, column] = u[0, at] + lifted[0, at]
+            contact[line, column] = p[0, at] > 0.0
+            stick[line, column] = bound[at] > 0.0 and not slips[at]
+    return fields, contact, stick, depth, error, steps
+
+
+@compiled
+def _first_guess(p: Float32, below: Float32, target: float, is_force: bool, start: float) -> None:
+    """Write the pressure of a bed of springs, ``start`` Pa per metre."""
+    keep_apart()
+    depth = target
+    if is_force:
+        # The depth lies between those of one pixel and of all.
+        low, high = 0.0, 1.0
+        for _ in range(24):
+            depth, total = (low + high) / 2, 0.0
+            for value in below:
+                total += max(depth - value, 0.0)
+            if total * start > target:
+                high = depth
+            else:
+                low = depth
+    total = 0.0
+    for place in range(len(p)):
+        p[place] = start * max(depth - below[place], 0.0)
+        total += p[place]
+    if is_force:
+        for place in range(len(p)):
+            p[place] *= target / total

@@ -1,0 +1,140 @@
+"""What a set stores of an elastic gel: the loads that are drawn for each touch, and the columns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+from PIL import Image
+
+from tactile_sim.elastic_press import Load, plate_z_m
+from tactile_sim.markers import marker_grid_px, marker_positions_px
+from tactile_sim.press_spec import ElasticPress, Span
+from tactile_sim.pressing import Pressed
+from tactile_sim.random_numbers import keyed_rng
+from tactile_sim.sensor import Sensor
+from tactile_toolkit import read
+from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit.array_types import Float32, Float64
+
+# The plate is met a little deeper or higher, depending on the slide and the tolerance of the solver.
+_PLATE_MARGIN_M = 1e-5
+_KILO, _MILLI = 1e3, 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DrawnLoads:
+    """What T touches draw: forces, newtons, or depths, metres, (T,), slides (T, 2), metres, and twists."""
+
+    force_n: Float64 | None
+    depth_m: Float64 | None
+    slide_m: Float64
+    twist_rad: Float64
+
+    @classmethod
+    def of(cls, press: ElasticPress, touches: int, *key: str | int) -> DrawnLoads:
+        """Draw the loads of a round, which depend on its key alone."""
+        shares = keyed_rng(*key, "press").random((touches, 4))
+        far_m = _within(press.slide_m, shares[:, 1])
+        assert far_m is not None, "a press has a span of slides"
+        towards = np.array([cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
+        twist_rad = _within(press.twist_rad, shares[:, 3])
+        assert twist_rad is not None, "a press has a span of twists"
+        return cls(
+            _within(press.force_n, shares[:, 0]),
+            _within(press.press_m, shares[:, 0]),
+            far_m[:, None] * towards.reshape(-1, 2) + 0.0,  # not -0.0
+            twist_rad,
+        )
+
+    def keywords(self) -> dict[str, Any]:
+        """Return them as keywords of :func:`tactile_sim.render_touch`."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+
+def _within(span: Span | None, shares: Float64) -> Float64 | None:
+    return None if span is None else span[0] + (span[1] - span[0]) * shares
+
+
+def bare_plate_z_m(press: ElasticPress, sensor: Sensor) -> float:
+    """Return the greatest height at which the sensor stops on the bare plate, metres."""
+    assert press.gel is not None
+    force_n, depth_m = (span and span[0] for span in (press.force_n, press.press_m))
+    return plate_z_m(sensor, Load(press.gel, force_n, depth_m)) + _PLATE_MARGIN_M
+
+
+def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str, pa.DataType]:
+    """Return the types of the columns of an elastic gel, whose vectors have lengths of their own, by name."""
+    number, half = pa.float32(), pa.float16()
+    types: dict[str, pa.DataType] = {
+        "extra.force_n": read.vectors_type(number, 3),
+        "extra.torque_nm": read.vectors_type(number, 3),
+        "extra.press_depth_m": pa.list_(number),
+        "extra.contact_point_m": read.vectors_type(number, 2),
+        "extra.slide_m": read.vectors_type(number, 2),
+        "extra.twist_rad": pa.list_(number),
+    }
+    if press.markers is not None:
+        flow = read.vectors_type(number, 2 * press.markers[0] * press.markers[1])
+        types |= {"extra.marker_positions_px": flow, "extra.marker_flow_px": flow}
+    if press.contact_maps:
+        pixels = size_px[0] * size_px[1]
+        types |= {
+            "extra.pressure_kpa": read.vectors_type(half, pixels),
+            "extra.displacement_mm": read.vectors_type(half, 3 * pixels),
+        }
+    return types
+
+
+def elastic_values(
+    press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: Sensor, size_px: tuple[int, int]
+) -> dict[str, Any]:
+    """Return the attributes of a row of touches of an elastic gel."""
+    contacts = pressed.contacts
+    force_n = np.array([each.force_n for each in contacts])
+    torque_nm = np.array([each.torque_nm for each in contacts])
+    # Where the force of the press acts: the moments of it alone about x and y.
+    point_m = np.column_stack([-torque_nm[:, 1], torque_nm[:, 0]]) / force_n[:, 2:]
+    values: dict[str, Any] = {
+        "force_n": force_n,
+        "torque_nm": torque_nm,
+        "press_depth_m": np.array([each.depth_m for each in contacts]),
+        "contact_point_m": point_m,
+        "slide_m": loads.slide_m,
+        "twist_rad": loads.twist_rad,
+    }
+    values = {name: each.astype(np.float32) for name, each in values.items()}
+    if press.markers is not None:
+        positions_px = markers_px(press.markers, pressed, sensor, size_px)
+        flow_px = positions_px - marker_grid_px(press.markers, size_px)
+        for name, each in (("marker_positions_px", positions_px), ("marker_flow_px", flow_px)):
+            values[name] = each.reshape(len(contacts), -1).astype(np.float32)
+    if press.contact_maps:
+        pressure_kpa = [_averaged(each.pressure_pa[..., None] / _KILO, size_px) for each in contacts]
+        moved_mm = [_averaged(each.displacement_m / _MILLI, size_px) for each in contacts]
+        for name, maps in (("pressure_kpa", pressure_kpa), ("displacement_mm", moved_mm)):
+            values[name] = np.array(maps, np.float16).reshape(len(contacts), -1)
+    return values
+
+
+def markers_px(
+    markers: tuple[int, int], pressed: Pressed, sensor: Sensor, size_px: tuple[int, int]
+) -> Float64:
+    """Return where the markers of T touches are, shape (T, rows, columns, 2), pixels."""
+    moved = [
+        marker_positions_px(each.displacement_m, sensor.window_m, markers, size_px)
+        for each in pressed.contacts
+    ]
+    return np.array(moved)
+
+
+def _averaged(values: Float64, size_px: tuple[int, int]) -> Float32:
+    """Return maps (H, W, k) in the size of the image: means over the area of each pixel."""
+    if values.shape[1::-1] == size_px:
+        return values.astype(np.float32)
+    parts = np.moveaxis(values, -1, 0).astype(np.float32)
+    scaled = [Image.fromarray(part).resize(size_px, Image.Resampling.BOX) for part in parts]
+    return np.stack([np.asarray(part, np.float32) for part in scaled], axis=-1)

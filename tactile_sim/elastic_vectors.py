@@ -1,0 +1,248 @@
+"""Steps of Fourier transforms on vectors of numbers, in LLVM's instructions, which numba does not use.
+
+Each operation is an IEEE one, in the order in which it is written. Arrays are flat; a vector lies at any
+place of them. Numba's cache on disk does not look at this file: when it changes, change
+``elastic_response.py`` and ``elastic_kernels.py``, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+from llvmlite import ir
+from numba import types
+from numba.extending import intrinsic
+
+from tactile_sim.taxim_kernels import spread
+
+LANES = 16
+"""Numbers that are computed at once."""
+
+_SINE_60 = math.sqrt(0.75)
+
+Vector: TypeAlias = Any
+Complex: TypeAlias = tuple[Vector, Vector]
+
+
+class _Lanes:
+    """Vectors of an array, and sums and products of complex ones, while code is built."""
+
+    def __init__(self, context: Any, builder: Any, kinds: Any, arrays: Any) -> None:
+        self.builder = builder
+        self.kind = ir.VectorType(context.get_data_type(kinds[0].dtype), LANES)
+        self.arrays = [
+            context.make_array(kind)(context, builder, array).data
+            for kind, array in zip(kinds, arrays, strict=True)
+        ]
+
+    def _pointer(self, array: int, place: Any) -> Any:
+        builder: Any = self.builder
+        return builder.bitcast(builder.gep(self.arrays[array], [place]), self.kind.as_pointer())
+
+    def load(self, array: int, place: Any) -> Vector:
+        return self.builder.load(self._pointer(array, place), align=4)
+
+    def store(self, vector: Vector, array: int, place: Any) -> None:
+        self.builder.store(vector, self._pointer(array, place), align=4)
+
+    def number(self, array: int, place: Any) -> Vector:
+        return spread(
+            self.builder, self.builder.load(self.builder.gep(self.arrays[array], [place])), self.kind
+        )
+
+    def constant(self, value: float) -> Vector:
+        return ir.Constant(self.kind, [value] * LANES)
+
+    def add(self, a: Complex, b: Complex) -> Complex:
+        return self.builder.fadd(a[0], b[0]), self.builder.fadd(a[1], b[1])
+
+    def subtract(self, a: Complex, b: Complex) -> Complex:
+        return self.builder.fsub(a[0], b[0]), self.builder.fsub(a[1], b[1])
+
+    def scale(self, a: Complex, factor: Vector) -> Complex:
+        return self.builder.fmul(a[0], factor), self.builder.fmul(a[1], factor)
+
+    def turn(self, a: Complex, sign: int) -> Complex:
+        """Multiply by i or -i."""
+        zero = self.constant(-0.0)
+        if sign > 0:
+            return self.builder.fsub(zero, a[1]), a[0]
+        return a[1], self.builder.fsub(zero, a[0])
+
+    def multiply(self, a: Complex, b: Complex, is_conjugate: bool) -> Complex:
+        build: Any = self.builder
+        real, cross = build.fmul(a[0], b[0]), build.fmul(a[1], b[1])
+        first, second = build.fmul(a[1], b[0]), build.fmul(a[0], b[1])
+        if is_conjugate:
+            return build.fadd(real, cross), build.fsub(first, second)
+        return build.fsub(real, cross), build.fadd(first, second)
+
+
+def _small_transform(lanes: _Lanes, x: list[Complex], sign: int) -> list[Complex]:
+    """Transform 2, 3 or 4 numbers, with exp(sign * i ...)."""
+    if len(x) == 2:
+        return [lanes.add(x[0], x[1]), lanes.subtract(x[0], x[1])]
+    if len(x) == 3:
+        both = lanes.add(x[1], x[2])
+        middle = lanes.subtract(x[0], lanes.scale(both, lanes.constant(0.5)))
+        side = lanes.turn(lanes.scale(lanes.subtract(x[1], x[2]), lanes.constant(_SINE_60)), sign)
+        return [lanes.add(x[0], both), lanes.add(middle, side), lanes.subtract(middle, side)]
+    even, odd = lanes.add(x[0], x[2]), lanes.add(x[1], x[3])
+    less, side = lanes.subtract(x[0], x[2]), lanes.turn(lanes.subtract(x[1], x[3]), sign)
+    return [
+        lanes.add(even, odd),
+        lanes.add(less, side),
+        lanes.subtract(even, odd),
+        lanes.subtract(less, side),
+    ]
+
+
+def _butterfly(radix: int, sign: int) -> Any:
+    """Return a step of a transform: ``radix`` vectors, ``step`` apart from ``at`` on, in place.
+
+    Forward (sign -1) the results are multiplied by twiddle factors, backward the numbers before.
+    """
+
+    def typed(
+        _typing: Any, re: Any, im: Any, twiddles: Any, at: Any, step: Any, first: Any
+    ) -> tuple[Any, Callable[..., Any]]:
+        place = types.int64
+
+        def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+            lanes = _Lanes(context, builder, signature.args[:3], given[:3])
+            places = [given[3]]
+            for _ in range(radix - 1):
+                places.append(builder.add(places[-1], given[4]))
+            x = [(lanes.load(0, here), lanes.load(1, here)) for here in places]
+            one = ir.Constant(given[5].type, 1)
+            factors, here = [], given[5]
+            for _ in range(radix - 1):
+                pair = []
+                for _ in range(2):
+                    pair.append(lanes.number(2, here))
+                    here = builder.add(here, one)
+                factors.append((pair[0], pair[1]))
+            if sign > 0:
+                x[1:] = [lanes.multiply(a, b, True) for a, b in zip(x[1:], factors, strict=True)]
+            y = _small_transform(lanes, x, sign)
+            if sign < 0:
+                y[1:] = [lanes.multiply(a, b, False) for a, b in zip(y[1:], factors, strict=True)]
+            for (real, imaginary), here in zip(y, places, strict=True):
+                lanes.store(real, 0, here)
+                lanes.store(imaginary, 1, here)
+            return context.get_dummy_value()
+
+        return types.void(re, im, twiddles, place, place, place), build
+
+    return intrinsic(typed)
+
+
+forward_2, forward_3, forward_4 = (_butterfly(radix, -1) for radix in (2, 3, 4))
+backward_2, backward_3, backward_4 = (_butterfly(radix, 1) for radix in (2, 3, 4))
+
+
+def _copy(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
+    """Copy LANES numbers from ``at`` on, to ``to``."""
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        lanes = _Lanes(context, builder, signature.args[:2], given[:2])
+        lanes.store(lanes.load(0, given[2]), 1, given[3])
+        return context.get_dummy_value()
+
+    return types.void(source, target, types.int64, types.int64), build
+
+
+copy_vector: Any = intrinsic(_copy)
+
+
+def _transpose(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
+    """Transpose LANES x LANES numbers, contiguous from ``at`` on, to ``to``."""
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        lanes = _Lanes(context, builder, signature.args[:2], given[:2])
+        kind = given[2].type
+
+        def row(start: Any, number: int) -> Any:
+            return builder.add(start, ir.Constant(kind, number * LANES))
+
+        rows = [lanes.load(0, row(given[2], number)) for number in range(LANES)]
+        # Rows that lie half of their number apart are merged, four times over: a perfect shuffle each time.
+        low, high = (
+            ir.Constant(
+                ir.VectorType(ir.IntType(32), LANES),
+                [(LANES * (number % 2) + number // 2 + start) for number in range(LANES)],
+            )
+            for start in (0, LANES // 2)
+        )
+        for _ in range(LANES.bit_length() - 1):
+            merged = []
+            for number in range(LANES // 2):
+                pair = (rows[number], rows[number + LANES // 2])
+                merged += [builder.shuffle_vector(*pair, low), builder.shuffle_vector(*pair, high)]
+            rows = merged
+        for number, vector in enumerate(rows):
+            lanes.store(vector, 1, row(given[3], number))
+        return context.get_dummy_value()
+
+    return types.void(source, target, types.int64, types.int64), build
+
+
+transpose: Any = intrinsic(_transpose)
+
+
+def _split(
+    _typing: Any, re: Any, im: Any, out_re: Any, out_im: Any, at: Any, mirror: Any, first: Any, second: Any
+) -> tuple[Any, Callable[..., Any]]:
+    """Write twice the spectra of the two real fields of a complex one: at k, from k and -k."""
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        lanes = _Lanes(context, builder, signature.args[:4], given[:4])
+        here, there = ((lanes.load(0, place), lanes.load(1, place)) for place in given[4:6])
+        both, less = lanes.add(here, there), lanes.subtract(here, there)
+        lanes.store(both[0], 2, given[6])
+        lanes.store(less[1], 3, given[6])
+        lanes.store(both[1], 2, given[7])
+        lanes.store(builder.fsub(there[0], here[0]), 3, given[7])
+        return context.get_dummy_value()
+
+    place = types.int64
+    return types.void(re, im, out_re, out_im, place, place, place, place), build
+
+
+split_fields: Any = intrinsic(_split)
+
+
+def _join(
+    _typing: Any, re: Any, im: Any, out_re: Any, out_im: Any, at: Any, mirror: Any, first: Any, second: Any
+) -> tuple[Any, Callable[..., Any]]:
+    """Write the spectrum of a complex field at k and -k, of the spectra of its two real ones at k."""
+
+    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        lanes = _Lanes(context, builder, signature.args[:4], given[:4])
+        a, b = ((lanes.load(0, place), lanes.load(1, place)) for place in given[6:8])
+        lanes.store(builder.fsub(a[0], b[1]), 2, given[4])
+        lanes.store(builder.fadd(a[1], b[0]), 3, given[4])
+        lanes.store(builder.fadd(a[0], b[1]), 2, given[5])
+        lanes.store(builder.fsub(b[0], a[1]), 3, given[5])
+        return context.get_dummy_value()
+
+    place = types.int64
+    return types.void(re, im, out_re, out_im, place, place, place, place), build
+
+
+join_fields: Any = intrinsic(_join)
+
+
+def _keep_apart(_typing: Any) -> tuple[Any, Callable[..., Any]]:
+    """Keep LLVM from copying the function that calls this into others, which then compile much longer."""
+
+    def build(context: Any, builder: Any, _signature: Any, _given: Any) -> Any:
+        builder.function.attributes.add("noinline")
+        return context.get_dummy_value()
+
+    return types.void(), build
+
+
+keep_apart: Any = intrinsic(_keep_apart)

@@ -1,0 +1,413 @@
+"""The elastic gel and the textbook: formulas, where a contact has one, and laws that each contact obeys."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import given, settings, strategies as st
+
+import tactile_sim
+from tactile_sim import elastic, elastic_layer
+from tactile_toolkit.errors import InputError
+from tests.tactile_sim import elastic_formulas as formulas
+from tests.tactile_sim.elastic_bodies import (
+    E_PA,
+    FREE,
+    LAYER_M,
+    PIXEL_M,
+    REDUCED_PA,
+    area_radius_m,
+    bumps,
+    grid,
+    grid_of,
+    punch,
+    punch_on_layer,
+    shear_pa,
+    sphere,
+)
+from tests.tactile_sim.elastic_reference import PlainSolver
+
+thorough = pytest.mark.thorough
+
+
+@pytest.mark.parametrize("count", [128, pytest.param(256, marks=thorough)])
+def test_sphere_on_a_half_space(count):
+    radius_m, depth_m = 0.02, 1e-3
+    pixel_m = 0.016 / count
+    x, y = grid(count, pixel_m)
+    far_m = np.hypot(x, y)
+    heights = sphere(count, pixel_m, radius_m)
+    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m)
+    force_n, contact_m, peak_pa = formulas.hertz(contact.depth_m - heights.max(), radius_m, REDUCED_PA)
+    assert contact.force_n[2] == pytest.approx(force_n, rel=1e-3)
+    assert area_radius_m(contact.is_contact, pixel_m) == pytest.approx(contact_m, rel=0.01)
+    inside, outside = far_m < 0.9 * contact_m, far_m > 1.02 * contact_m
+    profile = peak_pa * np.sqrt(1 - (far_m[inside] / contact_m) ** 2)
+    np.testing.assert_allclose(contact.pressure_pa[inside], profile, rtol=0.01)
+    sunk_m = formulas.hertz_outside(far_m[outside], depth_m, contact_m)
+    assert np.abs(contact.displacement_m[..., 2][outside] - sunk_m).max() < 1e-6
+
+
+@pytest.mark.parametrize("count", [128, pytest.param(256, marks=thorough)])
+def test_cone_and_punch_on_a_half_space(count):
+    pixel_m, depth_m, slope = 0.01 / count, 2e-4, 0.1
+    x, y = grid(count, pixel_m)
+    heights = -slope * np.hypot(x, y)
+    contact = tactile_sim.solve_contact(
+        heights, pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m + heights.max()
+    )
+    assert contact.force_n[2] == pytest.approx(formulas.cone_force(depth_m, slope, REDUCED_PA), rel=0.005)
+    flat = tactile_sim.solve_contact(
+        punch(count, pixel_m, 0.004), pixel_m, FREE, thickness_m=math.inf, depth_m=depth_m
+    )
+    assert flat.force_n[2] == pytest.approx(formulas.punch_force(depth_m, 0.004, REDUCED_PA), rel=0.01)
+
+
+def test_long_cylinder():
+    # A window of 8 x 64 contact widths; its ends carry more.
+    rows, columns, pixel_m, radius_m = 512, 64, 5e-5, 0.02
+    x = (np.arange(columns) - (columns - 1) / 2) * pixel_m
+    heights = np.broadcast_to(-(x**2) / (2 * radius_m), (rows, columns))
+    contact = tactile_sim.solve_contact(heights, pixel_m, FREE, thickness_m=math.inf, depth_m=1e-4)
+    middle = contact.pressure_pa[rows // 2 - 8 : rows // 2 + 8].mean(0)
+    peak_pa = formulas.line_peak(middle.sum() * pixel_m, radius_m, REDUCED_PA)
+    assert middle.max() == pytest.approx(peak_pa, rel=0.005)
+    ends = contact.pressure_pa[[0, -1]].max()
+    assert ends > 2 * peak_pa
+
+
+STIFFNESS = {
+    0.3: (1.2066, 1.4726, 2.4835, 4.3532),
+    0.45: (1.2523, 1.5993, 3.0914, 6.4206),
+    0.49: (1.2741, 1.6638, 3.4840, 8.3370),
+    0.4999: (1.2806, 1.6835, 3.6173, 9.1402),
+}
+"""Of a flat punch on a bonded layer, for a / h of 0.2, 0.4, 1 and 2: values of another solution of Fredholm's
+equation."""
+
+
+@pytest.mark.parametrize("poisson_ratio", STIFFNESS)
+@pytest.mark.parametrize("number", range(4))
+def test_punch_on_the_bonded_layer(poisson_ratio, number):
+    ratio = (0.2, 0.4, 1.0, 2.0)[number]
+    expected = formulas.stiffness(ratio, poisson_ratio, nodes=80)
+    assert expected == pytest.approx(STIFFNESS[poisson_ratio][number], abs=6e-5)
+    unit_n = 4 * shear_pa(poisson_ratio) * ratio * LAYER_M * 1e-5 / (1 - poisson_ratio)
+    found = punch_on_layer(ratio, poisson_ratio, 160) / unit_n
+    assert found == pytest.approx(expected, rel=0.01)
+
+
+@pytest.mark.parametrize(
+    ("poisson_ratio", "ratio", "over"),
+    [(0.4999, 5, 2.71), (0.4999, 8, 1.92), (0.3, 4, 1.063), (0.3, 8, 1.031)],
+)
+def test_thin_layer_comes_to_its_limit_from_above(poisson_ratio, ratio, over):
+    force_n = punch_on_layer(ratio, poisson_ratio, 160)
+    shear = shear_pa(poisson_ratio)
+    if poisson_ratio == 0.3:
+        limit_n = formulas.thin_compressible(ratio, shear, poisson_ratio, 1e-5, LAYER_M)
+        assert force_n / limit_n == pytest.approx(over, rel=0.01)
+        return
+    limit_n = formulas.thin_incompressible(ratio, shear, 1e-5, LAYER_M)
+    assert force_n / limit_n == pytest.approx(over, rel=0.02)
+    # The surface bulges beside the punch, which therefore acts as a larger one.
+    wider_n = formulas.thin_incompressible(ratio + 1.45, shear, 1e-5, LAYER_M)
+    assert force_n / wider_n == pytest.approx(1.0, rel=0.03)
+
+
+@given(st.floats(0.05, 8), st.sampled_from([0.0, 0.3, 0.45, 0.49, 0.4999]))
+def test_layer_answers_waves_as_its_equations_over_depth(wave, poisson_ratio):
+    z, a, n, b = (
+        wave * float(each[0]) for each in elastic_layer.layer_response(np.array([wave]), poisson_ratio)
+    )
+    assert np.abs(formulas.layer_waves(wave, poisson_ratio) - [z, a, n, n, b]).max() < 1e-9
+
+
+def test_thick_layer_is_a_half_space():
+    for poisson_ratio in (0.0, 0.3, 0.5):
+        thick = elastic_layer.layer_response(np.array([40.0]), poisson_ratio)
+        limits = (1 - poisson_ratio, 1 - poisson_ratio, (1 - 2 * poisson_ratio) / 2, 1.0)
+        np.testing.assert_allclose(40 * np.ravel(thick), limits, atol=1e-15)
+    shape, pixel_m = (20, 30), (2e-4, 1e-4)
+    near = elastic_layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, math.inf)
+    far = elastic_layer.pixel_kernels(shape, pixel_m, 1.0, 0.49, 10.0)
+    for name in elastic_layer.NAMES:
+        assert np.abs(near[name] - far[name]).max() < 1e-3 * np.abs(near["zz"]).max()
+
+
+def response_to_smooth_load(poisson_ratio, count=64, width_m=2e-3):
+    """Return displacements by a bell of pressure and of traction along x: by kernels, and by waves alone."""
+    pixel_m = 0.02 / count
+    solver = PlainSolver((count, count), (pixel_m, pixel_m), tactile_sim.Gel(E_PA, poisson_ratio), LAYER_M)
+    x, y = grid(count, pixel_m)
+    load = np.exp(-(x**2 + y**2) / (2 * width_m**2))[::-1]
+    moved = solver.tangential(load.astype(complex))
+    ours = (solver.normal(load), solver.sideways(load).real, moved.real, moved.imag)
+    # A periodic window, so large that its neighbours are far away.
+    wide = 8 * count
+    padded = np.zeros((wide, wide))
+    padded[:count, :count] = load
+    k_x, k_y = np.meshgrid(*[2 * np.pi * np.fft.fftfreq(wide, pixel_m)] * 2)
+    k = np.hypot(k_x, k_y)
+    k[0, 0] = 1e-6 / LAYER_M
+    z, a, n, b = (LAYER_M / shear_pa(poisson_ratio) * each for each in waves_of(k * LAYER_M, poisson_ratio))
+    # Each pixel bears the same load all over.
+    spectrum = (
+        np.fft.fft2(padded) * np.sinc(k_x * pixel_m / (2 * np.pi)) * np.sinc(k_y * pixel_m / (2 * np.pi))
+    )
+    along, across = (k_x / k) ** 2, (k_y / k) ** 2
+    answers = (z, 1j * n * k_x / k, a * along + b * across, (a - b) * k_x * k_y / k**2)
+    return zip(ours, [np.fft.ifft2(spectrum * each).real[:count, :count] for each in answers], strict=True)
+
+
+def waves_of(waves, poisson_ratio):
+    return elastic_layer.layer_response(np.maximum(waves, 1e-3), poisson_ratio)
+
+
+@pytest.mark.parametrize("poisson_ratio", [0.3, 0.49])
+def test_kernels_of_pixels_add_up_to_the_response_to_a_smooth_load(poisson_ratio):
+    for ours, waves in response_to_smooth_load(poisson_ratio):
+        assert np.abs(ours - waves).max() < 6e-3 * np.abs(waves).max()
+
+
+@pytest.mark.parametrize("share", [0.5, pytest.param(0.2, marks=thorough), pytest.param(0.8, marks=thorough)])
+def test_slide_of_a_sphere(share):
+    """Partial slip; Mindlin neglects the traction across the slide, so the tolerance holds for nu = 0.5."""
+    count, radius_m, force_n = 192, 0.02, 0.5
+    gel = tactile_sim.Gel(E_PA, 0.5, 0.4)
+    contact_m = (3 * force_n * radius_m * (1 - 0.25) / (4 * E_PA)) ** (1 / 3)
+    pixel_m = 2.4 * contact_m / count
+    slide_m, inner = formulas.mindlin_slide(share, 0.4, force_n, contact_m, gel.shear_modulus_pa, 0.5)
+    contact = tactile_sim.solve_contact(
+        sphere(count, pixel_m, radius_m),
+        pixel_m,
+        gel,
+        thickness_m=math.inf,
+        force_n=force_n,
+        slide_m=(slide_m, 0),
+    )
+    assert contact.force_n[0] == pytest.approx(share * 0.4 * force_n, rel=0.01)
+    assert contact.force_n[1] == pytest.approx(0.0, abs=1e-4)
+    assert area_radius_m(contact.is_stick, pixel_m) == pytest.approx(inner * contact_m, rel=0.02)
+
+
+@pytest.mark.parametrize(
+    "inner", [0.6, 0.02, pytest.param(0.5, marks=thorough), pytest.param(0.8, marks=thorough)]
+)
+def test_twist_of_a_sphere(inner):
+    count, radius_m, force_n = 128, 0.02, 0.5
+    gel = tactile_sim.Gel(E_PA, 0.5, 0.4)
+    contact_m = (3 * force_n * radius_m * (1 - 0.25) / (4 * E_PA)) ** (1 / 3)
+    pixel_m = 2.4 * contact_m / count
+    twist, torque_nm = formulas.lubkin(inner, 0.4, force_n, contact_m, gel.shear_modulus_pa)
+    contact = tactile_sim.solve_contact(
+        sphere(count, pixel_m, radius_m), pixel_m, gel, thickness_m=math.inf, force_n=force_n, twist_rad=twist
+    )
+    assert contact.torque_nm[2] == pytest.approx(torque_nm, rel=0.01)
+    if inner >= 0.5:
+        assert area_radius_m(contact.is_stick, pixel_m) == pytest.approx(inner * contact_m, rel=0.02)
+    if inner < 0.1:
+        assert torque_nm == pytest.approx(3 * math.pi * 0.4 * force_n * contact_m / 16, rel=0.01)
+
+
+MOTIONS = st.tuples(st.floats(-5e-4, 5e-4), st.floats(-5e-4, 5e-4), st.floats(-0.1, 0.1))
+
+
+@settings(max_examples=12)
+@given(st.integers(0, 999), st.floats(0.2, 8), st.sampled_from([0.0, 0.3, 0.8]), MOTIONS)
+def test_each_contact_obeys_the_laws(seed, force_n, friction, motion):
+    heights, gel = bumps(seed), tactile_sim.Gel(friction=friction)
+    contact = tactile_sim.solve_contact(
+        heights, PIXEL_M, gel, thickness_m=LAYER_M, force_n=force_n, slide_m=motion[:2], twist_rad=motion[2]
+    )
+    pressure, traction, moved = contact.pressure_pa, contact.traction_pa, contact.displacement_m
+    gap_m = moved[..., 2] - (contact.depth_m - (heights.max() - heights))
+    assert pressure.min() >= 0
+    assert gap_m.min() >= 0
+    np.testing.assert_array_equal(gap_m[contact.is_contact], 0)
+    assert (pressure[~contact.is_contact] == 0).all()
+    size = np.hypot(*np.moveaxis(traction, 2, 0))
+    assert (size <= friction * pressure * (1 + 1e-5)).all()
+    assert (contact.is_stick <= contact.is_contact).all()
+    if friction == 0:
+        assert not contact.is_stick.any()
+    # Where it sticks, the gel follows the body.
+    x, y = grid_of(heights.shape)
+    wanted = np.stack([motion[0] - motion[2] * y, motion[1] + motion[2] * x], 2)
+    largest = max(np.abs(wanted).max(), np.abs(moved[..., :2]).max())
+    if contact.is_stick.any():
+        assert np.abs(moved[..., :2] - wanted)[contact.is_stick].max() < 0.03 * largest
+    # Force and torque are the sums of what acts on the pixels.
+    area = PIXEL_M[0] * PIXEL_M[1]
+    loads = np.dstack([traction, pressure]) * area
+    assert contact.force_n[2] == pytest.approx(force_n, rel=1e-5)
+    np.testing.assert_allclose(contact.force_n, loads.sum((0, 1)), atol=1e-9 + 1e-6 * force_n)
+    arms = np.dstack([x, y, np.zeros_like(x)])
+    turned = np.cross(arms, loads).sum((0, 1))
+    np.testing.assert_allclose(contact.torque_nm, turned, atol=1e-9)
+    # The work of the loads is positive.
+    assert (loads * moved).sum() > 0
+
+
+@settings(max_examples=8)
+@given(st.integers(0, 999), MOTIONS)
+def test_mirror_images_have_mirrored_results(seed, motion):
+    heights, gel = bumps(seed), tactile_sim.Gel()
+    (slide_x, slide_y, twist) = motion
+    how = {"thickness_m": LAYER_M, "force_n": 3.0}
+    given_one = tactile_sim.solve_contact(
+        heights, PIXEL_M, gel, slide_m=(slide_x, slide_y), twist_rad=twist, **how
+    )
+    mirrored = tactile_sim.solve_contact(
+        heights[:, ::-1], PIXEL_M, gel, slide_m=(-slide_x, slide_y), twist_rad=-twist, **how
+    )
+    assert mirrored.depth_m == pytest.approx(given_one.depth_m, rel=1e-4)
+    np.testing.assert_allclose(
+        mirrored.displacement_m[:, ::-1] * [-1, 1, 1], given_one.displacement_m, atol=2e-3 * given_one.depth_m
+    )
+    np.testing.assert_allclose(np.multiply(mirrored.torque_nm, [1, -1, -1]), given_one.torque_nm, atol=3e-4)
+    # Rows and columns change places, and so do x and y; turns change their sense.
+    turned = tactile_sim.solve_contact(
+        heights[::-1, ::-1].T, PIXEL_M[::-1], gel, slide_m=(slide_y, slide_x), twist_rad=-twist, **how
+    )
+    np.testing.assert_allclose(
+        turned.displacement_m[..., [1, 0, 2]].transpose(1, 0, 2)[::-1, ::-1],
+        given_one.displacement_m,
+        atol=2e-3 * given_one.depth_m,
+    )
+
+
+def test_depth_and_force_are_two_ways_to_one_contact():
+    for friction in (0.0, 0.5):
+        gel = tactile_sim.Gel(friction=friction)
+        pressed = tactile_sim.solve_contact(bumps(3), PIXEL_M, gel, thickness_m=LAYER_M, force_n=4.0)
+        again = tactile_sim.solve_contact(
+            bumps(3), PIXEL_M, gel, thickness_m=LAYER_M, depth_m=pressed.depth_m
+        )
+        assert again.depth_m == pytest.approx(pressed.depth_m, rel=1e-12)
+        assert again.force_n[2] == pytest.approx(4.0, rel=2e-3)
+        deeper = tactile_sim.solve_contact(bumps(3) + 1.0, PIXEL_M, gel, thickness_m=LAYER_M, force_n=8.0)
+        assert deeper.depth_m > pressed.depth_m
+        assert deeper.is_contact.sum() > pressed.is_contact.sum()
+
+
+def test_finer_grids_converge_and_half_a_pixel_changes_little():
+    def depth_m(count, shift=0.0):
+        x, y = grid(count, 0.012 / count)
+        heights = -((x - shift) ** 2 + (y + shift) ** 2) / 0.02
+        contact = tactile_sim.solve_contact(heights, 0.012 / count, FREE, thickness_m=LAYER_M, force_n=1.0)
+        return contact.depth_m - heights.max()
+
+    coarse, middle, fine = map(depth_m, (64, 128, 256))
+    assert abs(middle - coarse) < 2e-6
+    assert abs(fine - middle) < 5e-7
+    assert abs(depth_m(64, 0.5 * 0.012 / 64) - coarse) < 2e-6
+
+
+def test_results_depend_on_the_arguments_alone():
+    def result(seed):
+        contact = tactile_sim.solve_contact(
+            bumps(seed), PIXEL_M, tactile_sim.Gel(), thickness_m=LAYER_M, force_n=5.0, slide_m=(2e-4, 0)
+        )
+        arrays = (contact.pressure_pa, contact.traction_pa, contact.displacement_m, contact.is_stick)
+        return tuple(each.tobytes() for each in arrays) + contact.force_n + contact.torque_nm
+
+    seeds = list(range(6))
+    first = [result(seed) for seed in seeds]
+    assert [result(seed) for seed in reversed(seeds)] == first[::-1]
+    with ThreadPoolExecutor(4) as pool:
+        assert list(pool.map(result, seeds)) == first
+
+
+@pytest.mark.parametrize("motion", [(0.0, 0.0, 0.0), (3e-4, 0.0, 0.03)])
+@pytest.mark.parametrize("friction", [0.0, 0.5])
+def test_single_precision_is_near_a_solution_in_double(friction, motion):
+    heights, gel = bumps(5, (64, 86)), tactile_sim.Gel(friction=friction)
+    pixel_m = (0.01888 / 86, 0.01416 / 64)
+    ours = tactile_sim.solve_contact(
+        heights, pixel_m, gel, thickness_m=LAYER_M, force_n=5.0, slide_m=motion[:2], twist_rad=motion[2]
+    )
+    exact = PlainSolver(heights.shape, pixel_m, gel, LAYER_M).solve(heights[::-1], 5.0, motion)
+    assert ours.depth_m == pytest.approx(exact.depth_m, abs=1e-7)
+    assert np.abs(ours.displacement_m - exact.displacement_m[::-1]).mean() < 1e-7
+    assert np.abs(ours.traction_pa - exact.traction_pa[::-1]).mean() < 5e-3 * ours.pressure_pa.max()
+
+
+def test_blocks_of_pixels_are_near_the_whole():
+    pixel_m = (0.01888 / 160, 0.01416 / 120)
+    y, x = np.mgrid[:120, :160]
+    heights = np.maximum(-(((x - 70) / 160) ** 2 + ((y - 50) / 160) ** 2) * 0.01, -2e-3)
+    heights += 2e-5 * np.sin(x / 3.0) * np.cos(y / 5.0)
+    whole, blocks = (
+        tactile_sim.solve_contact(
+            heights, pixel_m, tactile_sim.Gel(), thickness_m=LAYER_M, force_n=5.0, block_px=size
+        )
+        for size in (1, 2)
+    )
+    assert blocks.pressure_pa.shape == whole.pressure_pa.shape
+    assert abs(blocks.depth_m - whole.depth_m) < 1e-5
+    assert np.abs(blocks.displacement_m - whole.displacement_m).mean() < 3e-6
+    assert blocks.force_n[2] == pytest.approx(5.0, rel=1e-5)
+
+
+def test_large_images_are_solved_on_blocks():
+    sizes = {(64, 86): 1, (64, 64): 1, (240, 320): 4, (480, 640): 8, (96, 101): 1, (101, 103): 1, (97, 97): 1}
+    assert {size: elastic.block_px(*size) for size in sizes} == sizes
+
+
+def test_reciprocity_of_single_loads():
+    """Work of one load on the displacement by another is the same both ways, of all components."""
+    solver = PlainSolver((24, 30), (3e-4, 2e-4), tactile_sim.Gel(poisson_ratio=0.45), LAYER_M)
+    rng = np.random.default_rng(0)
+    loads, moved = [], []
+    for _ in range(2):
+        pressure, traction = rng.normal(size=(24, 30)), rng.normal(size=(24, 30, 2)) @ [1, 1j]
+        across = solver.tangential(traction) + solver.sideways(pressure)
+        loads.append((traction.real, traction.imag, pressure))
+        moved.append((across.real, across.imag, solver.normal(pressure) + solver.lifted(traction)))
+    works = [np.sum(np.multiply(loads[one], moved[1 - one])) for one in range(2)]
+    assert works[0] == pytest.approx(works[1], rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"force_n": None}, "exactly one of depth_m and force_n"),
+        ({"depth_m": 1e-3}, "exactly one of depth_m and force_n"),
+        ({"force_n": 0.0}, "force_n is 0.0; expected a number above 0"),
+        ({"force_n": math.nan}, "force_n is nan"),
+        ({"height_m": np.zeros(5)}, "height_m has shape (5,)"),
+        ({"height_m": np.full((4, 4), np.nan)}, "not finite"),
+        ({"height_m": np.empty((0, 4))}, "height_m has shape (0, 4)"),
+        ({"pixel_m": (1e-4, 0.0)}, "pixel_m is (0.0001, 0.0)"),
+        ({"pixel_m": (1e-4, 1e-4, 1e-4)}, "expected a number above 0, metres, or width and height"),
+        ({"slide_m": (math.inf, 0.0)}, "slide_m is (inf, 0.0)"),
+        ({"slide_m": (0.0,)}, "expected two finite numbers and one"),
+        ({"thickness_m": 0.0}, "thickness_m is 0.0"),
+        ({"block_px": 3}, "block_px is 3"),
+        ({"block_px": 0}, "block_px is 0"),
+    ],
+)
+def test_what_cannot_be_solved_is_refused(change, words):
+    arguments = {
+        "height_m": bumps(1),
+        "pixel_m": 1e-4,
+        "gel": tactile_sim.Gel(),
+        "thickness_m": LAYER_M,
+        "force_n": 1.0,
+        **change,
+    }
+    with pytest.raises(InputError) as caught:
+        tactile_sim.solve_contact(**arguments)
+    assert words in str(caught.value)
+
+
+def test_a_gel_states_its_limits():
+    with pytest.raises(InputError, match="poisson_ratio"):
+        tactile_sim.Gel(poisson_ratio=0.51)
+    with pytest.raises(InputError, match="youngs_modulus_pa"):
+        dataclasses.replace(tactile_sim.Gel(), youngs_modulus_pa=0)

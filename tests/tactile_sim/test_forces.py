@@ -1,0 +1,438 @@
+"""Presses of an elastic gel in touches, sets and commands: what is stored is what the solver says."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import realtouch
+import tactile_sim
+from realtouch.force_pictures import force_views
+from tactile_sim import ElasticPress, Gel, GenerateSpec, TouchPlan, center_view, full_view, pose
+from tactile_sim.markers import draw_markers
+from tactile_sim.optics import make_optics
+from tactile_toolkit.errors import InputError
+from tests.command_line import call
+from tests.tactile_sim.solids import ball, block
+
+pytestmark = pytest.mark.sim
+
+GEL, STUCK = Gel(), Gel(friction=1000.0)
+SENSOR = center_view(32, 32)
+PRESS = ElasticPress(GEL, (1.0, 4.0), slide_m=(0.0, 0.0004), twist_rad=(-0.05, 0.05), markers=(5, 4))
+SPEC = GenerateSpec(
+    (32, 24), "depth", plan=TouchPlan(2, 3, "object", seed=4), image_format="png", press=PRESS
+)
+SOLIDS = {"ball": [ball(0.006, 2)], "block": [block()]}
+
+
+def _press(solid, sensor=SENSOR, at=(0.0, 0.0), **loads):
+    return tactile_sim.render_touch(solid, pose(), pose(*at), sensor, **{"gel": GEL, **loads})
+
+
+def _bytes(folder: Path) -> dict[str, bytes]:
+    return {str(f.relative_to(folder)): f.read_bytes() for f in sorted(folder.rglob("*.parquet"))}
+
+
+@pytest.fixture(scope="module")
+def touches(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("forces") / "set"
+    spec = dataclasses.replace(SPEC, press=dataclasses.replace(PRESS, contact_maps=True))
+    tactile_sim.generate(SOLIDS, spec, folder)
+    return folder
+
+
+def test_the_sensor_stops_at_the_force_and_the_picture_is_the_surface():
+    pressed = _press(ball(0.006), at=(0.002, -0.001), force_n=3.0)
+    contact = pressed.contact
+    assert contact.force_n[2] == pytest.approx(3.0, rel=1e-6)
+    assert np.abs(contact.force_n[:2]).max() < 0.01
+    # The ball is 2 mm to the left and 1 mm above the middle of the sensor: moments of its force.
+    assert contact.torque_nm[:2] == pytest.approx([3.0 * 0.001, 3.0 * 0.002], rel=2e-3)
+    assert abs(contact.torque_nm[2]) < 2e-5
+    # Where it touches, the surface is the ball; beside it the gel bulges, and never reaches into the ball.
+    heights_m = pressed.sensor_z_m - pressed.depth_m
+    x, y = (np.arange(32) + 0.5 - 16) * 0.01416 / 32, (15.5 - np.arange(32)) * 0.01416 / 32
+    x, y = x + SENSOR.sample_px[0] * 0.01416 / 32 + 0.002, y + SENSOR.sample_px[1] * 0.01416 / 32 - 0.001
+    square = x[None] ** 2 + y[:, None] ** 2
+    round_m = 0.006 + np.sqrt(np.maximum(0.006**2 - square, 0.0))
+    inside = contact.is_contact & (square < 0.004**2)
+    assert inside.sum() > 50
+    assert np.abs(heights_m - round_m)[inside].max() < 3e-5  # of the triangles
+    assert (heights_m - round_m)[square < 0.005**2].min() > -3e-5
+    assert pressed.depth_m.max() > SENSOR.gel_m + 2e-5
+    # The highest point that is sampled is `depth_m` deep.
+    assert pressed.depth_m.min() == pytest.approx(SENSOR.gel_m - contact.depth_m, abs=1e-9)
+
+
+def test_windows_of_one_gel_agree_and_forces_are_of_the_whole_gel():
+    """A block that is wider than the small window: the force outside of it counts, too."""
+    beam = block((0.03, 0.004, 0.006))
+    window = dataclasses.replace(center_view(48, 48), sample_px=(0.0, 0.0))
+    small, whole = _press(beam, window, force_n=4.0), _press(beam, full_view(64, 48), force_n=4.0)
+    assert small.sensor_z_m == pytest.approx(whole.sensor_z_m, abs=1e-6)
+    np.testing.assert_allclose(small.depth_m, whole.depth_m[:, 8:-8], atol=1e-6)
+    in_window = small.contact.pressure_pa.sum() * (0.01416 / 48) ** 2
+    assert 2.0 < in_window < 3.6
+    assert small.contact.force_n[2] == pytest.approx(4.0, rel=1e-6)
+
+
+def test_large_images_are_solved_on_blocks():
+    fine, coarse = (
+        _press(ball(), center_view(160, 120), force_n=2.0),
+        _press(ball(), full_view(80, 60), force_n=2.0),
+    )
+    assert fine.contact.pressure_pa.shape == (120, 160)
+    assert fine.sensor_z_m == pytest.approx(coarse.sensor_z_m, abs=1e-5)
+
+
+def test_a_gel_of_too_many_pixels_is_refused():
+    with pytest.raises(InputError, match="the whole gel has 18,960 x 14,160 pixels"):
+        _press(ball(subdivisions=1), tactile_sim.Sensor((64, 64), (6.4e-5, 6.4e-5)), force_n=1.0)
+
+
+def test_a_force_too_large_stops_at_half_the_gel():
+    pressed = _press(ball(0.003), force_n=50.0)
+    assert pressed.contact.depth_m == pytest.approx(SENSOR.gel_m / 2, rel=1e-6)
+    assert pressed.contact.force_n[2] < 50.0
+
+
+def test_a_slide_moves_the_picture_of_the_object_and_its_markers():
+    pixel_m = 0.01416 / 32
+    still = _press(ball(), gel=STUCK, depth_m=0.0008)
+    slid = _press(ball(), gel=STUCK, depth_m=0.0008, slide_m=(2 * pixel_m, pixel_m))
+    # Right by two pixels, and up by one.
+    core = np.zeros((32, 32), bool)
+    core[12:20, 12:20] = True
+    assert still.contact.is_contact[core].all()
+    moved = slid.depth_m[11:19, 14:22]
+    assert np.abs(moved - still.depth_m[12:20, 12:20]).max() < 3e-5
+    assert slid.contact.force_n[0] > 2 * slid.contact.force_n[1] * 0.9 > 0
+    markers = tactile_sim.marker_positions_px(slid.contact.displacement_m, SENSOR.window_m, (3, 3), (32, 32))
+    flow = markers - tactile_sim.marker_grid_px((3, 3), (32, 32))
+    assert flow[1, 1] == pytest.approx([2.0, -1.0], abs=0.02)
+    assert np.abs(flow[0, 0]).max() < 1.0
+
+
+def test_markers_go_outwards_beside_a_press_and_whirl_at_a_twist():
+    rest = tactile_sim.marker_grid_px((8, 8), (32, 32)) - 15.5
+    far = np.hypot(*np.moveaxis(rest, -1, 0))
+
+    def flow(**loads):
+        moved_m = _press(ball(), **loads).contact.displacement_m
+        found = tactile_sim.marker_positions_px(moved_m, SENSOR.window_m, (8, 8), (32, 32))
+        return found - tactile_sim.marker_grid_px((8, 8), (32, 32))
+
+    pressed, turned = flow(force_n=3.0), flow(force_n=3.0, twist_rad=0.1)
+    beside = (far > 10) & (far < 16)
+    outward = (pressed * rest).sum(axis=-1)[beside]
+    assert (outward > 0).all()
+    # Rows count downwards: counter-clockwise is up on the right.
+    whirl = (rest[..., 0] * -(turned - pressed)[..., 1] + rest[..., 1] * (turned - pressed)[..., 0])[far < 10]
+    assert (whirl > 0).all()
+    assert np.abs(((turned - pressed) * rest).sum(axis=-1)[far < 10]).max() < 0.2 * whirl.max()
+
+
+def test_markers_are_dark_dots_where_they_are():
+    grey = np.full((30, 40, 3), 200, np.uint8)
+    places = tactile_sim.marker_grid_px((4, 3), (40, 30))
+    assert places.shape == (3, 4, 2)
+    np.testing.assert_allclose(places[1, 2], [24.5, 14.5])
+    drawn = draw_markers(grey, places + 0.5)
+    assert (drawn[15, 25] < 40).all()
+    assert (drawn[10, 20] == 200).all()
+    weight = 200.0 - drawn[..., 0]
+    rows, columns = np.indices(weight.shape)
+    part = (slice(10, 20), slice(20, 30))
+    assert (weight * columns)[part].sum() / weight[part].sum() == pytest.approx(25.0, abs=0.05)
+    assert (weight * rows)[part].sum() / weight[part].sum() == pytest.approx(15.0, abs=0.05)
+    outside = draw_markers(grey, places + 1e6)
+    assert (outside == grey).all()
+
+
+@pytest.mark.parametrize(
+    ("loads", "told"),
+    [
+        ({"gel": None, "force_n": 5.0}, "force_n is given, but no elastic gel"),
+        ({"gel": None, "slide_m": (0.001, 0.0)}, "slide_m is given, but no elastic gel"),
+        ({}, "neither; expected one of"),
+        ({"force_n": 5.0, "depth_m": 0.001}, "force_n and depth_m; expected one of"),
+        ({"force_n": -1.0}, "force_n is -1; expected above 0"),
+        ({"force_n": np.nan}, "expected a number"),
+        ({"depth_m": 0.005}, "expected above 0 and below 0.00425"),
+        ({"force_n": 5.0, "slide_m": 0.001}, "expected x and y"),
+        ({"force_n": 5.0, "slide_m": (0.0, 0.1)}, "at most 0.001"),
+        ({"force_n": 5.0, "twist_rad": "much"}, "expected a number"),
+        ({"force_n": [1.0, 2.0, 3.0]}, "for each of 1"),
+    ],
+    ids=str,
+)
+def test_loads_that_cannot_be_are_refused(loads, told):
+    with pytest.raises(InputError, match=told):
+        _press(ball(subdivisions=1), **loads)
+
+
+def test_a_touch_of_a_rigid_gel_has_no_contact():
+    pressed = tactile_sim.render_touch(ball(subdivisions=1), pose(), pose(), SENSOR)
+    assert pressed.contacts == ()
+    with pytest.raises(InputError, match="there are 0 contacts"):
+        _ = pressed.contact
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"force_n": (10.0, 1.0)}, "two of them that rise"),
+        ({"force_n": 0.0}, "above 0"),
+        ({"force_n": 1.0, "press_m": 0.001}, "both a force and a depth"),
+        ({"slide_m": -0.001}, "from 0 to 0.001"),
+        ({"twist_rad": 2.0}, "two of them that rise"),
+        ({"twist_rad": (0.1, np.inf)}, "two of them that rise"),
+        ({"markers": (0, 0)}, "columns and rows"),
+        ({"markers": 7}, "columns and rows"),
+        ({"draw_markers": True}, "there are none"),
+    ],
+    ids=str,
+)
+def test_presses_that_cannot_be_are_refused(wrong, told):
+    with pytest.raises(InputError, match=told):
+        ElasticPress(GEL, **wrong)
+
+
+def test_a_press_is_of_the_sensor_and_a_round_fits_into_memory():
+    with pytest.raises(InputError, match="less than the gel is thick"):
+        GenerateSpec(press=ElasticPress(GEL, press_m=0.0043))
+    with pytest.raises(InputError, match="at most 512 with an elastic gel of 320 x 240"):
+        GenerateSpec(window="full", plan=TouchPlan(1, 600), press=ElasticPress(GEL))
+    with pytest.raises(InputError, match="expected an ElasticPress"):
+        GenerateSpec(press=5.0)
+
+
+def test_numbers_become_spans_and_the_force_is_that_of_the_paper():
+    press = ElasticPress(GEL, slide_m=0.0003, markers=np.array([7, 9]))
+    assert (press.force_n, press.slide_m, press.twist_rad) == ((5.0, 5.0), (0.0003, 0.0003), (0.0, 0.0))
+    assert json.loads(json.dumps(press.to_dict()))["markers"] == [7, 9]
+    assert "press" not in GenerateSpec().to_dict()
+    assert GenerateSpec(press=press).to_dict()["press"]["youngs_modulus_pa"] == GEL.youngs_modulus_pa
+
+
+def test_a_set_holds_what_the_solver_says(touches):
+    forces = []
+    for record in realtouch.load(touches, "train"):
+        solid = (ball(0.006, 2), block())[record.object_id]
+        extra, objects = record.extra, record.info["touched_object_pose"]
+        for touch in range(record.touch_count):
+            pressed = tactile_sim.render_touch(
+                solid,
+                objects.matrix[touch],
+                pose(*record.pos_in_cell_m[touch]),
+                center_view(32, 24),
+                gel=GEL,
+                force_n=float(extra["force_n"][touch, 2]),
+                slide_m=extra["slide_m"][touch],
+                twist_rad=float(extra["twist_rad"][touch]),
+            )
+            contact = pressed.contact
+            np.testing.assert_allclose(extra["force_n"][touch], contact.force_n, atol=2e-3)
+            np.testing.assert_allclose(extra["torque_nm"][touch], contact.torque_nm, atol=1e-5)
+            assert extra["press_depth_m"][touch] == pytest.approx(contact.depth_m, abs=1e-6)
+            assert abs(record.gel_pose_cell_frame.position_m[touch, 2] - pressed.sensor_z_m) < 1e-6
+            grey = record.sensor_image[touch][..., 0]
+            assert np.abs(grey - 255 * pressed.image).max() <= 1.0
+            pressure_kpa = extra["pressure_kpa"][touch].reshape(24, 32)
+            np.testing.assert_allclose(1e3 * pressure_kpa, contact.pressure_pa, rtol=0.02, atol=50)
+            moved_mm = extra["displacement_mm"][touch].reshape(24, 32, 3)
+            np.testing.assert_allclose(1e-3 * moved_mm, contact.displacement_m, atol=3e-6)
+            x_m, y_m = extra["contact_point_m"][touch]
+            assert [y_m * 1e3, -x_m * 1e3] == pytest.approx(
+                [1e3 * each / contact.force_n[2] for each in contact.torque_nm[:2]], abs=1e-2
+            )
+            markers = tactile_sim.marker_positions_px(
+                contact.displacement_m, center_view(32, 24).window_m, (5, 4), (32, 24)
+            )
+            np.testing.assert_allclose(extra["marker_positions_px"][touch], markers.ravel(), atol=0.01)
+        forces += extra["force_n"][:, 2].tolist()
+        assert (np.hypot(*extra["slide_m"].T) <= 0.0004).all()
+    assert 1.0 <= min(forces) < 2.0 < 3.0 < max(forces) <= 4.0 + 1e-5
+    assert len(set(forces)) == 12
+
+
+def test_touches_of_the_plate_count_as_such(tmp_path):
+    plan = TouchPlan(1, 6, "given", given=tactile_sim.TouchTable([0.0, 0.035] * 3, [0.0, 0.035] * 3))
+    plan = dataclasses.replace(plan, object_placement="middle", perturb=False)
+    press = dataclasses.replace(PRESS, force_n=(1.0, 10.0), markers=None)
+    tactile_sim.generate(
+        {"block": block()}, dataclasses.replace(SPEC, plan=plan, press=press), tmp_path / "set"
+    )
+    rounds = realtouch.load(tmp_path / "set", "train")
+    assert rounds.touches().in_contact().tolist() == [True, False] * 3
+    manifest = json.loads((tmp_path / "set" / "manifest.json").read_text())
+    assert manifest["shards"][0]["statistics"]["on_object"] == 3
+    assert "1 to 10 N" in (tmp_path / "set" / "README.md").read_text()
+
+
+@pytest.mark.thorough
+def test_the_same_bytes_for_any_workers_and_after_an_interruption(tmp_path, monkeypatch):
+    monkeypatch.setattr("tactile_sim.generation._SHARD_BYTES", 1)
+    monkeypatch.setattr("tactile_sim.generation._SMALLEST_SHARD_BYTES", 1)
+    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "one")
+    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "two", workers=2)
+    assert _bytes(tmp_path / "one") == _bytes(tmp_path / "two")
+    assert len([name for name in _bytes(tmp_path / "one") if name.startswith("data")]) == 4
+    make, made = tactile_sim.generation._make_row, []
+
+    def stopped(*arguments):
+        if len(made) == 2:
+            raise KeyboardInterrupt
+        made.append(arguments)
+        return make(*arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr("tactile_sim.generation._make_row", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
+    assert 0 < len(list((tmp_path / "three" / "data").glob("*.parquet"))) < 4
+    tactile_sim.generate(SOLIDS, SPEC, tmp_path / "three")
+    assert _bytes(tmp_path / "one") == _bytes(tmp_path / "three")
+
+
+def test_forces_and_markers_come_back_from_lerobot(touches, tmp_path):
+    assert call("realtouch", "export", touches, "--format", "lerobot", "--out", tmp_path / "out", "-q") == 0
+    info = json.loads((tmp_path / "out" / "lerobot" / "meta" / "info.json").read_text())
+    shapes = {name: each["shape"] for name, each in info["features"].items()}
+    assert shapes["observation.force_n"] == [3]
+    assert shapes["observation.contact_point_m"] == [2]
+    assert shapes["observation.marker_flow_px"] == [2 * 5 * 4]
+    assert call("realtouch", "import", tmp_path / "out" / "lerobot", "--out", tmp_path / "back", "-q") == 0
+    for one, other in zip(
+        realtouch.load(touches, "train"), realtouch.load(tmp_path / "back", "train"), strict=True
+    ):
+        for name in one.extra:
+            np.testing.assert_array_equal(one.extra[name], other.extra[name], err_msg=name)
+
+
+def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
+    touch = realtouch.load(touches, "train").touches()[0]
+    image, pressure, flow = force_views(touch)
+    assert image.shape == pressure.shape == flow.shape == (24 * 5, 32 * 5, 3)
+    # Bright where it is pressed, dark elsewhere; ink on paper.
+    pressed = touch.extra["pressure_kpa"].reshape(24, 32)
+    small = pressure[2::5, 2::5].sum(axis=2)
+    assert small[pressed > 0.5 * pressed.max()].min() > 2 * small[pressed == 0].mean()
+    assert 0.001 < (flow.sum(axis=2) < 600).mean() < 0.2
+    assert call("realtouch", "gallery", touches, "--out", tmp_path / "site", "-q") == 0
+    assert list(tmp_path.rglob("*stills.jpg"))
+
+
+def test_other_sets_show_their_image_alone(tmp_path):
+    tactile_sim.generate(SOLIDS, dataclasses.replace(SPEC, press=None), tmp_path / "set")
+    touch = realtouch.load(tmp_path / "set", "train").touches()[0]
+    (image,) = force_views(touch)
+    assert (image == touch.image).all()
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [
+        (["--force-n", "5"], "--force-n is given, and the gel is not elastic"),
+        (["--slide-mm", "0.3"], "add --gel elastic"),
+        (["--gel", "none", "--markers", "7x9"], "--markers is given, and the gel is not elastic"),
+        (["--gel", "soft"], "expected none, elastic, or a JSON file"),
+        (["--gel", "elastic", "--force-n", "-5"], "above 0"),
+        (["--gel", "elastic", "--force-n", "1:0"], "two of them that rise"),
+        (["--gel", "elastic", "--force-n", "1:2:3"], "expected a number, or two"),
+        (["--gel", "elastic", "--force-n", "inf"], "expected a number, or two"),
+        (["--gel", "elastic", "--markers", "0x0"], "columns and rows"),
+        (["--gel", "elastic", "--markers", "7"], "expected COLUMNSxROWS"),
+        (["--gel", "elastic", "--draw-markers"], "there are none"),
+        (["--gel", "elastic", "--press-mm", "9"], "less than the gel is thick"),
+        (["--gel", "elastic", "--press-mm", "1", "--force-n", "1"], "both a force and a depth"),
+    ],
+    ids=" ".join,
+)
+@pytest.mark.parametrize("command", ["generate", "render"])
+def test_commands_refuse(command, options, told, tmp_path, capsys):
+    ball(subdivisions=1).export(tmp_path / "ball.stl")
+    out = tmp_path / "touch.png"
+    assert call("tactile-sim", command, tmp_path / "ball.stl", "--unit", "m", *options, "--out", out) == 2
+    assert told in " ".join(capsys.readouterr().err.split())
+    assert not out.exists()
+
+
+def test_the_commands_press(tmp_path, capsys):
+    ball(subdivisions=3).export(tmp_path / "ball.stl")
+    (tmp_path / "gel.json").write_text('{"youngs_modulus_pa": 1e5, "poisson_ratio": 0.45}')
+    base = (tmp_path / "ball.stl", "--unit", "m", "--optics", "depth", "--size", "32x32")
+    out = tmp_path / "touch.png"
+    gel = ("--gel", tmp_path / "gel.json", "--force-n", "2", "--slide-mm", "0.2")
+    assert (
+        call(
+            "tactile-sim", "render", *base, *gel, "--markers", "3x3", "--draw-markers", "--json", "--out", out
+        )
+        == 0
+    )
+    told = json.loads(capsys.readouterr().out)
+    assert told["force_n"][2] == pytest.approx(2.0, rel=1e-4)
+    assert np.hypot(*told["slide_m"]) == pytest.approx(2e-4, rel=1e-5)
+    assert len(told["marker_flow_px"]) == 18
+    softer = told["press_depth_m"]
+    assert (
+        call("tactile-sim", "render", *base, "--gel", "elastic", "--force-n", "2", "--json", "--out", out)
+        == 0
+    )
+    assert json.loads(capsys.readouterr().out)["press_depth_m"] < softer
+    plan = ("--rounds", "1", "--touches", "2", "--positions", "object")
+    assert (
+        call("tactile-sim", "generate", *base, *plan, *gel, "--twist-deg", "-5:5", "--out", tmp_path / "set")
+        == 0
+    )
+    (record,) = realtouch.load(tmp_path / "set", "train")
+    np.testing.assert_allclose(record.extra["force_n"][:, 2], 2.0, rtol=1e-4)
+    assert (np.abs(record.extra["twist_rad"]) <= np.radians(5)).all()
+
+
+def test_the_modulus_of_a_gel_follows_from_presses_on_the_plate():
+    """Synthetic recordings at known depths, with noise and from an unknown zero."""
+    sensor, true = full_view(40, 30), Gel(0.31e6, 0.48)
+    depths_m = np.linspace(5e-5, 3e-4, 8)
+    pressed = tactile_sim.render_touch(
+        block((0.1, 0.1, 0.01)), pose(), pose(), sensor, gel=true, depth_m=float(depths_m[-1])
+    )
+    per_m = pressed.contact.force_n[2] / depths_m[-1]
+    noise_n = np.random.default_rng(1).normal(0, 0.02, 8)
+    found_pa = tactile_sim.fit_youngs_modulus(
+        depths_m + 0.0123, per_m * depths_m + noise_n, sensor, poisson_ratio=0.48
+    )
+    assert found_pa == pytest.approx(0.31e6, rel=0.01)
+    for depths, forces, told in (
+        ([1e-4], [1.0], "two depths or more"),
+        ([1e-4, 1e-4], [1.0, 1.0], "two depths or more"),
+        ([1e-4, 2e-4], [1.0, np.nan], "finite numbers"),
+        ([2e-4, 1e-4], [1.0, 2.0], "does not grow"),
+        ("deep", [1.0], "finite numbers"),
+    ):
+        with pytest.raises(InputError, match=told):
+            tactile_sim.fit_youngs_modulus(depths, forces, sensor)
+
+
+def test_taxim_shows_the_surface_and_does_not_smooth_it():
+    pytest.importorskip("taxim", reason="needs taxim, of the extra sim")
+    sensor, optics = center_view(64, 64), make_optics("taxim")
+    rest = np.full((1, 64, 64), sensor.gel_m)
+    plain = optics.render(rest, sensor, (64, 64))
+    assert (optics.render(rest, sensor, (64, 64), is_surface=True) == plain).all()
+    pressed = _press(ball(), sensor, force_n=5.0)
+    smoothed, shown = (
+        optics.render(pressed.depth_m[None], sensor, (64, 64), is_surface=each)[0].astype(int)
+        for each in (False, True)
+    )
+    assert np.abs(smoothed - shown).max() > 5
+    # A bulge is seen, where the smoothing of Taxim and a gel that ends at its rest show none.
+    bulge = pressed.depth_m > sensor.gel_m + 2e-5
+    flat = np.minimum(pressed.depth_m, sensor.gel_m)[None]
+    below = optics.render(flat, sensor, (64, 64), is_surface=True)[0].astype(int)
+    assert np.abs(shown - below)[bulge].max() > 3
