@@ -30,6 +30,7 @@ from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
+_UNCHANGED = {"scale": 1, "base_mm": None}
 _DOING = {True: "checking", False: "writing"}
 
 
@@ -47,6 +48,13 @@ class ExportOptions:
         "Parquet tables with a row for each object, its mesh as GLB.",
     )
     scale: float = real(1.0, help="Factor for all lengths.")
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        help="Put the upper half of each object on a base plate of this thickness, which prints without "
+        "support.",
+    )
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
@@ -85,8 +93,7 @@ def export(
     # Options that would have no effect are refused before any work.
     if form.file_format == "flat":
         given = [*distances, *material]
-        if form.scale != 1:
-            given.append("scale")
+        given += [name for name in ("scale", "base_mm") if getattr(form, name) != _UNCHANGED[name]]
         _refuse(given, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
     elif form.file_format not in printing.MODELS:
         _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
@@ -101,7 +108,7 @@ def export(
         return
     bodies = printing.Physics(**material)
     spec = form.plate and printing.PlateSpec.parse(form.plate, **distances)
-    objects = printing.choose(datasets, **filters)
+    objects = printing.on_plates(printing.choose(datasets, **filters), form.base_mm)
     if spec:
         # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
         on_floor = {"mjcf": bodies}.get(form.file_format or "")

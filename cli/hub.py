@@ -138,7 +138,9 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
-    if held is None:
+    if prepared.unasked:
+        sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
+    elif held is None:
         sink.line(f"{_VISIBLE[prepared.options.private]} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
@@ -177,7 +179,7 @@ def _print_upload(
             "revision": name,
             "address": address,
             "dry_run": result is None,
-            "exists": held is not None,
+            "exists": None if prepared.unasked else held is not None,
             "private": (held or prepared).is_private,
             "files": len(prepared.files),
             "bytes": sum(file.size for file in prepared.files),

@@ -222,6 +222,6 @@ _convert("export", Export, lazy("realtouch:export"), nouns="rows")
 command(app, "import")(import_touches)
 command(app)(check)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-add_shared(app, KIND, {**_own, "info": None, "verify": None, "validate": None, "export": None})
+add_shared(app, KIND, {**_own, **dict.fromkeys(("info", "verify", "validate", "export", "select"))})
 
 main = partial(run, app)

@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from tactile_toolkit.json_types import JsonObject
 
-EXPORT, MERGE, SPLIT = "export", "merge", "split"
+EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (
@@ -32,6 +32,7 @@ SHARED_COMMANDS = (
         "list",
         "merge",
         "split",
+        "select",
     ),
     *("cache", "gallery", "export"),
 )
@@ -61,7 +62,7 @@ def is_for_others(manifest: Specified | None) -> bool:
 
 def is_copy(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of a copy, which states its source, not how rows are made."""
-    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT, SELECT)
 
 
 def lazy(path: str) -> Callable[..., Any]:
@@ -143,7 +144,8 @@ class DatasetKind:
     write_card : callable
         Takes a ``DataFolder`` and its ``Manifest``; writes the card and its picture.
     schema : callable or None
-        Returns the Arrow schema of every shard; None if it follows from a source.
+        Takes a ``Manifest`` or None, returns the Arrow schema of every shard; None if it follows from a
+        source.
     check : callable or None
         Takes a ``DataFolder`` and a number of threads, returns findings; None if checksums, schema, ids and
         card are all there is to check.
@@ -183,7 +185,7 @@ class DatasetKind:
     card_template: str
     write_card: Callable[[Any, Any], None]
     content: str = ""
-    schema: Callable[[], Any] | None = None
+    schema: Callable[[Any], Any] | None = None
     check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
     loader: Callable[[Any], str] | None = None
@@ -223,7 +225,7 @@ class DatasetKind:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
         if self.schema is None or is_copy(manifest):
             return None
-        return self.schema()
+        return self.schema(manifest)
 
     def loading_lines(
         self, manifest: Specified | None, name: str, split: str, revision: str | None = None

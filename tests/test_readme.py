@@ -22,6 +22,7 @@ PAGES = (
     "docs/touches.md",
     "docs/elastic.md",
     "docs/concepts/folder.md",
+    "docs/howto/picture.md",
     "docs/howto/print.md",
     "docs/howto/handwriting.md",
     "docs/howto/scenes.md",

@@ -14,6 +14,13 @@ from .card_check import (
     check_card as check_card,
     pictures_in as pictures_in,
 )
+from .owner_options import (
+    LICENCES as LICENCES,
+    OwnerWords as OwnerWords,
+)
+from .owner_words import (
+    state_owner as state_owner,
+)
 from .yaml_head import (
     CARD_FILE as CARD_FILE,
     card_head as card_head,

@@ -3,6 +3,7 @@
 from .copies import (
     divide as divide,
     merge_sets as merge_sets,
+    select_rows as select_rows,
     write_part as write_part,
 )
 from .download import (

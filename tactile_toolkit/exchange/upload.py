@@ -14,10 +14,10 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from posixpath import normpath
-from typing import Any
+from typing import Any, TypeAlias
 
 from tactile_toolkit import cards, hub, run, store
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
@@ -27,6 +27,8 @@ from tactile_toolkit.places import folder_place
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
+
+_State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,7 +112,8 @@ class PreparedUpload:
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
     ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
     folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
-    as this object lives. ``ask`` calls a function that asks the Hub, with retries.
+    as this object lives. ``ask`` calls a function that asks the Hub, with retries. ``unasked`` states why a
+    dry run does not know what the Hub holds.
     """
 
     repo_id: str
@@ -123,6 +126,7 @@ class PreparedUpload:
     left_out: tuple[str, ...]
     scratch: Path
     ask: Callable[..., Any] = field(repr=False)
+    unasked: str = ""
 
     @property
     def page(self) -> str:
@@ -169,9 +173,10 @@ def prepare_upload(
 ) -> PreparedUpload:
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
-    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs no login for a
-    public repository. Raises InputError (not a finished data set, an unusable option), IntegrityError
-    (damage, a card that does not match the data) or HubError.
+    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
+    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a
+    finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
+    HubError.
     """
     from huggingface_hub import HfApi
 
@@ -188,9 +193,12 @@ def prepare_upload(
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
-        if not dry_run:
+        unasked = ""
+        if dry_run:
+            (held, tags, has_branch), unasked = _state_if_known(ask, repo_id, chosen.branch)
+        else:
             ask(HfApi().whoami)
-        held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
+            held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
         manifest, files = _files_to_send(place, manifest, repo_id, held, chosen, scratch)
         plan = compare(files, held, delete=chosen.delete)
         _refuse_public(repo_id, chosen, held)
@@ -205,7 +213,7 @@ def prepare_upload(
         if named:
             options = replace(chosen, tag=None)
         prepared = PreparedUpload(
-            repo_id, options, held, has_branch, manifest, files, plan, left_out, scratch, ask
+            repo_id, options, held, has_branch, manifest, files, plan, left_out, scratch, ask, unasked
         )
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
@@ -220,7 +228,15 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[str, str], bool]:
+def _state_if_known(ask: Callable[..., Any], repo_id: str, branch: str) -> tuple[_State, str]:
+    """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
+    try:
+        return ask(partial(_state, repo_id, branch), waits_s=()), ""
+    except HubError as error:
+        return (None, {}, False), error.what
+
+
+def _state(repo_id: str, branch: str) -> _State:
     """Return the head of a branch, the commits of the tags, and whether the branch exists.
 
     A missing repository is not an error.

@@ -2,10 +2,18 @@
 
 from .file_export import (
     FailedExport as FailedExport,
+    FileExport as FileExport,
+    Made as Made,
+    Product as Product,
+    Progress as Progress,
+    require_same_solid as require_same_solid,
+    write_products as write_products,
 )
 from .objects import (
     PrintObject as PrintObject,
     choose as choose,
+    on_plates as on_plates,
+    place_on_plate as place_on_plate,
 )
 from .packing import (
     arrange as arrange,
