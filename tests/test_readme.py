@@ -30,6 +30,7 @@ PAGES = (
     "docs/howto/exchange.md",
     "docs/howto/check.md",
     "docs/howto/your_sensor.md",
+    "docs/howto/twin.md",
     "docs/howto/forces.md",
     "docs/elastic.md",
     "docs/howto/libraries.md",

@@ -5,6 +5,7 @@ from .card import (
     PREVIEW_FOLDER as PREVIEW_FOLDER,
     bibtex as bibtex,
     card_words as card_words,
+    render_card as render_card,
     rows_to_draw as rows_to_draw,
     tiles_png as tiles_png,
     with_repo_name as with_repo_name,

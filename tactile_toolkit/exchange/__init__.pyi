@@ -22,6 +22,7 @@ from .upload import (
     PreparedUpload as PreparedUpload,
     UploadResult as UploadResult,
     check_folder as check_folder,
+    prepare_files as prepare_files,
     prepare_upload as prepare_upload,
     run_upload as run_upload,
 )

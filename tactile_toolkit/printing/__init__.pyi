@@ -1,5 +1,9 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .calibration_plate import (
+    export_calibration_plate as export_calibration_plate,
+    make_plate as make_plate,
+)
 from .file_export import (
     FailedExport as FailedExport,
     FileExport as FileExport,
