@@ -49,7 +49,8 @@ from .touch_dataset import (
     TouchStream as TouchStream,
     dataset_of as dataset_of,
 )
-from .touch_options import CheckLimits as CheckLimits, ImportColumns as ImportColumns
+from .import_columns import ImportColumns as ImportColumns
+from .touch_options import CheckLimits as CheckLimits
 from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 
