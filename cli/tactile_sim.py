@@ -170,7 +170,7 @@ def render(
     image_format = _ENDINGS.get(out.suffix.lower())
     if image_format is None:
         raise InputError(f"--out is {out.name!r}; expected a name that ends with {', '.join(_ENDINGS)}")
-    spec = _spec_of(sink, picture, press=_press_of(press))
+    spec = _spec_of(sink, picture, plan=TouchPlan(1, 1), press=_press_of(press))
     solid = mesh.read_mesh(file, unit=unit)
     for note in solid.notes:
         sink.info(f"note: {file}: {note}")

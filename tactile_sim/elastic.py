@@ -12,14 +12,19 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactile_toolkit.array_types import AnyArray, Bool, Float64
-from tactile_toolkit.builtin_values import to_builtin
+from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
-_LEAST_DEPTH_M = 1e-9
+# Single precision and the tables of the layer hold what lies between these.
+_LEAST_DEPTH_M, _MOST_DEPTH_M = 1e-9, 1.0
+_LEAST_FORCE_N, _MOST_FORCE_N = 1e-9, 1e6
+_LEAST_PIXEL_M, _MOST_PIXEL_M, _MOST_ASPECT = 1e-6, 0.1, 100.0
+_MOST_RANGE_M, _MOST_SLIDE_M, _MOST_TWIST_RAD = 100.0, 1.0, math.pi
+_MOST_LAYERS = 60.0  # diagonal of the window, in thicknesses of the gel
 _HALF = 0.5
 _MOST_BLOCKS = 100
 
@@ -129,15 +134,17 @@ def solve_contact(
     height_m : array_like, shape (H, W)
         Height of the body under the gel, metres, towards the gel, from any zero; row 0 at the greatest y.
     pixel_m : float or tuple of float
-        Size of a pixel, metres, or its width and height.
+        Size of a pixel, metres, or its width and height: a micrometre to 0.1 m, one at most 100 times the
+        other.
     gel : Gel
         Material and friction.
     thickness_m : float
-        Thickness of the gel, metres; infinite for a half-space.
+        Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the window,
+        and no less than the sides of its pixels, or blocks of them.
     depth_m : float, optional
-        How far the highest point of the body is pressed in, metres, above 0.
+        How far the highest point of the body is pressed in, metres, 1e-9 to 1.
     force_n : float, optional
-        The force of the press, newtons, above 0; exactly one of depth and force is given.
+        The force of the press, newtons, 1e-9 to 1e6; exactly one of depth and force is given.
     slide_m : tuple of float
         How far the body then moves along x and y, metres; it drags the gel with it, so that a slide along
         +x makes a force along +x.
@@ -158,15 +165,25 @@ def solve_contact(
         A number is out of range or not finite, or not exactly one of ``depth_m`` and ``force_n`` is given.
     """
     heights, pixel = _checked_heights(height_m), _checked_pixel(pixel_m)
+    _require(isinstance(gel, Gel), f"gel is {gel!r}; expected a Gel, such as tactile_sim.Gel()")
     target = _checked_target(depth_m, force_n)
     slide = _checked_motion(slide_m, twist_rad)
-    _require(thickness_m > 0, f"thickness_m is {thickness_m!r}; expected a number above 0")
+    thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MOST_LAYERS
+    thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
+    block = to_builtin(block_px)
     _require(
-        block_px >= 1 and not any(count % block_px for count in heights.shape),
+        is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
-    return _solve(heights, pixel, gel, float(thickness_m), *target, slide, int(block_px))
+    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as the
+    # gel is thick, forces are 3 % off, and where they are wider all is wrong.
+    _require(
+        max(pixel) * block <= thickness,
+        f"pixels, or blocks of them, are {1e3 * max(pixel) * block:.3g} mm wide; expected no more than the gel "
+        f"is thick, {1e3 * thickness:.3g} mm",
+    )
+    return _solve(heights, pixel, gel, thickness, *target, slide, block)
 
 
 def block_px(height_px: int, width_px: int) -> int:
@@ -229,7 +246,7 @@ def _solve(
         (_TOLERANCE, _SHEAR_TOLERANCE),
     )
     force_n, torque_nm = elastic_surface.resultants(fields, (width_m, height_m))
-    depth += higher
+    depth = depth + higher if is_force else target
     if block_px > 1:
         masks = np.stack([is_contact, is_stick]).astype(np.float64)
         is_contact, is_stick = elastic_surface.bring_up(masks, block_px) > _HALF
@@ -254,39 +271,58 @@ def _require(fits: bool, what: str) -> None:
         raise InputError(what)
 
 
+def _checked_number(name: str, value: object, least: float, most: float) -> float:
+    number = to_builtin(value, float)
+    _require(
+        isinstance(number, float) and least <= number <= most,
+        f"{name} is {value!r}; expected a number from {least:.3g} to {most:.3g}",
+    )
+    return float(number)
+
+
 def _checked_heights(height_m: AnyArray) -> Float64:
-    heights = np.ascontiguousarray(height_m, np.float64)
+    try:
+        given = np.asarray(height_m)
+    except ValueError:
+        given = np.empty(0, object)
+    _require(given.dtype.kind in "iuf", "height_m is no array of real numbers; expected shape (H, W)")
+    heights = np.ascontiguousarray(given, np.float64)
     _require(
         heights.ndim == 2 and 0 < heights.size <= MAX_IMAGE_PIXELS,
         f"height_m has shape {heights.shape}; expected (H, W), at most {MAX_IMAGE_PIXELS:,} pixels",
     )
-    _require(bool(np.isfinite(heights).all()), "height_m has values that are not finite")
+    low, high = float(heights.min()), float(heights.max())
+    _require(
+        math.isfinite(low) and math.isfinite(high) and high - low <= _MOST_RANGE_M,
+        f"height_m goes from {low:g} to {high:g}; expected finite numbers within {_MOST_RANGE_M:g} m",
+    )
     return heights
 
 
 def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
-    pixel = np.asarray(pixel_m, np.float64)
+    pixel = to_builtin(pixel_m, float)
+    width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
-        pixel.shape in ((), (2,)) and bool((pixel > 0).all() and np.isfinite(pixel).all()),
-        f"pixel_m is {pixel_m!r}; expected a number above 0, metres, or width and height",
+        all(isinstance(each, float) and _LEAST_PIXEL_M <= each <= _MOST_PIXEL_M for each in (width, height))
+        and max(width, height) <= _MOST_ASPECT * min(width, height),
+        f"pixel_m is {pixel_m!r}; expected a number from {_LEAST_PIXEL_M:g} to {_MOST_PIXEL_M:g}, metres, or "
+        f"width and height, one at most {_MOST_ASPECT:g} times the other",
     )
-    width, height = np.broadcast_to(pixel, 2).tolist()
     return width, height
 
 
 def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float, bool]:
     """Return the depth or the force, and whether it is the force."""
     _require((depth_m is None) != (force_n is None), "expected exactly one of depth_m and force_n")
-    ((name, value),) = ((n, v) for n, v in (("depth_m", depth_m), ("force_n", force_n)) if v is not None)
-    _require(math.isfinite(value) and value > 0, f"{name} is {value!r}; expected a number above 0")
-    return float(value), name == "force_n"
+    if force_n is not None:
+        return _checked_number("force_n", force_n, _LEAST_FORCE_N, _MOST_FORCE_N), True
+    return _checked_number("depth_m", depth_m, _LEAST_DEPTH_M, _MOST_DEPTH_M), False
 
 
 def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
-    motion = to_builtin((*slide_m, twist_rad))
+    slide = to_builtin(slide_m, float)
     _require(
-        len(motion) == 3 and all(isinstance(each, int | float) and math.isfinite(each) for each in motion),
-        f"slide_m is {slide_m!r} and twist_rad is {twist_rad!r}; expected two finite numbers and one",
+        isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )
-    along_x, along_y, twist = map(float, motion)
-    return along_x, along_y, twist
+    along_x, along_y = (_checked_number("slide_m", each, -_MOST_SLIDE_M, _MOST_SLIDE_M) for each in slide)
+    return along_x, along_y, _checked_number("twist_rad", twist_rad, -_MOST_TWIST_RAD, _MOST_TWIST_RAD)

@@ -269,7 +269,9 @@ def layer_of(
 ) -> elastic_response.Layer:
     """Return a layer whose kernels are transformed; those of the last few windows are kept."""
     kernels = pixel_kernels(shape, pixel_m, shear_pa, poisson_ratio, layer_m)
-    down, across = (transform_of(count) for count in shape)
+    # Kernels write fields in their whole width, also those of few columns.
+    width = field_width(shape[1])
+    down, across = transform_of(shape[0]), transform_of(max(shape[1], width // 2 + 1))
     # Two fields are transformed as one, and come out twice as large.
     scale = 0.5 / (down.length * across.length)
     waves = np.arange(_padded(down.length // 2 + 1, elastic_response.LANES))
@@ -290,7 +292,6 @@ def layer_of(
         lanes = found.reshape(-1, elastic_response.LANES, across.length).transpose(0, 2, 1)
         return np.ascontiguousarray(lanes, np.float32).reshape(-1)
 
-    width = field_width(shape[1])
     near = np.zeros((2 * shape[0] - 1, 2 * width - 1), np.float32)
     rows, columns = (np.abs(np.arange(1 - count, count)) for count in shape)
     near[:, width - shape[1] : width + shape[1] - 1] = kernels["zz"][rows[:, None], columns[None]]

@@ -26,6 +26,7 @@ STILL = (0.0, 0.0)
 
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
 _SOLVED_M = 0.00024
+_SAME = 1 + 1e-9  # sides that are no more than rounding apart
 _BLEND_M = 0.003  # beside a contact that slips, by a third of it at most
 _MAPS = ("pressure_pa", "traction_pa", "displacement_m", "is_contact", "is_stick")
 
@@ -50,7 +51,17 @@ class WholeGel:
 
     @classmethod
     def of(cls, sensor: Sensor) -> WholeGel:
-        """Lay the gel around a window, a whole number of blocks; blocks are not larger than solved pixels."""
+        """Lay the gel around a window, a whole number of blocks; blocks are not larger than solved pixels.
+
+        InputError for a window that is larger than the gel, or a gel of too many pixels.
+        """
+        if any(shown > _SAME * whole for shown, whole in zip(sensor.window_m, sensor.surface_m, strict=True)):
+            (shown_x, shown_y), (width_m, height_m) = sensor.window_m, sensor.surface_m
+            raise InputError(
+                f"the image shows {1e3 * shown_x:.2f} x {1e3 * shown_y:.2f} mm, and the elastic gel has "
+                f"{1e3 * width_m:.2f} x {1e3 * height_m:.2f} mm",
+                next="use an image of another aspect, such as 4:3, or of the full view (--window full)",
+            )
         sides = zip(sensor.surface_m, sensor.window_m, sensor.pixel_m, strict=True)
         least = [max(0, round((surface - window) / 2 / pixel)) for surface, window, pixel in sides]
         block_px = max(1, int(_SOLVED_M / max(sensor.pixel_m)))

@@ -79,6 +79,8 @@ def read_text_table(content: bytes, path: str) -> TextTable:
     text, separator = table_text(content, path)
     # Spaces after a separator are not part of the value.
     stream = io.StringIO(text, newline="")
+    # The text is in memory already, and a field may hold thousands of numbers.
+    csv.field_size_limit(max(csv.field_size_limit(), len(text)))
     lines = csv.reader(stream, delimiter=separator, strict=True, skipinitialspace=True)
     rows, read = list[list[str]](), 0
     try:

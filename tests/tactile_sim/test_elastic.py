@@ -378,15 +378,31 @@ def test_reciprocity_of_single_loads():
     [
         ({"force_n": None}, "exactly one of depth_m and force_n"),
         ({"depth_m": 1e-3}, "exactly one of depth_m and force_n"),
-        ({"force_n": 0.0}, "force_n is 0.0; expected a number above 0"),
+        ({"force_n": 0.0}, "force_n is 0.0; expected a number from 1e-09 to 1e+06"),
         ({"force_n": math.nan}, "force_n is nan"),
         ({"height_m": np.zeros(5)}, "height_m has shape (5,)"),
-        ({"height_m": np.full((4, 4), np.nan)}, "not finite"),
+        ({"height_m": np.full((4, 4), np.nan)}, "height_m goes from nan to nan"),
+        ({"height_m": np.eye(4) * 1e9}, "height_m goes from 0 to 1e+09"),
+        ({"height_m": np.eye(4) * 1j}, "no array of real numbers"),
+        ({"force_n": None, "depth_m": 1e-15}, "depth_m is 1e-15"),
+        ({"force_n": None, "depth_m": "1e-3"}, "depth_m is '1e-3'"),
+        ({"force_n": 1e30}, "force_n is 1e+30"),
+        ({"force_n": True}, "force_n is True"),
+        ({"gel": "elastic"}, "gel is 'elastic'; expected a Gel"),
+        ({"thickness_m": 1e-9}, "thickness_m is 1e-09; expected a number from"),
+        ({"thickness_m": "4"}, "thickness_m is '4'"),
+        (
+            {"height_m": np.zeros((4, 4)), "pixel_m": 0.005},
+            "are 5 mm wide; expected no more than the gel is thick",
+        ),
+        ({"pixel_m": (1e-3, 1e-6)}, "one at most 100 times the other"),
+        ({"twist_rad": math.nan}, "twist_rad is nan"),
+        ({"block_px": 2.0}, "block_px is 2.0"),
         ({"height_m": np.empty((0, 4))}, "height_m has shape (0, 4)"),
         ({"pixel_m": (1e-4, 0.0)}, "pixel_m is (0.0001, 0.0)"),
-        ({"pixel_m": (1e-4, 1e-4, 1e-4)}, "expected a number above 0, metres, or width and height"),
-        ({"slide_m": (math.inf, 0.0)}, "slide_m is (inf, 0.0)"),
-        ({"slide_m": (0.0,)}, "expected two finite numbers and one"),
+        ({"pixel_m": (1e-4, 1e-4, 1e-4)}, "metres, or width and height"),
+        ({"slide_m": (math.inf, 0.0)}, "slide_m is inf"),
+        ({"slide_m": (0.0,)}, "expected two numbers, metres"),
         ({"thickness_m": 0.0}, "thickness_m is 0.0"),
         ({"block_px": 3}, "block_px is 3"),
         ({"block_px": 0}, "block_px is 0"),
@@ -411,3 +427,30 @@ def test_a_gel_states_its_limits():
         tactile_sim.Gel(poisson_ratio=0.51)
     with pytest.raises(InputError, match="youngs_modulus_pa"):
         dataclasses.replace(tactile_sim.Gel(), youngs_modulus_pa=0)
+
+
+@pytest.mark.parametrize("shape", [(1, 1), (3, 3), (13, 14), (5, 40)], ids=str)
+def test_small_windows_turned_by_a_right_angle_have_results_turned_so(shape):
+    """Fields are padded to 32 columns, more than the transforms of few columns have."""
+    height_m = 1e-3 * np.random.default_rng(3).random(shape)
+    keywords = {"thickness_m": LAYER_M, "force_n": 1.0, "twist_rad": 0.02}
+    one = tactile_sim.solve_contact(height_m, 1e-3, tactile_sim.Gel(), slide_m=(1e-4, 2e-4), **keywords)
+    turned = tactile_sim.solve_contact(
+        height_m.T[::-1], 1e-3, tactile_sim.Gel(), slide_m=(-2e-4, 1e-4), **keywords
+    )
+    assert one.depth_m == pytest.approx(turned.depth_m, abs=1e-8)
+    np.testing.assert_allclose(one.pressure_pa.T[::-1], turned.pressure_pa, atol=1e-3 * one.pressure_pa.max())
+    assert one.force_n == pytest.approx((turned.force_n[1], -turned.force_n[0], 1.0), abs=1e-3)
+    assert one.torque_nm[2] == pytest.approx(turned.torque_nm[2], abs=1e-6)
+
+
+@pytest.mark.parametrize("depth_m", [2e-5, 4e-4])
+def test_a_press_to_a_depth_has_that_depth_also_on_blocks(depth_m):
+    """A steep cone: the highest mean of a block lies 0.06 mm below the tip."""
+    side = (np.arange(64) - 31.5) * 1e-4
+    cone_m = -np.hypot(*np.meshgrid(side, side)) / 2
+    contact = tactile_sim.solve_contact(
+        cone_m, 1e-4, tactile_sim.Gel(), thickness_m=LAYER_M, depth_m=depth_m, block_px=4
+    )
+    assert contact.depth_m == depth_m
+    assert contact.displacement_m[..., 2].max() == pytest.approx(depth_m, abs=1e-9)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import math
 from pathlib import Path
 
 import numpy as np
@@ -93,6 +94,18 @@ def test_large_images_are_solved_on_blocks():
 def test_a_gel_of_too_many_pixels_is_refused():
     with pytest.raises(InputError, match="the whole gel has 18,960 x 14,160 pixels"):
         _press(ball(subdivisions=1), tactile_sim.Sensor((64, 64), (6.4e-5, 6.4e-5)), force_n=1.0)
+
+
+def test_an_image_of_more_than_the_gel_is_refused():
+    """The centre of an image of 2:1 is that of 28 mm; loads beyond the gel would bear a part of the force."""
+    with pytest.raises(InputError, match=r"shows 28.32 x 14.16 mm, and the elastic gel has 18.88 x 14.16 mm"):
+        _press(ball(subdivisions=1), center_view(64, 32), force_n=1.0)
+    assert _press(ball(subdivisions=1), center_view(32, 24), force_n=1.0).contact.force_n[2] > 0.99
+
+
+def test_pixels_wider_than_the_gel_is_thick_are_refused():
+    with pytest.raises(InputError, match=r"14.2 mm wide; expected no more than the gel is thick, 4.25 mm"):
+        _press(ball(subdivisions=1), center_view(1, 1), force_n=1.0)
 
 
 def test_a_force_too_large_stops_at_half_the_gel():
@@ -189,7 +202,9 @@ def test_a_touch_of_a_rigid_gel_has_no_contact():
         ({"force_n": (10.0, 1.0)}, "two of them that rise"),
         ({"force_n": 0.0}, "above 0"),
         ({"force_n": 1.0, "press_m": 0.001}, "both a force and a depth"),
-        ({"slide_m": -0.001}, "from 0 to 0.001"),
+        ({"slide_m": -0.001}, "slide_m of the press is -1 mm; expected a number from 0 to 1 mm"),
+        ({"press_m": (0.002, 0.001)}, "press_m of the press is 2:1 mm"),
+        ({"twist_rad": (0.0, math.pi)}, "is 0:180 degrees; expected a number from -10 to 10 degrees"),
         ({"twist_rad": 2.0}, "two of them that rise"),
         ({"twist_rad": (0.1, np.inf)}, "two of them that rise"),
         ({"markers": (0, 0)}, "columns and rows"),
@@ -377,6 +392,10 @@ def test_the_commands_press(tmp_path, capsys):
     )
     told = json.loads(capsys.readouterr().out)
     assert told["force_n"][2] == pytest.approx(2.0, rel=1e-4)
+    # One touch of a large image is no round of them.
+    large = ("--size", "1024x768", "--gel", "elastic", "--out", out)
+    assert call("tactile-sim", "render", *base[:5], *large) == 0
+    capsys.readouterr()
     assert np.hypot(*told["slide_m"]) == pytest.approx(2e-4, rel=1e-5)
     assert len(told["marker_flow_px"]) == 18
     softer = told["press_depth_m"]

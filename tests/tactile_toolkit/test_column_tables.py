@@ -15,6 +15,7 @@ import pytest
 from tactile_toolkit import column_tables
 from tactile_toolkit.column_tables import ColumnTable
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.text_tables import read_text_table
 
 
 def table(content: bytes | str, ending: str = ".csv") -> ColumnTable:
@@ -149,3 +150,10 @@ def test_switches_after_numbers_are_text(monkeypatch: pytest.MonkeyPatch) -> Non
     assert read(table("\n".join(["a", *values]) + "\n")) == {"a": values}
     empty = ["NA"] * 8 + ["true"] * 8
     assert read(table("\n".join(["a", *empty]) + "\n")) == {"a": [None] * 8 + [True] * 8}
+
+
+def test_a_field_holds_as_many_numbers_as_the_file():
+    """The maps of a touch are lists of more characters than Python's reader of CSV takes by itself."""
+    field = " ".join(["0.123456"] * 40_000)
+    table = read_text_table(f"file,map\n0.png,{field}\n".encode(), "index.csv")
+    assert (list(table.names), [list(row) for row in table.rows]) == (["file", "map"], [["0.png", field]])
