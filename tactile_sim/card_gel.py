@@ -12,7 +12,7 @@ _RIGID_LIMIT = (
 )
 _ELASTIC_LIMITS = (
     "No tilt. The gel is a linear elastic layer without side faces: no viscosity, no adhesion, no large "
-    "strain; a press of half the thickness, where every sensor stops, is indicative only.",
+    "strain; a press of half the thickness, where one by force stops, is indicative only.",
     "A slide and a twist are made in one step after the press; a real one is a history.",
 )
 

@@ -139,8 +139,8 @@ def solve_contact(
     gel : Gel
         Material and friction.
     thickness_m : float
-        Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the window,
-        and no less than the sides of its pixels, or blocks of them.
+        Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the
+        window, and no less than the sides of its pixels, or blocks of them.
     depth_m : float, optional
         How far the highest point of the body is pressed in, metres, 1e-9 to 1.
     force_n : float, optional
@@ -180,8 +180,8 @@ def solve_contact(
     # gel is thick, forces are 3 % off, and where they are wider all is wrong.
     _require(
         max(pixel) * block <= thickness,
-        f"pixels, or blocks of them, are {1e3 * max(pixel) * block:.3g} mm wide; expected no more than the gel "
-        f"is thick, {1e3 * thickness:.3g} mm",
+        f"pixels, or blocks of them, are {1e3 * max(pixel) * block:.3g} mm wide; expected no more than the "
+        f"gel is thick, {1e3 * thickness:.3g} mm",
     )
     return _solve(heights, pixel, gel, thickness, *target, slide, block)
 

@@ -393,7 +393,7 @@ def test_reciprocity_of_single_loads():
         ({"thickness_m": "4"}, "thickness_m is '4'"),
         (
             {"height_m": np.zeros((4, 4)), "pixel_m": 0.005},
-            "are 5 mm wide; expected no more than the gel is thick",
+            "are 5 mm wide; expected no more than",
         ),
         ({"pixel_m": (1e-3, 1e-6)}, "one at most 100 times the other"),
         ({"twist_rad": math.nan}, "twist_rad is nan"),
