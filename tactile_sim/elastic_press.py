@@ -60,7 +60,7 @@ class WholeGel:
             raise InputError(
                 f"the image shows {1e3 * shown_x:.2f} x {1e3 * shown_y:.2f} mm, and the elastic gel has "
                 f"{1e3 * width_m:.2f} x {1e3 * height_m:.2f} mm",
-                next="use an image of another aspect, such as 4:3, or of the full view (--window full)",
+                next="use an image of another aspect, such as 4:3, or the full view",
             )
         sides = zip(sensor.surface_m, sensor.window_m, sensor.pixel_m, strict=True)
         least = [max(0, round((surface - window) / 2 / pixel)) for surface, window, pixel in sides]

@@ -343,6 +343,14 @@ def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
     assert list(tmp_path.rglob("*stills.jpg"))
 
 
+@pytest.mark.parametrize("size", ["16x12", "64x48"])
+def test_a_gallery_of_resized_images_has_no_arrows_of_the_old_size(size, touches, tmp_path):
+    assert call("realtouch", "resize", touches, "--size", size, "--out", tmp_path / "small", "-q") == 0
+    touch = realtouch.load(tmp_path / "small", "train").touches()[0]
+    (image,) = force_views(touch)
+    assert (image == touch.image).all()
+
+
 def test_other_sets_show_their_image_alone(tmp_path):
     tactile_sim.generate(SOLIDS, dataclasses.replace(SPEC, press=None), tmp_path / "set")
     touch = realtouch.load(tmp_path / "set", "train").touches()[0]
