@@ -176,8 +176,8 @@ def solve_contact(
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
-    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as the
-    # gel is thick, forces are 3 % off, and where they are wider all is wrong.
+    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as
+    # the gel is thick, forces are 3 % off, and where they are wider all is wrong.
     _require(
         max(pixel) * block <= thickness,
         f"pixels, or blocks of them, are {1e3 * max(pixel) * block:.3g} mm wide; expected no more than the "
