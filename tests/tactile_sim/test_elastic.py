@@ -454,3 +454,20 @@ def test_a_press_to_a_depth_has_that_depth_also_on_blocks(depth_m):
     )
     assert contact.depth_m == depth_m
     assert contact.displacement_m[..., 2].max() == pytest.approx(depth_m, abs=1e-9)
+
+
+@pytest.mark.parametrize("share", [0.1, 0.24])
+def test_a_sphere_on_an_incompressible_layer(share):
+    """Garcia and Garcia, Biophysical Journal 114, 2018: force over that of Hertz, in powers of sqrt(R d) / h."""
+    radius_m = 0.01
+    depth_m = (share * LAYER_M) ** 2 / radius_m
+    pixel_m = 4 * share * LAYER_M / 120
+    side = (np.arange(120) - 59.5) * pixel_m
+    ball_m = -(side[:, None] ** 2 + side**2) / (2 * radius_m)
+    gel = tactile_sim.Gel(poisson_ratio=0.5, friction=0.0)
+    on_layer, on_half_space = (
+        tactile_sim.solve_contact(ball_m, pixel_m, gel, thickness_m=each, depth_m=depth_m).force_n[2]
+        for each in (LAYER_M, math.inf)
+    )
+    series = 1 + 1.133 * share + 1.497 * share**2 + 1.469 * share**3 + 0.755 * share**4
+    assert on_layer / on_half_space == pytest.approx(series, rel=3e-3)
