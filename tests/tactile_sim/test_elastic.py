@@ -458,7 +458,7 @@ def test_a_press_to_a_depth_has_that_depth_also_on_blocks(depth_m):
 
 @pytest.mark.parametrize("share", [0.1, 0.24])
 def test_a_sphere_on_an_incompressible_layer(share):
-    """Garcia and Garcia, Biophysical Journal 114, 2018: force over that of Hertz, in powers of sqrt(R d) / h."""
+    """Garcia and Garcia, Biophysical Journal 114, 2018: force over that of Hertz, by sqrt(R d) / h."""
     radius_m = 0.01
     depth_m = (share * LAYER_M) ** 2 / radius_m
     pixel_m = 4 * share * LAYER_M / 120
