@@ -25,6 +25,8 @@ from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
+    import trimesh
+
     from tactile_toolkit.generation import Recipe
 
 # What takes less is made without a word, seconds.
@@ -226,7 +228,7 @@ class AssetProvider:
         kept: MeshView = self._opened.setdefault(("measured", name, split), view)
         return kept.volumes_m3
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave open data sets behind, but not the commits of the Hub."""
         return {**self.__dict__, "_opened": {}}
 
@@ -317,7 +319,7 @@ class AssetProvider:
             ) from error
 
 
-def _planned_mesh(make: Callable[[int], Any], number: int) -> Any:
+def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trimesh:
     return make(number).to_trimesh()
 
 

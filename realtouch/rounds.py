@@ -19,6 +19,7 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, contact_frames_of, contact_windows, decode_frames
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Record, RowGroup, positions
 from tactile_toolkit.system import usable_cores
 
@@ -51,7 +52,7 @@ class TouchRound(Record):
         return self._once("object_id", lambda: self.row.integer("object_id"))
 
     @property
-    def info(self) -> dict[str, Any]:
+    def info(self) -> JsonDict:
         """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
         return dict(self._once("info", lambda: self.row.read_info()))
 

@@ -16,6 +16,7 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_columns import StoredColumns
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Row, RowGroup, RowSource, Shard, all_blocks, column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
@@ -182,7 +183,7 @@ class StoredRound(StoredColumns):
         """Return whether a round has metadata."""
         return self.has("info") or any(name.startswith("info.") for name in self.group.names)
 
-    def read_info(self) -> dict[str, Any]:
+    def read_info(self) -> JsonDict:
         """Read the metadata of a round; InputError when the data set does not store it.
 
         Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
@@ -252,12 +253,12 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
     return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
 
 
-def read_info(row: StoredColumns) -> dict[str, Any]:
+def read_info(row: StoredColumns) -> JsonDict:
     """Read the metadata of a round that has some.
 
     Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
     """
-    nested: dict[str, Any] = {}
+    nested: JsonDict = {}
     for name in row.group.names:
         if not name.startswith("info."):
             continue
@@ -282,7 +283,7 @@ def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
     return {key: _with_poses(row, each, f"{name}.{key}") for key, each in value.items()}
 
 
-def _pose(row: StoredColumns, values: dict[str, Any], name: str) -> Any:
+def _pose(row: StoredColumns, values: JsonDict, name: str) -> Any:
     """Make the pose, or the poses if there is one per touch."""
     try:
         position = np.asarray(values["position"], np.float64)

@@ -23,6 +23,7 @@ from realtouch.touch_dataset import AnyDataset, dataset_of
 from tactile_toolkit import cards, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.shown_text import markdown_code
 from tactile_toolkit.touch import Kind, decode_image, missed_text
@@ -49,7 +50,7 @@ _WINDOW = "18.88 x 14.16 mm of gel"
 class _Content:
     """Content of a card that depends on the rows: texts, columns and counts."""
 
-    words: dict[str, Any]
+    words: JsonDict
     columns: dict[str, cards.ColumnWords]
     nouns: str
     pictures: Iterable[UInt8 | None]
@@ -123,7 +124,7 @@ def _plain_content(
     folder: store.DataFolder,
     facts: cards.FolderSummary,
     manifest: store.Manifest | None,
-    words: dict[str, Any],
+    words: JsonDict,
 ) -> _Content:
     """Return what a card says of pictures in files, or of rows in a foreign format."""
     layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
@@ -153,7 +154,7 @@ def _stored_content(
     kind: Kind,
     rule: ContactHeight,
     manifest: store.Manifest | None,
-    words: dict[str, Any],
+    words: JsonDict,
 ) -> _Content:
     """Return what a card says of rounds; reads small columns and a few rounds."""
     datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]

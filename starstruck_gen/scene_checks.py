@@ -15,6 +15,7 @@ from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.shape_kinds import KINDS, Proportions
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
 from tactile_toolkit.wording import with_count
 
@@ -59,7 +60,7 @@ class CheckedScenes:
         """Number of invalid scenes."""
         return len(self.failures)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
 

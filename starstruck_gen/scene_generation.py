@@ -8,6 +8,8 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Unpack
 
+import pyarrow as pa
+
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.kind import KIND
 from starstruck_gen.rejection import LayoutFailed, require_feasible, sample_scenes
@@ -18,6 +20,7 @@ from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import generation, store
 from tactile_toolkit.checked_fields import check_fields, integer, split_counts
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -85,7 +88,7 @@ class SceneSetSpec:
         count = dict(self.scenes).get(split, 0)
         return count if self.limit is None else min(count, self.limit)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "scene": self.scene.to_dict(),
@@ -117,7 +120,7 @@ class SceneMaking(generation.RowGenerator):
             sampled=200,  # a scene takes tens of microseconds, too short to measure fewer
         )
 
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         return scene_schema(self.spec.scene.class_names)
 
@@ -126,7 +129,7 @@ class SceneMaking(generation.RowGenerator):
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
-    def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
+    def statistics(self, rows: Sequence[SceneRow]) -> JsonObject:
         """Count positions drawn and scenes started over."""
         return asdict(count_scenes(self.spec.scene, rows))
 

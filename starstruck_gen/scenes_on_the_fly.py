@@ -45,11 +45,11 @@ class MadeScenes:
         self.class_names = spec.class_names
         self.group_starts = (0, size)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.spec, self.split, self.size, self.seed)
 
     @cached_property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the rows."""
         return scene_schema(self.spec.class_names)
 
@@ -108,7 +108,7 @@ class MadeScene(read.Rows):
         self._source = source
 
     @cached_property
-    def table(self) -> Any:
+    def table(self) -> pa.Table:
         """The row as an Arrow table, for pickling."""
         return self._source.made(self.first_row, 1)
 

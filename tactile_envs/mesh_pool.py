@@ -16,12 +16,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import xxhash
 
-from env_assets.mesh_view import MeshView, PlannedView
+from env_assets.mesh_view import MeshRecord, MeshView, PlannedView
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError, IntegrityError
@@ -87,7 +87,7 @@ class MeshPool:
     measures: Float64
 
     @classmethod
-    def of(cls, records: Sequence[Any], tilt_rad: float = 0.0) -> MeshPool:
+    def of(cls, records: Sequence[MeshRecord], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records; those of a data set are kept on disk for the next time.
 
         Triangles are kept that sensors can see that are tilted by ``tilt_rad`` at most. Meshes that are not
@@ -117,7 +117,7 @@ class MeshPool:
         return cls(*found)
 
     @classmethod
-    def kept(cls, records: Sequence[Any]) -> MeshPool | None:
+    def kept(cls, records: Sequence[MeshRecord]) -> MeshPool | None:
         """Map the meshes of a data set if they were packed before."""
         name = _name_of(records)
         found = None
@@ -126,13 +126,13 @@ class MeshPool:
         return None if found is None else cls(*found)
 
     @staticmethod
-    def is_kept(records: Sequence[Any]) -> bool:
+    def is_kept(records: Sequence[MeshRecord]) -> bool:
         """Return whether the meshes of a data set were packed before."""
         name = _name_of(records)
         return name is not None and _POOLS.path(name).is_file()
 
     @classmethod
-    def packed(cls, records: Iterable[Any], tilt_rad: float = 0.0) -> MeshPool:
+    def packed(cls, records: Iterable[MeshRecord], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records in memory."""
         return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
@@ -224,7 +224,7 @@ class GrowingPool(MeshPool):
         return True
 
 
-def _name_of(records: Sequence[Any], tilt_rad: float = 0.0) -> str | None:
+def _name_of(records: Sequence[MeshRecord], tilt_rad: float = 0.0) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
     is_flat = isinstance(records, MeshView) and records.flat
     if isinstance(records, MeshView):
@@ -237,7 +237,7 @@ def _name_of(records: Sequence[Any], tilt_rad: float = 0.0) -> str | None:
     return f"meshes-{digest.hexdigest()[:32]}"
 
 
-def _chunks_of(records: Sequence[Any], tilt_rad: float) -> list[Parts]:
+def _chunks_of(records: Sequence[MeshRecord], tilt_rad: float) -> list[Parts]:
     """Pack the meshes of a data set in chunks, on all cores if they are many."""
     firsts = range(0, len(records), _CHUNK)
     workers = 1
@@ -251,11 +251,11 @@ def _chunks_of(records: Sequence[Any], tilt_rad: float) -> list[Parts]:
     return [found[first] for first in firsts]
 
 
-def _packed_chunk(records: Sequence[Any], tilt_rad: float, first: int) -> tuple[int, Parts]:
+def _packed_chunk(records: Sequence[MeshRecord], tilt_rad: float, first: int) -> tuple[int, Parts]:
     return first, _packed_records(records[first : first + _CHUNK], tilt_rad)
 
 
-def _packed_records(records: Iterable[Any], tilt_rad: float = 0.0) -> Parts:
+def _packed_records(records: Iterable[MeshRecord], tilt_rad: float = 0.0) -> Parts:
     """Return the arrays of some meshes, one for each field of a pool of them; faces are int32."""
     columns: list[Parts] = [[], [], [], [], [], []]
     ends = np.zeros(4)

@@ -3,23 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
 
+from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.elastic_gel import ElasticGel
 from tactile_envs.episode_kernels import place
+from tactile_envs.gym_types import Action, Space
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion, require_move
 from tactile_envs.randomization import Randomization
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
-from tactile_envs.scene import Action, Readings
+from tactile_envs.scene import Readings
 from tactile_envs.toucher import SensorReadings, Toucher
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
@@ -50,7 +51,7 @@ class MeshScene:
     """
 
     def __init__(
-        self, config: Config, records: Sequence[Any], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
     ) -> None:
         self.config, self.num_envs = config, num_envs
         self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
@@ -71,10 +72,8 @@ class MeshScene:
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
         shape = (num_envs, height, width, camera.channels)
         self._randomization = Randomization(config, shape, camera.bases)
-        self.action_parts: dict[str, gym.Space[Any]] = {
-            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
-        }
-        self.observation_parts: dict[str, gym.Space[Any]] = {
+        self.action_parts: dict[str, Space] = {"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)}
+        self.observation_parts: dict[str, Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": image,
         }
@@ -82,11 +81,11 @@ class MeshScene:
             most = np.full(3, np.inf, np.float32)
             self.observation_parts["force"] = gym.spaces.Box(-most, most)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
         return {**self.__dict__, "_pool": None}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
         self._pool = MeshPool.of(self._records, self._most_tilt_rad)
         self._pool.require(self.numbers[self.numbers >= 0])
@@ -246,7 +245,7 @@ class MeshScene:
         return None
 
     @property
-    def data_points(self) -> tuple[Any, ...]:
+    def data_points(self) -> tuple[object, ...]:
         """Records of the objects that lie in the cells."""
         return tuple(self._records[int(number)] for number in self.numbers)
 

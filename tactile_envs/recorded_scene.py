@@ -6,7 +6,7 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import ap_gym
 import gymnasium as gym
@@ -17,10 +17,11 @@ from realtouch import Poses, TouchSingleDataset
 from tactile_envs.camera import OPTICS
 from tactile_envs.config import DIRECT, RecordedConfig
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.gym_types import Action, Space
 from tactile_envs.motion import Motion, require_move
 from tactile_envs.recorded_sets import RecordedTouches, TouchedObjects
 from tactile_envs.reset_options import ResetOptions, Rows
-from tactile_envs.scene import Action, Readings
+from tactile_envs.scene import Readings
 from tactile_sim import center_view, full_view, make_optics
 from tactile_sim.optics import Optics
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
@@ -89,10 +90,8 @@ class RecordedScene:
         self.places, self._targets = np.zeros((2, num_envs, 3))
         corner = np.ones(3, np.float32)
         size = config.sensor_output_size
-        self.action_parts: dict[str, gym.Space[Any]] = {
-            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
-        }
-        self.observation_parts: dict[str, gym.Space[Any]] = {
+        self.action_parts: dict[str, Space] = {"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)}
+        self.observation_parts: dict[str, Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": ap_gym.ImageSpace(*size, self._images.channels, dtype=np.float32),
         }
@@ -155,7 +154,7 @@ class RecordedScene:
         return is_over
 
     @property
-    def data_points(self) -> tuple[Any, ...]:
+    def data_points(self) -> tuple[object, ...]:
         """The rounds that are touched."""
         return tuple(self._touches.rounds[int(number)] for number in self.numbers)
 

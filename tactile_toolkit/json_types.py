@@ -7,3 +7,6 @@ from typing import Any, TypeAlias
 
 JsonObject: TypeAlias = Mapping[str, Any]
 """A JSON object that nothing changes."""
+
+JsonDict: TypeAlias = dict[str, Any]
+"""A JSON object that is being made, or changed."""

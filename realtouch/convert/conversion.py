@@ -23,6 +23,7 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
@@ -177,7 +178,7 @@ class Conversion:
 
     source: Source
     operation: str
-    options: Mapping[str, Any]
+    options: JsonObject
     step: Step
     choices: Choices
     rows_per_shard: int | None = None

@@ -6,7 +6,7 @@ import csv
 import io
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, Literal, Unpack
+from typing import Literal, Unpack
 
 import pyarrow as pa
 
@@ -37,6 +37,7 @@ from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import places, read, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image, is_jpeg
 
 IMAGE_FOLDER = "images"
@@ -100,7 +101,7 @@ def frames(
     method = require_method(frame)
 
     def plan(opened: Source, limit: int | None) -> Conversion:
-        options: dict[str, Any] = {"kind": kind, "frame": method, "limit": limit}
+        options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
         if opened.kind == "single":
             options["frame"] = None
         else:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from os import PathLike
-from typing import Any, SupportsIndex, Unpack
+from typing import SupportsIndex, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -24,6 +24,7 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
 
 
@@ -77,7 +78,7 @@ def select(
         if not math.isfinite(min_height_m):  # nothing is as high as NaN
             expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
             raise InputError(f"min_height_m is {min_height_m}; {expected}")
-    chosen: dict[str, Any] = {
+    chosen: JsonDict = {
         "contact": contact,
         "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
@@ -89,7 +90,7 @@ def select(
     return write_conversion(source, out, partial(_selection, chosen), **job)
 
 
-def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
+def _selection(chosen: JsonObject, opened: Source, limit: int | None) -> Conversion:
     options = {**chosen, "limit": limit}
     by_image = options["contact"] and not has_poses(read.column_types(opened.schema))
     if by_image:
@@ -119,7 +120,7 @@ def _no_contact(source: Source, height_m: float) -> InputError:
     )
 
 
-def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
+def _chosen_rows(source: Source, split: str, options: JsonObject) -> list[RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:

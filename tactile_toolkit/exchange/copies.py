@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_changes
 from tactile_toolkit.exchange.merge_changes import RowChanges
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import MERGE, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
@@ -101,7 +101,7 @@ def merge_sets(
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
     schema = _common_schema(sources)
-    options: dict[str, Any] = {}
+    options: JsonDict = {}
     renumbered = merge_changes.Renumbering({}, {})
     if renumber and "id" in schema.names:
         renumbered = merge_changes.renumber([source.table.files for source in sources])

@@ -205,7 +205,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: read.RecordDataset[Any],
+        dataset: read.AnyRecords,
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -243,7 +243,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._epoch.fill_(epoch)
 
     @property
-    def sequence(self) -> read.RecordDataset[Any]:
+    def sequence(self) -> read.AnyRecords:
         """The solids, in order of the items."""
         return self.dataset
 

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from functools import reduce
-from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -464,7 +464,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         problems: dict[str, None] = {}
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
             try:
-                item: Any = self._item(int(position))
+                item: T = self._item(int(position))
                 pictures.append(item._tile_html())
             except (ToolkitError, ValueError, OSError) as error:
                 problems[f"<div>{html.escape(printable(str(error)))}</div>"] = None  # each once
@@ -534,3 +534,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         further = len(names) - _MOST_NAMES
         shown = names if further <= 0 else [*names[:_MOST_NAMES], f"{further:,} more"]
         return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
+
+
+AnyRecords: TypeAlias = RecordDataset[Any]
+"""A data set of records of any class."""

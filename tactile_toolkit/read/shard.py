@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import IO, TYPE_CHECKING, Any, TypeAlias
+from typing import IO, TYPE_CHECKING, TypeAlias
 
 import pyarrow as pa
 
@@ -96,7 +96,7 @@ class Shard:
         """
         return self._footer[0]
 
-    def column_chunks(self) -> Iterator[Any]:
+    def column_chunks(self) -> Iterator[pa.ChunkedArray]:
         """Yield what the footer says of each column chunk."""
         groups = map(self.metadata.row_group, range(self.metadata.num_row_groups))
         return (group.column(index) for group in groups for index in range(group.num_columns))

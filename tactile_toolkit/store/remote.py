@@ -19,6 +19,7 @@ from threading import Thread
 from typing import IO, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.addresses import scheme_of
 
@@ -192,7 +193,7 @@ def client_of(address: str) -> Any:
     return client
 
 
-def _options(scheme: str) -> dict[str, Any]:
+def _options(scheme: str) -> JsonDict:
     """Return options for the client of a store: no listings are kept, because others write there, too."""
     if scheme == "hf":
         return {}  # a commit never changes
@@ -228,7 +229,7 @@ class _Stream(io.BufferedIOBase):
     def __init__(self, stream: Any, address: str) -> None:
         super().__init__()
         self._stream, self._address = stream, address
-        self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
+        self.details: JsonObject | None = getattr(stream, "details", None)
         self.seek, self.tell = stream.seek, stream.tell  # type: ignore[method-assign]
 
     def read(self, size: int | None = -1) -> bytes:
