@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Protocol, overload
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
@@ -106,7 +106,7 @@ class MeshView(Sequence[MeshRecord]):
     def __getitem__(self, key: int) -> MeshRecord: ...
     @overload
     def __getitem__(self, key: slice | Sequence[int] | AnyArray) -> MeshView: ...
-    def __getitem__(self, key: int | slice | Sequence[int] | AnyArray) -> MeshRecord | MeshView:
+    def __getitem__(self, key: Any) -> MeshRecord | MeshView:
         """Return a record (int), or a view of some of them (slice, ints, mask)."""
         if not picks_several(key):
             record = self.records[operator.index(key)]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -16,9 +16,12 @@ from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_columns import StoredColumns
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.read import Row, RowGroup, RowSource, Shard, all_blocks, column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+
+if TYPE_CHECKING:
+    from realtouch.pose import Pose
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
@@ -217,7 +220,7 @@ def as_seconds(values: AnyArray) -> Float64:
     return np.asarray(values, np.float64)
 
 
-def _unpickled(make: Callable[..., Row], arguments: tuple[Any, ...]) -> StoredRound:
+def _unpickled(make: Callable[..., Row], arguments: tuple[object, ...]) -> StoredRound:
     row = make(*arguments)
     return StoredRound(row.group, row.index)
 
@@ -264,7 +267,7 @@ def read_info(row: StoredColumns) -> JsonDict:
             continue
         # The published sets store the struct `info` as flat columns with dotted names.
         *outer, last = name.split(".")[1:]
-        group: Any = nested
+        group: JsonValue = nested
         for part in outer:
             if isinstance(group, dict):
                 group = group.setdefault(part, {})
@@ -274,7 +277,7 @@ def read_info(row: StoredColumns) -> JsonDict:
     return {key: _with_poses(row, value, f"info.{key}") for key, value in nested.items()}
 
 
-def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
+def _with_poses(row: StoredColumns, value: JsonValue, name: str) -> JsonValue:
     """Replace groups of a position and a quaternion by poses."""
     if not isinstance(value, dict):
         return value
@@ -283,7 +286,7 @@ def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
     return {key: _with_poses(row, each, f"{name}.{key}") for key, each in value.items()}
 
 
-def _pose(row: StoredColumns, values: JsonDict, name: str) -> Any:
+def _pose(row: StoredColumns, values: JsonDict, name: str) -> Pose | Poses:
     """Make the pose, or the poses if there is one per touch."""
     try:
         position = np.asarray(values["position"], np.float64)

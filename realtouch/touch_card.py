@@ -244,7 +244,7 @@ def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRo
         yield record(StoredRound(group, 0))
 
 
-def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
+def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
     """Return what can be read; None if it is missing or damaged."""
     try:
         return ask(*parts)

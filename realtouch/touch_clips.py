@@ -116,9 +116,9 @@ class TouchClip(Sequence[UInt8]):
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
+    def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
-        to_data: Callable[[UInt8], Any] = np.asarray
+        to_data: Callable[[UInt8], object] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with suppress(ImportError):
             import torch

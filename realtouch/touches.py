@@ -25,6 +25,8 @@ from tactile_toolkit.system import usable_cores
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
+    from datasets import Dataset
+
     from realtouch.touch_dataset import TouchDataset
 
 _POSITION = ("x_m", "y_m")
@@ -151,7 +153,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
-    def to_hf(self) -> Any:
+    def to_hf(self) -> Dataset:
         """Return the touches as a data set of the library `datasets`, one row each, with their features.
 
         Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is

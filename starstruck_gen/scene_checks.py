@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
 from tactile_toolkit.wording import with_count
+
+if TYPE_CHECKING:
+    import manifold3d
 
 _COLUMNS = (
     *("id", "label", VERTICES, FACES),
@@ -149,7 +152,7 @@ def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) ->
     return problem or _check_star_count(record, names), verdict.bodies
 
 
-def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+def _check_on_plate(mesh: Mesh, bodies: Sequence[manifold3d.Manifold]) -> str | None:
     mesh_m = float(mesh.bounds_m[0, 2])
     if mesh_m != 0.0:
         return f"the lowest point of the mesh is at z = {mesh_m:g} m; expected 0"

@@ -6,8 +6,9 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, TypedDict, TypeVar
 
+from tactile_envs.gym_types import Options
 from tactile_sim import Sensor, SensorNoise, center_view
 from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M
@@ -273,7 +274,7 @@ class RecordedConfig(EpisodeConfig):
     approx_truncation_probability: float = real(0.1, above=0, below=1)
 
 
-def configured(config: C, changes: Mapping[str, Any] | EpisodeConfig | None) -> C:
+def configured(config: C, changes: Options | EpisodeConfig | None) -> C:
     """Return a configuration with changed settings, or a complete one in its place.
 
     Raises InputError for an unknown setting, and for a complete one of another sensor: an id names its own.

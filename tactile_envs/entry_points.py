@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -13,6 +13,7 @@ import numpy as np
 
 from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
 from tactile_envs.env_specs import REAL_TOUCHES, EnvSpec, env_specs
+from tactile_envs.gym_types import Options
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.object_sets import open_objects
 from tactile_toolkit import mesh
@@ -48,14 +49,14 @@ def make_vector(
     num_envs: int = 1,
     assets: str | PathLike[str] | None = None,
     unit: str | None = None,
-    config: Mapping[str, Any] | EpisodeConfig | None = None,
+    config: Options | EpisodeConfig | None = None,
     render_mode: str | None = None,
     threads: int = 1,
     weights: str | Path | None = None,
     touches: str | PathLike[str] | None = None,
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     max_episode_steps: int | None = None,
-    **unknown: Any,
+    **unknown: object,
 ) -> TactileVectorEnv:
     """Make environments side by side.
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import copy
-from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
 from ap_gym.loss_fn import WeightedLossFn
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -88,7 +88,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._is_over, self._any_over = np.zeros(self.num_envs, np.bool_), False
         self._observation: Observation = {}
         self._predicted: tuple[AnyArray, AnyArray] | None = None
-        self._registration: Any = None
+        self._registration: EnvSpec | None = None
         self._make_spaces()
 
     def _make_spaces(self) -> None:
@@ -333,12 +333,12 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return self._scene.target_poses
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> EnvSpec | None:
         """Registration, with the length of an episode."""
         return self._registration
 
     @spec.setter
-    def spec(self, spec: Any) -> None:
+    def spec(self, spec: EnvSpec) -> None:
         self._registration = copy.copy(spec)
         self._registration.max_episode_steps = self.config.step_limit
 

@@ -7,6 +7,7 @@ from typing import Any
 
 import ap_gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
 from tactile_envs.environment import TactileVectorEnv
 from tactile_envs.gym_types import Action, Info, Observation, Options
@@ -89,12 +90,12 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.vector_env.close()
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> EnvSpec | None:
         """Registration, with the length of an episode."""
         return self.vector_env.spec
 
     @spec.setter
-    def spec(self, spec: Any) -> None:
+    def spec(self, spec: EnvSpec) -> None:
         self.vector_env.spec = spec
 
 

@@ -192,7 +192,7 @@ class ObjectPose(_Regression):
 
 
 Task = Classification | Volume | ObjectPose
-"""Any task."""
+"""A task of any kind."""
 
 
 def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float64, Float64]:

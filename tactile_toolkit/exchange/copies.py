@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain, pairwise
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -206,7 +206,7 @@ def _build(
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
-        parts: list[tuple[Any, Any]] = [
+        parts: list[tuple[pa.Table, pa.Schema]] = [
             (range(len(shard)), partial(_copy_file, shard, (changes or {}).get(shard.path)))
             for shard in shards
         ]

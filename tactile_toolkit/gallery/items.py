@@ -50,7 +50,7 @@ class RowsTask:
     dataset: read.AnyRecords
     split: str
     item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
-    known: tuple[Any, ...] = field(repr=False)
+    known: tuple[object, ...] = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -92,7 +92,7 @@ def gallery_of_rows(
     columns: Sequence[Column],
     item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem],
     rows_per_task: int,
-    known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
+    known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
 ) -> Gallery:
     """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
 

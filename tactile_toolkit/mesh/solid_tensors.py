@@ -118,9 +118,9 @@ Representation = Literal["points", "voxels", "height_map", "mesh"]
 REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 """Representations of items; see :class:`SolidTensors`."""
 
-Target = str | Callable[[Any], Any] | None
+Target = str | Callable[[Any], object] | None
 
-TARGETS: dict[str, Callable[[Any], Any]] = {
+TARGETS: dict[str, Callable[[SolidRecord], object]] = {
     "label": lambda record: record.label,
     "id": lambda record: record.id,
     "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from functools import reduce
-from typing import Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
@@ -28,6 +28,10 @@ from tactile_toolkit.read.sharded_table import ShardedTable
 from tactile_toolkit.read.source import RowSource
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import class_name, with_count
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from datasets import Dataset
 
 T = TypeVar("T")
 
@@ -87,7 +91,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return tuple(self._types)
 
     @property
-    def _types(self) -> dict[str, Any]:
+    def _types(self) -> dict[str, pa.DataType]:
         """Arrow type of each column that joined sets share, by dotted name, without structs."""
         found, *others = [column_types(schema) for schema in self.table.schemas] or [{}]
         return {
@@ -117,7 +121,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         large = (pa.types.is_nested, pa.types.is_binary)
         return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
-    def to_hf(self) -> Any:
+    def to_hf(self) -> Dataset:
         """Return the rows as a data set of the library `datasets`, with their features.
 
         Nothing is copied if the cache can be written: the result views unpacked rows, and only row groups
@@ -299,7 +303,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         """
         return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
 
-    def filter(self, function: Callable[[T], Any]) -> Self:
+    def filter(self, function: Callable[[T], object]) -> Self:
         """Return the items for which a function is true, in order.
 
         Only fields that the function accesses are read.
@@ -400,7 +404,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         parts_of = random_parts([to_builtin_number(part) for part in parts], len(self), seed, labels)
         return tuple(self._select(part) for part in parts_of)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> pd.DataFrame:
         """Return the plain columns as a table with one row for each item.
 
         Meshes, images and other lists are left out; ``to_hf().to_pandas()`` includes them.
@@ -445,7 +449,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return NotImplemented
         if len(self) != len(other) or self.label_names != other.label_names:
             return False
-        if self.identity == other.identity and np.array_equal(self._rows, other._rows):
+        if self.identity == other.identity and np.array_equal(self.row_numbers, other.row_numbers):
             return True
         return all(one == another for one, another in zip(self, other, strict=True))
 
@@ -464,7 +468,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         problems: dict[str, None] = {}
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
             try:
-                item: T = self._item(int(position))
+                item: Any = self._item(int(position))
                 pictures.append(item._tile_html())
             except (ToolkitError, ValueError, OSError) as error:
                 problems[f"<div>{html.escape(printable(str(error)))}</div>"] = None  # each once
@@ -506,7 +510,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Yield position and item, in the fastest order, for reading small fields."""
         return enumerate(self)
 
-    def _label_number(self, label: Any) -> int:
+    def _label_number(self, label: int | str) -> int:
         known, number = self.label_names, to_builtin_number(label)
         if number in known:
             return known.index(number)

@@ -321,7 +321,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         )
 
 
-def _holding(key: str, found: Any) -> Iterator[JsonObject]:
+def _holding(key: str, found: object) -> Iterator[JsonObject]:
     """Yield nested mappings with a key, in order: loaders nest our states in theirs."""
     if isinstance(found, Mapping):
         if key in found:

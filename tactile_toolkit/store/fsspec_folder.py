@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any, ClassVar, TypeVar
+from typing import IO, TYPE_CHECKING, ClassVar, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -18,6 +18,9 @@ from tactile_toolkit.store.addresses import scheme_of
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.files import named_failures, scratch_folder
 from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 T = TypeVar("T")
 
@@ -33,7 +36,7 @@ class FsspecFolder(DataFolder):
         return FsspecFolder, (self.root,)  # without open connections
 
     @cached_property
-    def _client(self) -> Any:
+    def _client(self) -> AbstractFileSystem:
         return client_of(self.root)
 
     def _ask(self, action: Callable[[], T], doing: str, path: str, size_bytes: int = 0) -> T:
