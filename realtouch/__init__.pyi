@@ -21,7 +21,6 @@ from .convert.media_conversions import (
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
 from .faults.checking import CheckResult as CheckResult, check as check
-from .finding import Finding as Finding
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED

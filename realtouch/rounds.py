@@ -116,7 +116,8 @@ class TouchRound(Record):
         title = self.describe_field("id", str) or "Round"
         return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
         words = [*self.label_words(), f"{self.touch_count} touches"]
         return touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 

@@ -193,7 +193,7 @@ class StoredRound(StoredColumns):
         """
         if not self.has_info():
             raise self.missing_column("info")
-        return read_info(self)
+        return nested_info(self)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (_unpickled, super().__reduce__())
@@ -256,7 +256,7 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
     return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
 
 
-def read_info(row: StoredColumns) -> JsonDict:
+def nested_info(row: StoredColumns) -> JsonDict:
     """Read the metadata of a round that has some.
 
     Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.

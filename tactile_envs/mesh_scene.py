@@ -22,6 +22,7 @@ from tactile_envs.randomization import Randomization
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
 from tactile_envs.scene import Readings
 from tactile_envs.toucher import SensorReadings, Toucher
+from tactile_toolkit import spatial
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -261,9 +262,7 @@ class MeshScene:
     @property
     def target_poses(self) -> Poses:
         """Where the sensors were sent, metres, cell frame."""
-        from scipy.spatial.transform import Rotation
-
-        return Poses(self._targets.copy(), Rotation.from_matrix(self._axes).as_quat())
+        return Poses(self._targets.copy(), spatial.Rotation.from_matrix(self._axes).as_quat())
 
     @property
     def position_limits_m(self) -> tuple[Float64, Float64]:

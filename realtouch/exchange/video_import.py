@@ -154,7 +154,9 @@ def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
         ranges = [range(item.start, item.start + max(1, item.frames)) for item in group]
         left = sum(map(len, ranges))
         try:
-            for picture in video.encoded_pictures(store.open_folder(home), path, chain.from_iterable(ranges)):
+            for picture in video.pictures_of_video(
+                store.open_folder(home), path, chain.from_iterable(ranges)
+            ):
                 left -= 1
                 yield picture
         except ItemError as error:

@@ -14,7 +14,7 @@ from realtouch.convert.conversion import parts_of
 from realtouch.faults.comparisons import all_comparisons
 from realtouch.faults.rules import RULES, WHOLE_ROUND, Fault, Spot
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
-from realtouch.finding import MOST_NAMED, Finding
+from realtouch.finding import MOST_NAMED, RecordingFinding
 from realtouch.integrity import agreeing_files, readable_rows
 from realtouch.kind import KIND
 from realtouch.picture_views import fitted
@@ -50,14 +50,14 @@ class CheckResult:
         How many were checked.
     decoded : int
         How many pictures were decoded; the stored bytes of all were compared.
-    findings : tuple of Finding
+    findings : tuple of RecordingFinding
         What is wrong, in the order of the rules.
     """
 
     rounds: int
     touches: int
     decoded: int
-    findings: tuple[Finding, ...]
+    findings: tuple[RecordingFinding, ...]
     _faults: Mapping[str, Sequence[Fault]] = field(repr=False)
     _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
 
@@ -183,7 +183,7 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
 
 def _finding(
     rule: str, faults: Sequence[Fault], rounds: Mapping[Spot, RoundSeen], limits: CheckLimits
-) -> Finding:
+) -> RecordingFinding:
     """Return what a rule found, over all splits."""
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
@@ -200,12 +200,12 @@ def _finding(
     said = RULES[rule]
     found = said.found.format(value=max(fault.value for fault in faults))
     where = " and ".join(splits)
-    return Finding(
+    return RecordingFinding(
         rule, found, said.expected_text(limits), where, tuple(names[:MOST_NAMED]), total, said.next
     )
 
 
-def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyDataset]) -> UInt8:
+def _draw(finding: RecordingFinding, faults: Sequence[Fault], datasets: Mapping[str, AnyDataset]) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
     for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:

@@ -133,7 +133,7 @@ def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
         for split, shards in source.shards.items()
     ]
     for other, found in others:
-        differs = merge_changes.difference(schema, found, (name, other))
+        differs = merge_changes.schema_difference(schema, found, (name, other))
         if differs:
             raise InputError(f"{differs}; expected data sets made alike")
     return schema

@@ -137,7 +137,7 @@ def require_new_column(name: str, schema: pa.Schema) -> None:
         )
 
 
-def difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
+def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
     """Describe how rows of two data sets differ: the first column, class or metadata; empty if alike."""
     first, second = names
     types = [read.column_types(schema) for schema in (one, other)]

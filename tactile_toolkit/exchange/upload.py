@@ -16,6 +16,8 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any
 
+import huggingface_hub
+
 from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
@@ -173,8 +175,6 @@ def prepare_upload(
     public repository. Raises InputError (not a finished data set, an unusable option), IntegrityError
     (damage, a card that does not match the data) or HubError.
     """
-    from huggingface_hub import HfApi
-
     chosen, place = options or UploadOptions(), store.open_folder(folder)
     manifest = store.read_manifest(place)
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
@@ -189,7 +189,7 @@ def prepare_upload(
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
         if not dry_run:
-            ask(HfApi().whoami)
+            ask(huggingface_hub.HfApi().whoami)
         held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
         manifest, files = _files_to_send(place, manifest, repo_id, held, chosen, scratch)
         plan = compare(files, held, delete=chosen.delete)
@@ -225,10 +225,10 @@ def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[st
 
     A missing repository is not an error.
     """
-    from huggingface_hub import HfApi, errors
+    from huggingface_hub import errors
 
     try:
-        refs = HfApi().list_repo_refs(repo_id, repo_type="dataset")
+        refs = huggingface_hub.HfApi().list_repo_refs(repo_id, repo_type="dataset")
     except errors.RepositoryNotFoundError as error:
         # The client derives it from the error for a missing repository, but a gated one exists.
         if isinstance(error, errors.GatedRepoError):
@@ -308,9 +308,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
-    from huggingface_hub import HfApi
-
-    api, ask, options, held = HfApi(), prepared.ask, prepared.options, prepared.held
+    api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
     here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
@@ -343,8 +341,6 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
     files; and it takes all files from one folder, while the card is in another.
     """
-    from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
-
     options, manifest = prepared.options, prepared.manifest
     held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile
@@ -354,11 +350,11 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     message = f"Upload {manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # those of the client, that users cannot act on
-        made = HfApi().create_commit(
+        made = huggingface_hub.HfApi().create_commit(
             repo_id=prepared.repo_id,
             operations=[
-                *(CommitOperationDelete(path) for path in plan.removed),
-                *(CommitOperationAdd(each.path, each.place) for each in plan.to_send),
+                *(huggingface_hub.CommitOperationDelete(path) for path in plan.removed),
+                *(huggingface_hub.CommitOperationAdd(each.path, each.place) for each in plan.to_send),
             ],
             repo_type="dataset",
             commit_message=options.message or message,

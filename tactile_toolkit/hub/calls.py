@@ -19,6 +19,8 @@ from importlib import import_module
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
+import huggingface_hub
+
 from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 from tactile_toolkit.redaction import redact
@@ -180,8 +182,6 @@ def failure_of(
 
     With ``is_answer`` only an answer of the Hub was read, so an unreadable value is a failure, too.
     """
-    from huggingface_hub import get_token
-
     chain = store.cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
@@ -204,7 +204,7 @@ def failure_of(
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
-            what, then = (redact(part.format(**values), get_token()) for part in sentence)
+            what, then = (redact(part.format(**values), huggingface_hub.get_token()) for part in sentence)
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
             return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
@@ -318,7 +318,6 @@ def _check_answer(response: Any, **_: object) -> None:
 
 def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
     """Return options with which the client reports the bytes of a file that have arrived, if it can."""
-    from huggingface_hub import hf_hub_download
     from huggingface_hub.utils.tqdm import tqdm
 
     class Bar(tqdm):
@@ -339,6 +338,6 @@ def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
 
         set_transfer_postfix_str = tqdm.set_postfix_str
 
-    if "tqdm_class" in inspect.signature(hf_hub_download).parameters:
+    if "tqdm_class" in inspect.signature(huggingface_hub.hf_hub_download).parameters:
         return {"tqdm_class": Bar}
     return {}

@@ -12,7 +12,7 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import spatial, store
 from tactile_toolkit.array_types import Float64, Int32, Integers
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.mesh.file_units import require_likely_size, require_unit
@@ -232,7 +232,6 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
         return Mesh(vertices, faces)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
     # Ends of edges that do not occur in both directions.
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
@@ -241,7 +240,7 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
     if len(torn) < 2:
         return Mesh(vertices, faces)
     reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
+    tree, count = spatial.cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
     found: Any = tree.query(vertices[torn], count, distance_upper_bound=reach_m)
     row, column = np.nonzero(np.isfinite(found[0]))
     graph = coo_array((np.ones(len(row)), (row, found[1][row, column])), (len(torn), len(torn)))

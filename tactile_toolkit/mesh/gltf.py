@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from tactile_toolkit import spatial
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.bounds import require_unpackable
@@ -190,12 +191,10 @@ def _matrix(node: JsonValue) -> Float64:
             raise InputError("a node has a matrix that distorts, or that stands next to parts of one")
         return found
     if "rotation" in node:
-        from scipy.spatial.transform import Rotation
-
         length = math.hypot(*node["rotation"])
         if not abs(length - 1) <= _LENGTH_TOLERANCE:
             raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
-        found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
+        found[:3, :3] = spatial.Rotation.from_quat(node["rotation"]).as_matrix()
     found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     found[:3, 3] = node.get("translation", (0, 0, 0))
     return found

@@ -469,7 +469,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
             try:
                 item: Any = self._item(int(position))
-                pictures.append(item._tile_html())
+                pictures.append(item.tile_html())
             except (ToolkitError, ValueError, OSError) as error:
                 problems[f"<div>{html.escape(printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
