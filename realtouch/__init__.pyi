@@ -20,6 +20,7 @@ from .convert.media_conversions import (
 )
 from .convert.picture_files import frames as frames
 from .convert.selection import select as select
+from .finding import RecordingFinding as RecordingFinding
 from .faults.checking import CheckResult as CheckResult, check as check
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
