@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any, TypeAlias
-
-import gymnasium as gym
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 from tactile_toolkit.array_types import AnyArray
 
-Space: TypeAlias = gym.Space[Any]
+if TYPE_CHECKING:
+    import gymnasium as gym  # ids of environments are listed without it
+
+Space: TypeAlias = "gym.Space[Any]"
 """The valid values of an action, an observation or a part of one."""
 
 Action: TypeAlias = Mapping[str, Any]
