@@ -15,9 +15,9 @@ from realtouch.contact import PLATE_COLUMN, ContactHeight
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_columns import StoredColumns
+from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonDict, JsonValue
-from tactile_toolkit.read import Row, RowGroup, RowSource, Shard, all_blocks, column_types
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
 
 if TYPE_CHECKING:
@@ -220,33 +220,35 @@ def as_seconds(values: AnyArray) -> Float64:
     return np.asarray(values, np.float64)
 
 
-def _unpickled(make: Callable[..., Row], arguments: tuple[object, ...]) -> StoredRound:
+def _unpickled(make: Callable[..., read.Row], arguments: tuple[object, ...]) -> StoredRound:
     row = make(*arguments)
     return StoredRound(row.group, row.index)
 
 
-def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[StoredRound]:
+def stored_rows(
+    shards: Iterable[read.RowSource], columns: Sequence[str] | None = None
+) -> Iterator[StoredRound]:
     """Yield the rows of files, with all columns or the named ones; one block is in memory at a time."""
-    return rows_of(all_blocks(shards, columns))
+    return rows_of(read.all_blocks(shards, columns))
 
 
-def rows_of(blocks: Iterable[RowGroup]) -> Iterator[StoredRound]:
+def rows_of(blocks: Iterable[read.RowGroup]) -> Iterator[StoredRound]:
     """Yield the rows of some blocks."""
     return (StoredRound(block, row) for block in blocks for row in range(len(block.table)))
 
 
-def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
+def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
     """Return the numbers of touches of some row groups, or of all, shape (rows,).
 
     If the type of the column fixes the number, no row is read.
     """
-    types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
+    types, chosen = read.column_types(source.schema), groups or range(len(source.group_starts) - 1)
     name = next(name for name in _COUNTING if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
         return np.full(rows, types[name].list_size, np.int64)
     column = name
-    if name in MEDIA_COLUMN.values() and isinstance(source, Shard):
+    if name in MEDIA_COLUMN.values() and isinstance(source, read.Shard):
         # The names of pictures are counted: pictures fill the memory.
         leaf = f"{name}.list.element.path"
         if any(chunk.path_in_schema == leaf for chunk in source.column_chunks()):

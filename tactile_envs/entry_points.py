@@ -11,11 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from tactile_envs import env_specs, gym_types, mesh_pool, object_sets
 from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
-from tactile_envs.env_specs import REAL_TOUCHES, EnvSpec, env_specs
-from tactile_envs.gym_types import Options
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.object_sets import open_objects
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError, needs_extra
 from tactile_toolkit.wording import did_you_mean
@@ -49,7 +46,7 @@ def make_vector(
     num_envs: int = 1,
     assets: str | PathLike[str] | None = None,
     unit: str | None = None,
-    config: Options | EpisodeConfig | None = None,
+    config: gym_types.Options | EpisodeConfig | None = None,
     render_mode: str | None = None,
     threads: int = 1,
     weights: str | Path | None = None,
@@ -107,7 +104,7 @@ def make_vector(
         An option does not exist.
     """
     _require_known(unknown, _options())
-    spec = env_specs()[name]
+    spec = env_specs.env_specs()[name]
     settings = configured(spec.config, config)
     if max_episode_steps is not None:
         settings = replace(settings, step_limit=max_episode_steps)
@@ -127,7 +124,7 @@ def make_vector(
         camera = Camera(settings, weights)
         kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
         try:
-            records = open_objects(spec, settings, assets, unit)
+            records = object_sets.open_objects(spec, settings, assets, unit)
             if settings.real_base_depth_dataset is not None:
                 real = _real_touches(settings.real_base_depth_dataset, assets)
                 touches_m = base_depths_m(real, settings.real_base_depth_touches, camera.sensor.size_px)
@@ -158,7 +155,7 @@ def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
 
 
 def _recorded(
-    spec: EnvSpec,
+    spec: env_specs.EnvSpec,
     config: RecordedConfig,
     sources: RecordedSources,
     num_envs: int,
@@ -186,12 +183,12 @@ def _recorded(
 
 def _real_touches(given: Source, assets: str | PathLike[str] | None) -> Source:
     """Return the touches of a setting; the published ones may lie in the folder of the assets."""
-    if given != REAL_TOUCHES:
+    if given != env_specs.REAL_TOUCHES:
         return given
     return touches_in(assets or "tactile-assets") or given
 
 
-def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: Sequence[str]) -> Task:
+def _task(spec: env_specs.EnvSpec, config: Config, pool: mesh_pool.MeshPool, classes: Sequence[str]) -> Task:
     """Return the task of an environment; InputError if all its answers are equal."""
     if spec.task == "classification":
         return Classification(pool.measure("label").astype(np.int64), classes)

@@ -24,10 +24,9 @@ from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import pyarrow as pa
 
-from tactile_toolkit import store
-from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import LOCKS, MemoryCache, cache_folder
+from tactile_toolkit import bounds, cache, store
 from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
+from tactile_toolkit.read import supported_types
 from tactile_toolkit.read.blocks import (
     BLOCKS,
     HELD_UP,
@@ -44,7 +43,6 @@ from tactile_toolkit.read.blocks import (
 from tactile_toolkit.read.features import class_names
 from tactile_toolkit.read.row_group import RowGroup
 from tactile_toolkit.read.schemas import column_types
-from tactile_toolkit.read.supported_types import supported_schema, supported_table
 
 if TYPE_CHECKING:
     from pyarrow import parquet
@@ -59,7 +57,7 @@ Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
 
 # Metadata and Arrow schema by content and stated rows, some hundred kB for a large shard. The schema object
 # of the metadata is not kept, because both refer to each other and would wait for the garbage collector.
-_FOOTERS: MemoryCache[tuple[str, int | None], Footer] = MemoryCache(128)
+_FOOTERS: cache.MemoryCache[tuple[str, int | None], Footer] = cache.MemoryCache(128)
 
 
 @dataclass(frozen=True)
@@ -143,7 +141,9 @@ class Shard:
             self._require_bounded(index)
         with self._named_damage():
             # No threads of Arrow, because shards are already read in parallel.
-            return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
+            return supported_types.supported_table(
+                parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+            )
 
     def column(self, name: str) -> pa.Array:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError if it does not exist."""
@@ -201,7 +201,7 @@ class Shard:
             return not UNPACKED.is_given_up
         with contextlib.ExitStack() as stack:
             # 256 lock files for all row groups, because lock files stay in the cache.
-            lock = cache_folder() / LOCKS / self.digest[:2]
+            lock = cache.cache_folder() / cache.LOCKS / self.digest[:2]
             try:
                 lock.parent.mkdir(parents=True, exist_ok=True)
                 patience_s = 0.0 if lock in HELD_UP else None
@@ -215,7 +215,7 @@ class Shard:
                     )
                 HELD_UP.add(lock)
             # Read each time, because a notebook may set the variable at any time.
-            UNPACKED.limit_bytes = cache_limit_bytes()
+            UNPACKED.limit_bytes = bounds.cache_limit_bytes()
             # The previous holder of the lock may have unpacked all or part of it.
             return are_kept(files) or all(
                 file.exists()
@@ -270,7 +270,7 @@ class Shard:
         stored = sum(column.total_compressed_size for column in columns)
         if size_bytes <= _MOST_EXPANSION * stored:
             size_bytes //= max(group.num_rows, 1)
-        require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
+        bounds.require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         rows = self.block_rows[index]
@@ -278,7 +278,7 @@ class Shard:
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may return fewer rows than requested; blocks must be complete to be found again.
-                table = supported_table(pa.Table.from_batches([batch]))
+                table = supported_types.supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -395,7 +395,9 @@ class Shard:
             if stated not in (None, found[unit]):  # such as a shard of a set that is being overwritten
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
                 raise IntegrityError.in_file(self.path, problem)
-        return parquet, footer or _FOOTERS.put(key, (metadata, supported_schema(parquet.schema_arrow)))
+        return parquet, footer or _FOOTERS.put(
+            key, (metadata, supported_types.supported_schema(parquet.schema_arrow))
+        )
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
         # Without the device, which differs between machines that share a file system.

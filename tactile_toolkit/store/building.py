@@ -17,12 +17,12 @@ from typing import Unpack
 
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
 from tactile_toolkit.run import runner_for
+from tactile_toolkit.store import parquet, replacing
 from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
 from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
 from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.parquet import REPORT_STYLE, ParquetStyle, encode_parquet, sha256_hex
 from tactile_toolkit.store.pending import (
     pending_records,
     remove_leftovers,
@@ -30,7 +30,6 @@ from tactile_toolkit.store.pending import (
     write_shard_record,
 )
 from tactile_toolkit.store.plan import BuildPlan
-from tactile_toolkit.store.replacing import prepare_next, promote, require_replaceable, resume_promotion
 from tactile_toolkit.store.reports import merge_reports
 from tactile_toolkit.store.run_options import Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
@@ -48,23 +47,23 @@ class _WriteShard:
 
     folder: DataFolder
     identity: str
-    style: ParquetStyle = field(repr=False)
+    style: parquet.ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
 
     def __call__(self, task: AnyTask) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()
-        data = content.encoded or encode_parquet(content.table, self.style)
+        data = content.encoded or parquet.encode_parquet(content.table, self.style)
         report = report_sha256 = report_bytes = None
         if content.report is not None:
-            report = encode_parquet(content.report, REPORT_STYLE)
-            report_sha256, report_bytes = sha256_hex(report), len(report)
+            report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
+            report_sha256, report_bytes = parquet.sha256_hex(report), len(report)
         record = ShardRecord.of(
             shard,
             len(content.table),
             len(data),
-            sha256_hex(data),
+            parquet.sha256_hex(data),
             report_sha256=report_sha256,
             skipped=content.skipped,
             statistics=content.statistics,
@@ -116,7 +115,7 @@ def build(
             manifest = _finish(job, records, write_card)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
-                promote(folder)
+                replacing.promote(folder)
         return manifest
 
 
@@ -133,12 +132,12 @@ def _begun(
     target, had_manifest = folder, True
     with contextlib.ExitStack() as hold:
         try:
-            resume_promotion(folder)
+            replacing.resume_promotion(folder)
             # Parts begin under the lock for shards: with many at once, the folder would never be free.
             with folder.locked(shared=options.part is not None):
-                is_replaced = options.overwrite and require_replaceable(folder, plan)
+                is_replaced = options.overwrite and replacing.require_replaceable(folder, plan)
                 if is_replaced and isinstance(folder, LocalFolder):
-                    target, existed = prepare_next(folder, plan), False
+                    target, existed = replacing.prepare_next(folder, plan), False
                     hold.enter_context(locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0))
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)

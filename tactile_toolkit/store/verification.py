@@ -17,14 +17,8 @@ import pyarrow.compute as pc
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
+from tactile_toolkit.store import download_record
 from tactile_toolkit.store.data_folder import DataFolder
-from tactile_toolkit.store.download_record import (
-    RECORD_FILE,
-    HubFile,
-    digest_algorithm,
-    digest_like,
-    read_download_record,
-)
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import named_damage, open_checked
@@ -91,7 +85,7 @@ def verify(
         files, reference = _recorded_files(folder, manifest), MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
-    def announced() -> Iterator[HubFile]:
+    def announced() -> Iterator[download_record.HubFile]:
         for path, file in files.items():
             on_file(path)
             yield file
@@ -109,26 +103,28 @@ def verify(
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
-def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile]:
+def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, download_record.HubFile]:
     """Return the files that a manifest lists, by path."""
-    files = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards}
+    files = {
+        each.file: download_record.HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards
+    }
     for path, sha256 in manifest.files.items():
         # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
         is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
         if is_required or folder.exists(path):
-            files[path] = HubFile(path, 0, sha256)
+            files[path] = download_record.HubFile(path, 0, sha256)
     return files
 
 
-def _downloaded_files(folder: DataFolder) -> tuple[dict[str, HubFile], list[Finding], str]:
+def _downloaded_files(folder: DataFolder) -> tuple[dict[str, download_record.HubFile], list[Finding], str]:
     """Return the files that a download recorded, further files among the shards, and the commit."""
-    record = read_download_record(folder)
+    record = download_record.read_download_record(folder)
     if record is None:
         raise InputError(
             folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
             next="give the folder of a generated or downloaded data set",
         )
-    findings = _unlisted(folder, record.files, RECORD_FILE)
+    findings = _unlisted(folder, record.files, download_record.RECORD_FILE)
     return record.files, findings, f"{record.repo_id} at {record.commit[:12]}"
 
 
@@ -141,7 +137,10 @@ class _Checked(NamedTuple):
 
 
 def _check_file(
-    folder: DataFolder, schema: pa.Schema | None, shards: Mapping[str, ShardRecord], file: HubFile
+    folder: DataFolder,
+    schema: pa.Schema | None,
+    shards: Mapping[str, ShardRecord],
+    file: download_record.HubFile,
 ) -> _Checked:
     """Check the content of a file, and a shard also against its record and the schema."""
     path, address = file.path, folder.address(file.path)
@@ -218,7 +217,7 @@ def require_finished(folder: DataFolder) -> None:
 
 
 def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
-    record = read_download_record(folder)
+    record = download_record.read_download_record(folder)
     if record is not None:
         return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
     return f"not finished: {manifest.progress}; the same command continues"
@@ -238,16 +237,18 @@ def _unlisted(
 
 
 @contextlib.contextmanager
-def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
+def _intact(folder: DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
     """Open a file with this digest or size; IntegrityError states the problem of any other."""
     problem = problem_of_place(folder, file.path)
     if problem:
         raise IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
-        found = None if file.digest is None else digest_like(stream, file.digest)
+        found = None if file.digest is None else download_record.digest_like(stream, file.digest)
         if found != file.digest:
-            raise IntegrityError(f"{digest_algorithm(str(found))} is {found}, expected {file.digest}")
+            raise IntegrityError(
+                f"{download_record.digest_algorithm(str(found))} is {found}, expected {file.digest}"
+            )
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
             raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
