@@ -14,9 +14,8 @@ import realtouch
 import starstruck_gen
 from env_assets import asset_kinds, mesh_files, mesh_view
 from env_assets.wrench.records import WrenchDataset
-from tactile_toolkit import checked_fields, hub, mesh, read, store
+from tactile_toolkit import checked_fields, errors, hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
@@ -141,7 +140,7 @@ class AssetProvider:
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
-        except (InputError, IntegrityError):
+        except (errors.InputError, errors.IntegrityError):
             return None
         return asset_kinds.open_meshes(shards, name)
 
@@ -168,7 +167,7 @@ class AssetProvider:
         try:
             with store.locked(self._lock_of(name), patience_s=0.0):
                 return False
-        except BusyError:
+        except errors.BusyError:
             return True
 
     def _recipe(self, name: str) -> Recipe:
@@ -267,13 +266,13 @@ class AssetProvider:
             found = open_place(place, revision=self._commit_of(place))
             return found.require_meshes("AssetProvider.meshes").shards(split)
         except (
-            InputError,
-            IntegrityError,
+            errors.InputError,
+            errors.IntegrityError,
         ) as error:  # the latter also after interrupted runs
             if name not in asset_kinds.KINDS or name in self._places:
                 raise
             recipe = self._recipe(name)
-            if isinstance(error, InputError):
+            if isinstance(error, errors.InputError):
                 self._refuse_missing(error, name, split, recipe)
             elif not self._generate:
                 raise
@@ -281,7 +280,7 @@ class AssetProvider:
             try:
                 # Another process may have made it while this one waited.
                 return open_place(place).shards(split)
-            except (InputError, IntegrityError):
+            except (errors.InputError, errors.IntegrityError):
                 pass
             self._make(name, split, recipe, place)
         return open_place(place).shards(split)
@@ -301,10 +300,10 @@ class AssetProvider:
                 kept = f"interrupted; what is finished stays in {place!r}, and the same call continues"
                 raise KeyboardInterrupt(kept) from None
 
-    def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
+    def _refuse_missing(self, error: errors.InputError, name: str, split: str, recipe: Recipe) -> None:
         """Refuse a split that a kind does not have, or that may not be made here."""
         if split not in recipe.splits:
-            raise InputError(
+            raise errors.InputError(
                 f"unknown split {split!r} of {name}; expected one of {', '.join(recipe.splits)}"
             ) from error
         if not self._generate:
@@ -314,7 +313,7 @@ class AssetProvider:
                 found = "it does not exist"
             out = f"--out {shlex.quote(str(place))}"
             command = " ".join(filter(None, (asset_kinds.KINDS[name].made_by, recipe.arguments(split), out)))
-            raise InputError(
+            raise errors.InputError(
                 f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",
             ) from error
@@ -327,13 +326,13 @@ def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trim
 def _checked_places(places: object) -> dict[str, str]:
     known = (*asset_kinds.KINDS, *asset_kinds.THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
     if not isinstance(places, Mapping):
-        raise InputError(
+        raise errors.InputError(
             f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
         )
     for name in places:
         if name not in known:
             near = did_you_mean(str(name), known)
-            raise InputError(
+            raise errors.InputError(
                 f"places of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
@@ -347,7 +346,7 @@ def _absolute_path(place: str) -> str:
         local = store.expanded(place)
         if local.exists():
             return str(local.absolute())
-    except (InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
+    except (errors.InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
         pass
     return place
 

@@ -18,9 +18,8 @@ import tactile_sim
 from tactile_envs import camera, drawing, gym_types, motion, recorded_sets, reset_options, scene
 from tactile_envs.config import DIRECT, RecordedConfig
 from tactile_sim import optics
-from tactile_toolkit import cache, kind, run
+from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
-from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from tactile_sim.learned import DepthEstimator
@@ -95,14 +94,14 @@ class RecordedScene:
     ) -> None:
         """Begin with a round in some cells, and aim at the places of the first touches."""
         if any(pose is not None for pose in options.poses):
-            raise InputError(
+            raise errors.InputError(
                 "option 'initial_object_pose' was given, but the objects of recorded touches were not moved",
                 next="leave it out",
             )
         count = len(self._observed)
         for number in options.numbers:
             if number is not None and not 0 <= number < count:
-                raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
+                raise errors.InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
         for row in np.arange(self.num_envs)[rows].tolist():
             number, start = options.numbers[row], options.starts[row]
             if number is None:
@@ -240,7 +239,7 @@ class RecordedImages:
             if config.sensor_type == "depth":
                 self.channels = 1
         elif weights is not None:
-            raise InputError(
+            raise errors.InputError(
                 "weights were given, but recorded images are shown as they are",
                 next="leave them out, or choose an id with -CycleGAN",
             )

@@ -18,8 +18,7 @@ import pyarrow as pa
 from realtouch import kind, stored_round, touch_card
 from realtouch.convert.conversion import Conversion, Pack, RowChoice, Source, Step, files_of, require_limit
 from realtouch.schema import flat_schema, origin_of
-from tactile_toolkit import catalog, places, read, store, touch
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit import catalog, errors, places, read, store, touch
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
@@ -57,7 +56,7 @@ class _ConvertRows:
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
                 files |= beside
-            except IntegrityError as error:
+            except errors.IntegrityError as error:
                 message = str(error)
                 for each in self.shards:  # as the manifest names them: their folder may be private
                     message = message.replace(each.path, each.path.rpartition("/")[2])
@@ -110,7 +109,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
             work = _ConvertRows(shards[first : last + 1], starts[first], step, schema, conversion.pack)
             tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, work))
     if not tasks:
-        raise InputError(
+        raise errors.InputError(
             f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
         )
     spec = {
