@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import pyarrow as pa
+from typing import TYPE_CHECKING
 
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.quantities import bytes_text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 # Length of the longest list whose values are shown.
 _SHOWN = 6

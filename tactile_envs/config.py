@@ -8,8 +8,8 @@ from math import inf, pi
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, TypedDict, TypeVar
 
+import tactile_sim
 from tactile_envs.gym_types import Options
-from tactile_sim import Sensor, SensorNoise, center_view
 from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M
 from tactile_sim.sensor_noise import checked_noise
@@ -20,7 +20,6 @@ from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from realtouch import TouchSingleDataset
-    from tactile_sim import Gel
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
@@ -90,7 +89,7 @@ class EpisodeConfig:
     cell_padding: tuple[float, float] = checked_fields.real(_PADDING_M, -10, 10, many=2)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sensor_output_size", Sensor(self.sensor_output_size).size_px)
+        object.__setattr__(self, "sensor_output_size", tactile_sim.Sensor(self.sensor_output_size).size_px)
         checked_fields.check_fields(self, "the environment")
         reach_m = [
             size / 2 - padding for size, padding in zip(self.cell_size, self.cell_padding, strict=True)
@@ -184,11 +183,11 @@ class Config(EpisodeConfig):
     max_tilt_angle: float = checked_fields.real(pi / 4, 0, pi / 4)
     gel_thickness: float = checked_fields.real(GEL_M, above=0, most=0.1)
     penetration_depth: float = checked_fields.real(PRESS_DEPTH_M, above=0, most=0.1)
-    elastic_gel: Gel | None = None
+    elastic_gel: tactile_sim.Gel | None = None
     press_force: float | None = checked_fields.real(None, above=0, below=1000, optional=True)
     penetration_depth_reduction_std: float = checked_fields.real(0.0, 0, 1)
     max_platform_penetration: float | None = checked_fields.real(None, 0, 1, optional=True)
-    sensor_noise: SensorNoise | None = None
+    sensor_noise: tactile_sim.SensorNoise | None = None
     real_base_depth_dataset: str | PathLike[str] | TouchSingleDataset | None = None
     real_base_depth_touches: int = checked_fields.integer(64, 1, 1024)
     snap_touch_positions: int | None = checked_fields.integer(None, 1, 100_000, optional=True)
@@ -219,9 +218,9 @@ class Config(EpisodeConfig):
                 next="set it to None",
             )
 
-    def sensor(self, size_px: tuple[int, int]) -> Sensor:
+    def sensor(self, size_px: tuple[int, int]) -> tactile_sim.Sensor:
         """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
-        view = center_view(*size_px)
+        view = tactile_sim.center_view(*size_px)
         return replace(view, gel_m=self.gel_thickness, press_m=self.penetration_depth)
 
     @property
@@ -232,28 +231,26 @@ class Config(EpisodeConfig):
         return self.gel_thickness - self.max_platform_penetration
 
 
-def _noise_of(given: object) -> SensorNoise | None:
+def _noise_of(given: object) -> tactile_sim.SensorNoise | None:
     """Return the noise of a setting: as of a specification, or as an option names it."""
     if isinstance(given, (str, PathLike)):
-        return SensorNoise.named(fspath(given))
+        return tactile_sim.SensorNoise.named(fspath(given))
     return checked_noise(given, "sensor_noise of the environment")
 
 
-def _gel_of(given: object) -> Gel | None:
+def _gel_of(given: object) -> tactile_sim.Gel | None:
     """Return the elastic gel of a setting: as an option names it, or with values of its attributes."""
     if given is None:
         return None
     if isinstance(given, (str, PathLike)):
         return gel_named(fspath(given))
-    from tactile_sim.elastic import Gel  # numba
-
-    if isinstance(given, Gel):
+    if isinstance(given, tactile_sim.Gel):
         return given
-    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(Gel)}:
-        return Gel(**given)
+    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(tactile_sim.Gel)}:
+        return tactile_sim.Gel(**given)
     raise InputError(
         f"elastic_gel of the environment is {given!r}; expected a Gel, 'elastic', a JSON file, or a mapping "
-        f"of {', '.join(each.name for each in fields(Gel))}"
+        f"of {', '.join(each.name for each in fields(tactile_sim.Gel))}"
     )
 
 
