@@ -13,7 +13,7 @@ from cli.application import EXIT_FAILED
 from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
 from cli.output import Sink
 from tactile_toolkit import cards, catalog, mesh, places, run, store
-from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
@@ -26,7 +26,7 @@ class Geometry:
 
     ``check`` takes names, a split or None, a limit or None and a number of processes, and the keywords
     ``opened``, a function that opens a name, and ``on_progress``. It returns results with ``checked``,
-    ``failed``, ``unreadable``, ``to_dict()`` and ``table()``.
+    ``failed``, ``unreadable``, ``to_dict()``, ``table()`` and ``advice()``.
     """
 
     nouns: str
@@ -98,6 +98,9 @@ def validate(
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
     unit: str | None = mesh.UNIT,
+    nozzle_mm: float | None = real(
+        None, above=0, optional=True, shown="0.4", help="Nozzle of the printer: walls need two lines of it."
+    ),
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -110,7 +113,8 @@ def validate(
 
     Exit code 1 if an object is not valid. For a folder, `verify --geometry` checks its files as well.
     """
-    checks = replace(checks, check=partial(checks.check, unit=unit))
+    profile = None if nozzle_mm is None else mesh.PrintProfile(nozzle_mm=nozzle_mm)
+    checks = replace(checks, check=partial(checks.check, unit=unit, profile=profile))
     check_objects(sink, checks, paths, opening, split, limit, workers)
 
 
@@ -143,6 +147,8 @@ def check_objects(
         for problem in result.unreadable:
             sink.warn(f"unreadable: {problem}")  # printed with --quiet, too, which prints no table
         sink.table(*result.table())
+        for line in result.advice():
+            sink.line(line)
     checked = sum(result.checked for result in results)
     failed = sum(result.failed for result in results)
     sink.line(f"{checked - failed:,} of {checked:,} {geometry.nouns} are valid")

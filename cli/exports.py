@@ -23,13 +23,14 @@ from cli.options import (
 from cli.output import Sink
 from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange, places, printing, store
-from tactile_toolkit.checked_fields import choice, real, text
+from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
+_UNCHANGED = {"scale": 1, "base_mm": None}
 _DOING = {True: "checking", False: "writing"}
 
 
@@ -47,9 +48,21 @@ class ExportOptions:
         "Parquet tables with a row for each object, its mesh as GLB.",
     )
     scale: float = real(1.0, help="Factor for all lengths.")
+    base_mm: float | None = real(
+        None,
+        above=0,
+        optional=True,
+        help="Put the upper half of each object on a base plate of this thickness, which prints without "
+        "support.",
+    )
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
+    )
+    calibration_plate: bool = switch(
+        False,
+        help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
+        "pressed for `tactile-sim calibrate`.",
     )
 
 
@@ -71,7 +84,8 @@ def export(
     Writes a file for each object, or build plates of several objects, or tables with a row for each
     object.
 
-    Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256
+    Examples: export DIR --ids 3,17 --format 3mf;  export DIR --per-class 1 --plate 256x256;
+    export DIR --calibration-plate --out plate
 
     Objects keep their pose; their lowest point is at z = 0.
 
@@ -85,8 +99,7 @@ def export(
     # Options that would have no effect are refused before any work.
     if form.file_format == "flat":
         given = [*distances, *material]
-        if form.scale != 1:
-            given.append("scale")
+        given += [name for name in ("scale", "base_mm") if getattr(form, name) != _UNCHANGED[name]]
         _refuse(given, "applies to mesh files, not to flat tables of the stored meshes", "leave it out")
     elif form.file_format not in printing.MODELS:
         _refuse(material, "applies to bodies for simulators only", "add --format mjcf, urdf or usd")
@@ -94,6 +107,8 @@ def export(
         _refuse(distances, "applies to build plates only", "add --plate 256x256")
     elif form.file_format not in (None, "3mf", "mjcf"):
         _refuse(["plate"], "applies to 3mf and mjcf only, which hold named objects", "add --format 3mf")
+    if form.calibration_plate:
+        _refuse_for_plate(form)
     place = opening.open(sink, name).require(kind, "export")
     datasets = catalog.open_splits(place, filters.pop("split"), kind.load, kind.nouns).items()
     if form.file_format == "flat":
@@ -101,8 +116,10 @@ def export(
         return
     bodies = printing.Physics(**material)
     spec = form.plate and printing.PlateSpec.parse(form.plate, **distances)
-    objects = printing.choose(datasets, **filters)
-    if spec:
+    objects = printing.on_plates(printing.choose(datasets, **filters), form.base_mm)
+    if form.calibration_plate:
+        _export_calibration_plate(sink, objects, form.file_format or "3mf", str(out), job)
+    elif spec:
         # Plates in MJCF are bodies that lie on a floor; 3MF has neither density nor friction.
         on_floor = {"mjcf": bodies}.get(form.file_format or "")
         _export_plates(sink, objects, spec, form.scale, on_floor, str(out), job)
@@ -114,6 +131,34 @@ def _refuse(given: Iterable[str], why: str, instead: str) -> None:
     """Refuse options that would have no effect."""
     for name in given:
         raise InputError(f"--{name.replace('_', '-')} {why}", next=instead)
+
+
+def _refuse_for_plate(form: ExportOptions) -> None:
+    """Refuse options that the plate for calibration does not have."""
+    if form.file_format == "flat" or form.file_format in printing.MODELS:
+        raise InputError(
+            f"--format is {form.file_format!r}; expected 3mf, stl, ply, obj or glb for the plate for "
+            "calibration, which is printed"
+        )
+    if form.plate is not None or form.scale != 1 or form.base_mm is not None:
+        raise InputError(
+            "the plate for calibration has a size of its own", next="leave out --plate, --scale and --base-mm"
+        )
+
+
+def _export_calibration_plate(
+    sink: Sink, objects: list[printing.PrintObject], ending: str, out: str, job: Job
+) -> None:
+    made = printing.export_calibration_plate(
+        objects, out, ending, overwrite=job.overwrite, dry_run=job.dry_run
+    )
+    sink.document({"out": out, **asdict(made)})
+    for plate in made.files:
+        size = " x ".join(f"{side:g}" for side in plate.size_mm)
+        sink.line(
+            f"{plate.state}: {', '.join(plate.files)} in {out}; {size} mm, with {', '.join(plate.features)}"
+        )
+    _report_failures(sink, made.failed)
 
 
 def _export_files(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 
 import typer
@@ -39,7 +39,7 @@ def upload(
 
     After an interruption, the same command continues; after success, it sends nothing.
     """
-    _quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
+    quiet_client(is_all=sink.quiet or not sys.stderr.isatty())
     place = places.open_place(folder).require(kind, "upload")
     place.require_manifest(kind)
     kind = place.kind or kind
@@ -48,6 +48,18 @@ def upload(
     prepared = exchange.prepare_upload(
         folder, repository, options, check=check, dry_run=dry_run, on_wait=sink.info
     )
+    finish_upload(sink, prepared, partial(_loading_lines, kind, prepared), dry_run=dry_run, yes=yes)
+
+
+def finish_upload(
+    sink: Sink,
+    prepared: exchange.PreparedUpload,
+    lines: Callable[[str | None], list[str]],
+    *,
+    dry_run: bool,
+    yes: bool,
+) -> None:
+    """Ask, send what was prepared, and print the result; ``lines`` are how a revision of it is opened."""
     _print_upload_plan(sink, prepared)
     result = None
     if not dry_run:
@@ -58,7 +70,15 @@ def upload(
             next_step = "add --yes, or look first with --dry-run"
             _require_consent(f"Send this to {prepared.page}?", refused, next_step)
         result = exchange.run_upload(prepared)
-    _print_upload(sink, kind, prepared, result)
+    _print_upload(sink, prepared, result, lines)
+
+
+def _loading_lines(kind: DatasetKind, prepared: exchange.PreparedUpload, revision: str | None) -> list[str]:
+    """Return the lines of Python that open an uploaded data set."""
+    manifest = prepared.manifest
+    assert manifest is not None, "a data set has one"
+    first, call = kind.loading_lines(manifest, prepared.repo_id, manifest.splits[0], revision)
+    return [first, f"data = {call}"]
 
 
 def download(
@@ -82,7 +102,7 @@ def download(
 
     After an interruption, the same command continues. `list` names the published data sets.
     """
-    _quiet_client(is_all=True)
+    quiet_client(is_all=True)
     plan = exchange.plan_download(
         name,
         split or (),
@@ -104,7 +124,7 @@ def download(
     _print_download(sink, plan, place, kind)
 
 
-def _quiet_client(*, is_all: bool) -> None:
+def quiet_client(*, is_all: bool) -> None:
     """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
     from huggingface_hub.utils.tqdm import disable_progress_bars
 
@@ -138,7 +158,9 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     ):
         if paths:
             sink.info(words.format(_listed(paths)))
-    if held is None:
+    if prepared.unasked:
+        sink.info(f"note: {prepared.unasked}; all files are listed, as for a new repository")
+    elif held is None:
         sink.line(f"{_VISIBLE[prepared.options.private]} repository to create: {where}")
     elif not prepared.has_branch:
         sink.line(f"branch to create at the head of main: {prepared.options.branch}")
@@ -159,7 +181,10 @@ def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
 
 
 def _print_upload(
-    sink: Sink, kind: DatasetKind, prepared: exchange.PreparedUpload, result: exchange.UploadResult | None
+    sink: Sink,
+    prepared: exchange.PreparedUpload,
+    result: exchange.UploadResult | None,
+    lines_of: Callable[[str | None], list[str]],
 ) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     name, done = prepared.options.branch, result or exchange.UploadResult("")
@@ -168,16 +193,14 @@ def _print_upload(
         address, revision = f"{address}/discussions/{done.pull.rpartition('/')[2]}", done.pull
     elif name != exchange.MAIN_BRANCH:
         address, revision = f"{address}/tree/{name}", name
-    split = prepared.manifest.splits[0]
-    first, call = kind.loading_lines(prepared.manifest, prepared.repo_id, split, revision)
-    lines = [first, f"data = {call}"]
+    lines = lines_of(revision)
     sink.document(
         {
             "repository": prepared.repo_id,
             "revision": name,
             "address": address,
             "dry_run": result is None,
-            "exists": held is not None,
+            "exists": None if prepared.unasked else held is not None,
             "private": (held or prepared).is_private,
             "files": len(prepared.files),
             "bytes": sum(file.size for file in prepared.files),

@@ -1,4 +1,4 @@
-"""The commands ``merge`` and ``split``."""
+"""The commands ``merge``, ``split`` and ``select``."""
 
 from __future__ import annotations
 
@@ -100,3 +100,25 @@ def split(
         place = f"{out.rstrip('/')}/part-{number}"
         make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
         make_with_progress(sink, "copying", kind, make, work, place, print_set)
+
+
+def select(
+    *,
+    kind: DatasetKind,
+    name: str = ANY_SET,
+    opening: Opening,
+    chosen: catalog.RowFilter,
+    out: str = out_folder("selected"),
+    work: Work,
+    sink: Sink,
+) -> None:
+    """Write selected rows of a data set as a data set of the same kind.
+
+    Example: select DIR --labels 3,5 --per-class 10 --out some
+    """
+    given = {each: value for each, value in chosen.given().items() if value is not None}
+    if not given:
+        raise InputError("expected filters such as --ids", next="add --ids, --labels, --per-class or --limit")
+    source = opening.open(sink, name)
+    make = partial(exchange.select_rows, kind, source, given, out)
+    make_with_progress(sink, "copying", kind, make, work, out, print_set)

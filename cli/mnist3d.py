@@ -12,6 +12,7 @@ from cli.checks import Geometry
 from cli.declared_options import OptionsOf
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
+from cli.picture_prints import solidify
 from cli.previews import Pictures
 from cli.runs import generate_set, print_left_out, print_set
 from cli.shared import add_shared
@@ -42,6 +43,7 @@ def generate(
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
     solid: SolidSpec,
+    words: cards.OwnerWords,
     making: Making,
     sink: Sink,
 ) -> None:
@@ -58,14 +60,27 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    splits: Sequence[str] | None = SPLITS
-    if split != "all":
-        splits = None if split is None else (split,)
+    making_of = mnist3d.DigitMaking.of(spec, None if split is None else SPLITS)
+    splits: Sequence[str] | None = None
+    if split == "all":
+        splits = tuple(making_of.items())
+    elif split is not None:
+        splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    generate_set(
-        sink, "making digits", mnist3d.DigitMaking.of(spec, splits), out, splits, making, _print_made
-    )
+    generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    if words.given() and not making.dry_run:
+        _state_owner(sink, out, words)
+
+
+def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
+    """Write words of the owner into the card of a finished data set."""
+    folder = store.open_folder(out)
+    manifest = store.read_manifest(folder)
+    if manifest is None or not manifest.complete:
+        sink.info(f"note: {out} is unfinished; next: state the licence and other words when it is finished")
+        return
+    cards.state_owner(KIND, folder, manifest, words)
 
 
 def _print_made(
@@ -105,6 +120,7 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(name, spec))
 
 
+command(app)(solidify)
 add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import typer
@@ -12,14 +13,16 @@ import realtouch
 from cli.application import EXIT_FAILED, command, new_app, run
 from cli.galleries import gallery_of_touches
 from cli.nested_values import flat_lines
-from cli.options import TOUCH_SET, WORKERS, Opening, process_count
+from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
 from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import print_set
 from cli.shared import add_shared
+from cli.touch_calibration import calibrate_published
 from cli.touch_checks import check
 from cli.touch_conversions import (
     ClipsToImages,
+    Depth,
     Export,
     Frames,
     Resize,
@@ -30,7 +33,7 @@ from cli.touch_conversions import (
 from cli.touch_imports import import_touches
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.quantities import least_to_most
@@ -149,15 +152,30 @@ def verify(
 
 
 @command(app)
-def reproduce(*, name: str = TOUCH_SET, opening: Opening, sink: Sink) -> None:
+def reproduce(
+    *,
+    name: str = TOUCH_SET,
+    opening: Opening,
+    calibrate: Path | None = text(
+        metavar="DIR",
+        read=local_place,
+        help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
+    ),
+    solids: str = text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
+    sink: Sink,
+) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
     Exit code 1 if a number differs.
 
-    Example: realtouch reproduce real-single-64x64
+    Examples: realtouch reproduce real-single-64x64;
+    realtouch reproduce real-single-320x240 --calibrate twin-of-the-mini
     """
     place = opening.open(sink, name).require(KIND, "reproduce")
     announce_fetching(sink, place, None)
+    if calibrate is not None:
+        calibrate_published(sink, place, solids, calibrate)
+        return
     source = realtouch.Source.open(place)
     numbers = realtouch.paper_numbers(
         {split: realtouch.dataset_of(shards) for split, shards in source.shards.items()}
@@ -216,12 +234,13 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
 _convert = partial(add_conversion, app)
 _convert("clips-to-images", ClipsToImages, lazy("realtouch:clips_to_images"))
 _convert("resize", Resize, lazy("realtouch:resize"))
+_convert("depth", Depth, lazy("realtouch:add_depth"))
 _convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
 _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")
 command(app, "import")(import_touches)
 command(app)(check)
 _own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-add_shared(app, KIND, {**_own, "info": None, "verify": None, "validate": None, "export": None})
+add_shared(app, KIND, {**_own, **dict.fromkeys(("info", "verify", "validate", "export", "select"))})
 
 main = partial(run, app)

@@ -13,7 +13,7 @@ from cli.contents import info, list_sets, show
 from cli.exports import export
 from cli.galleries import gallery_of_meshes
 from cli.hub import download, upload
-from cli.merge_and_split import merge, split
+from cli.merge_and_split import merge, select, split
 from cli.upkeep import cache, card
 from tactile_toolkit.kind import DatasetKind
 
@@ -29,6 +29,7 @@ _COMMANDS: dict[str, Any] = {
     "list": list_sets,
     "merge": merge,
     "split": split,
+    "select": select,
     "cache": cache,
     "gallery": gallery_of_meshes,
     "export": export,

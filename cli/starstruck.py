@@ -19,6 +19,7 @@ from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit import catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import least_to_most
 
@@ -83,9 +84,14 @@ def _check(
     *options: Any,
     opened: Callable[[str], places.Place],
     unit: str | None = None,
+    profile: mesh.PrintProfile | None = None,
     on_progress: Callable[[int, int], None],
 ) -> list[starstruck_gen.CheckedScenes]:
     mesh.refuse_unit(unit, paths[0])
+    if profile is not None:
+        raise InputError(
+            "--nozzle-mm applies to objects that are printed, not to scenes", next="leave it out"
+        )
     return [starstruck_gen.validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
 
 

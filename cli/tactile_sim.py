@@ -11,6 +11,7 @@ from typing import Annotated, Any, Literal
 
 import tactile_sim
 from cli.application import command, new_app, run as run_app
+from cli.calibration import calibrate
 from cli.checks import Objects
 from cli.declared_options import OptionsOf
 from cli.galleries import gallery_of_touches
@@ -18,6 +19,7 @@ from cli.options import Making, Opening, argument, local_out_folder, local_place
 from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import generate_set, print_set
+from cli.sensor_twins import check, download_sensor, show_sensor, upload_sensor
 from cli.shared import add_shared
 from tactile_sim import SENSOR_NOISE, ElasticPress, GenerateSpec, PairsSpec, TouchPlan, TrainConfig
 from tactile_sim.kind import KIND
@@ -84,8 +86,9 @@ def generate(
 def _spec_of(sink: Sink, picture: dict[str, Any], **others: Any) -> GenerateSpec:
     """Return the specification of the options that were given."""
     known, optics = "optics" in picture, tactile_sim.default_optics()
-    if picture.get("sensor", GELSIGHT_MINI) != GELSIGHT_MINI:
-        known, optics = True, "depth"
+    sensor = picture.get("sensor", GELSIGHT_MINI)
+    if sensor != GELSIGHT_MINI:
+        known, optics = True, sensor.optics_name
     spec = GenerateSpec(**{"optics": optics, **picture, **others})
     if not known and spec.optics == "depth":
         sink.info("note: images are depth images; --optics taxim needs the extra `sim`")
@@ -312,7 +315,17 @@ def evaluate(
     sink.line(f"table and pictures are in {out}")
 
 
-_own = {"preview": preview_touches, "gallery": gallery_of_touches, "validate": None, "export": None}
-add_shared(app, KIND, _own, print_made=_print_made, checks=None, objects=Objects())
+command(app)(calibrate)
+command(app)(check)
+_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
+_own |= {"show": show_sensor, "upload": upload_sensor, "download": download_sensor}
+add_shared(
+    app,
+    KIND,
+    {**_own, "validate": None, "export": None},
+    print_made=_print_made,
+    checks=None,
+    objects=Objects(),
+)
 
 main = partial(run_app, app)

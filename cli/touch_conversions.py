@@ -15,7 +15,7 @@ from cli.output import Sink
 from cli.runs import make_with_progress, print_set
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import choice, integer, switch
+from tactile_toolkit.checked_fields import choice, integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import contact_height_option, size_option
 
@@ -60,6 +60,19 @@ class Resize(_Options):
         """Return the arguments of the conversion; width and height are separate."""
         width, height = self.size
         return {"width": width, "height": height, "quality": self.quality}
+
+
+@dataclass(frozen=True, slots=True)
+class Depth(_Options):
+    """Write the same data set with depth maps in metres, as a calibrated sensor reads them.
+
+    Each pixel has an estimate of its error.
+
+    Example: realtouch depth recordings --sensor my-sensor --out depths
+    """
+
+    sensor: str = text(MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote.")
+    fast: bool = switch(False, help="Read ten times as fast, with about twice the error.")
 
 
 @dataclass(frozen=True, slots=True)

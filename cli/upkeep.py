@@ -15,12 +15,13 @@ from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 
-def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
+def card(*, kind: DatasetKind, folder: str = FOLDER, words: cards.OwnerWords, sink: Sink) -> None:
     """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
-    Numbers are computed from the data; examples name FOLDER until the folder is uploaded.
+    Numbers are computed from the data; examples name FOLDER until the folder is uploaded. Licence, authors,
+    title and citation that were given once are kept.
 
-    Example: card FOLDER
+    Examples: card FOLDER;  card FOLDER --license cc-by-4.0 --author "Ada Lovelace" --title "My digits"
     """
     opened = places.open_place(folder).require(kind, "card").require_complete(may_take=False)
     # The published touches have no manifest.
@@ -30,7 +31,7 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, sink: Sink) -> None:
         manifest = opened.require_manifest(kind)
     place = store.open_folder(folder)
     with catalog.specification_read(place.address()):
-        kind.write_card(place, manifest)
+        cards.state_owner(kind, place, manifest, words)
     findings = cards.check_card(place)
     if findings:
         raise IntegrityError(f"{findings[0].file} of {folder!r}: {findings[0].problem}")

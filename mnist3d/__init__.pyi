@@ -14,6 +14,11 @@ from .digit_generation import (
 )
 from .digit_previews import is_picture_or_mesh as is_picture_or_mesh
 from .digit_rows import SUMMED_UP as SUMMED_UP
+from .picture_prints import (
+    PrintSpec as PrintSpec,
+    PrintedPicture as PrintedPicture,
+    print_pictures as print_pictures,
+)
 from .printable import (
     Mesh as Mesh,
     PrintProfile as PrintProfile,

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
-from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow
+from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, class_names
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, catalog, mesh, pictures, read, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.shown_text import printable
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.wording import class_name, with_count
 
 COLUMNS = meanings(DigitRow)
 
@@ -21,6 +22,8 @@ COLUMNS = meanings(DigitRow)
 _PITCH_M = 0.0004
 # Rows mix the classes: 200 of them lack a class with a chance of 1 in 10^8.
 _ROWS_SEEN = 200
+_MOST_DRAWN = 10
+_USUAL_SIZES = {FolderSource.name: "four fifths in `train`, one fifth in `test`"}
 
 
 def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.SplitSummary]:
@@ -29,7 +32,15 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     Raises IntegrityError if the report is missing or damaged.
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
-    return cards.summarise_columns(manifest, report, SUMMED_UP)
+    names = class_names(manifest)
+    return [
+        replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
+        for each in cards.summarise_columns(manifest, report, SUMMED_UP)
+    ]
+
+
+def _named(counts: Mapping[str, int], names: Sequence[str]) -> dict[str, int]:
+    return {class_name(names, int(label)): count for label, count in counts.items()}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -48,6 +59,9 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         return
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
+    things = "handwritten digits"
+    if class_names(manifest) != KIND.class_names:
+        things = "drawings"
     columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     cards.Card(
@@ -72,6 +86,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             "print_table": cards.markdown_table(*cards.facts_table(summaries, SUMMED_UP)),
             "report_columns": ", ".join(f"`{name}`" for name in columns),
             **{name: f"{profile[name]:g}" for name in ("nozzle_mm", "min_wall_mm", "overhang_deg")},
+            "things": things,
             **_terms(words),
         },
     ).write(folder, manifest, KIND)
@@ -82,7 +97,7 @@ def _sheet(facts: cards.FolderSummary) -> bytes | None:
     first: dict[int, read.Row] = {}
     for row in islice(cards.rows_to_draw(facts, ["label", mesh.VERTICES, mesh.FACES]), _ROWS_SEEN):
         first.setdefault(int(row.required("label")), row)
-        if len(first) == len(KIND.class_names):
+        if len(first) == _MOST_DRAWN:
             break
     rows = [first[label] for label in sorted(first)]
     tiles = [
@@ -100,7 +115,9 @@ def _split_rule(spec: Mapping[str, Any]) -> str:
         for name, of in (("per_class", "of each class of a split"), ("limit", "rows of a split"))
         if spec[name] is not None
     ]
-    sizes = "all digits in `train`" if split["by"] == "none" else "published sizes"
+    sizes = _USUAL_SIZES.get(spec["source"]["name"], "published sizes")
+    if split["by"] == "none":
+        sizes = "all digits in `train`"
     if split["sizes"] is not None:
         sizes = "digits per class: " + ", ".join(f"{name} {size:,}" for name, size in split["sizes"].items())
     return ", ".join([unit, f"seed {split['seed']}", sizes, *cuts])

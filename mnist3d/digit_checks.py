@@ -77,6 +77,10 @@ class CheckedMeshes:
         """Count the meshes with each print warning."""
         return dict(sorted(Counter(word for item in self.items for word in item.report.warnings).items()))
 
+    def advice(self) -> Sequence[str]:
+        """Return a line for each print warning: what to do about it."""
+        return mesh.print_advice(self.warnings())
+
     def to_dict(self) -> dict[str, Any]:
         """Return JSON values."""
         return {

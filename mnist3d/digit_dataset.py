@@ -31,6 +31,11 @@ class DigitRecord(mesh.SolidRecord):
         """Name of the source of the digit; empty if it is unknown."""
         return str(self.row.required("source")) if self.row.has("source") else ""
 
+    @property
+    def file(self) -> str | None:
+        """Name of the picture in its folder; None unless the source was a folder of pictures."""
+        return str(self.row.required("file")) if self.row.has("file") else None
+
     def __repr__(self) -> str:
         return (
             f"DigitRecord(id={self.id}, label={self.label}, writer={self.writer}, {len(self.faces):,} faces)"

@@ -10,11 +10,11 @@ from typing import Any, Unpack
 import numpy as np
 
 from mnist3d import solid
-from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, digit_schema, report_table
+from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
 from mnist3d.kind import KIND
-from mnist3d.published_splits import SPLITS, SplitSpec
+from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.digit_source import DigitImage, DigitSource
+from mnist3d.sources.digit_source import DIGITS, DigitImage, DigitSource
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.source_choice import chosen_source
 from mnist3d.splits import plan_splits
@@ -25,6 +25,11 @@ from tactile_toolkit.mesh import Mesh, PrintProfile, inspect
 
 # Time for a digit and its report on one core (AMD EPYC).
 _ROW_S = 0.016
+
+_ADD_PICTURES = (
+    "to add pictures, put the new ones into a folder with the same classes, make another data set of it, and "
+    "join both by `mnist3d merge OLD NEW --renumber --out BOTH`; to make all again, add --overwrite"
+)
 
 
 @dataclass(frozen=True)
@@ -91,8 +96,14 @@ class DigitMaking(generation.RowGenerator):
 
     def items(self) -> Mapping[str, Any]:
         """Return the ids of each split; reads the catalog of the source only."""
-        plan = plan_splits(self.spec.source.catalog(), self.spec.split)
-        return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in SPLITS}
+        usual: Mapping[str, int] = PUBLISHED_SIZES
+        splits: tuple[str, ...] = SPLITS
+        if isinstance(self.spec.source, FolderSource):
+            usual = OWN_SIZES
+            named = dict(self.spec.split.sizes or usual)
+            splits = tuple(split for split in SPLITS if split in named)
+        plan = plan_splits(self.spec.source.catalog(), self.spec.split, usual)
+        return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
@@ -108,7 +119,8 @@ class DigitMaking(generation.RowGenerator):
 
     def schema(self, split: str) -> Any:
         """Return the Arrow schema of a shard."""
-        return digit_schema()
+        names = self.spec.source.catalog().class_names
+        return stored_schema(names, has_files=isinstance(self.spec.source, FolderSource))
 
     def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
@@ -121,6 +133,12 @@ class DigitMaking(generation.RowGenerator):
     def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
         """Return the printability report of the meshes."""
         return report_table(shard, rows)
+
+    def next_if_other(self) -> str:
+        """Return how pictures are added to a data set."""
+        if not isinstance(self.spec.source, FolderSource):
+            return ""
+        return _ADD_PICTURES
 
     def planned(self, split: str) -> generation.PlannedMeshes:
         """Return the digits of a split, each of which is made by itself, without its report."""
@@ -156,11 +174,13 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
         volume_m3=report.volume_mm3 * 1e-9,
         source=spec.source.name,
         report=report,
+        file=digit.file,
     )
 
 
 def _solid_of(digit: DigitImage, spec: DigitSetSpec) -> Mesh:
-    return solid.solidify(digit.pixels, spec.solid, ink="dark")
+    is_drawing = spec.source.catalog().class_names != DIGITS
+    return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
 
 def generate(

@@ -19,7 +19,7 @@ class SourceOptions:
     images: str | None = text(
         metavar="PATH",
         help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
-        "pictures DIR/<label>/*.png.",
+        "pictures DIR/<class>/*.png.",
     )
     writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
     writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")

@@ -86,7 +86,7 @@ def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(read_picture(path, page=page))
+        pixels = ink.fit(read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 

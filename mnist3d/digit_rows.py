@@ -5,11 +5,14 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field
 from functools import cache
+from typing import Any
 
 import pyarrow as pa
 
 from mnist3d.kind import KIND
+from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import mesh, store
+from tactile_toolkit.kind import Specified
 from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -45,16 +48,39 @@ class DigitRow(mesh.MeshRow):
     volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
     source: str = column(pa.string(), "", "digit source")
     report: mesh.PrintReport = field()  # stored in the report, not in the shard
+    file: str | None = column(
+        pa.string(), "", "name of the picture in its folder, with the page of several", default=None
+    )
 
 
 SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "measure"))
 """Columns of the report that are summarised for each split."""
 
 
+def digit_schema(manifest: Specified | None = None) -> pa.Schema:
+    """Return the Arrow schema of the shards that a manifest lists; by default that of MNIST 3D."""
+    source = _source_of(manifest)
+    return stored_schema(class_names(manifest), has_files=source.get("name") == FolderSource.name)
+
+
+def class_names(manifest: Specified | None) -> tuple[str, ...]:
+    """Return the names of the classes of a data set, which are the digits unless its source names others."""
+    return tuple(_source_of(manifest).get("classes") or KIND.class_names)
+
+
+def _source_of(manifest: Specified | None) -> dict[str, Any]:
+    source: Any = None if manifest is None else manifest.spec.get("source")
+    return source if isinstance(source, dict) else {}
+
+
 @cache
-def digit_schema() -> pa.Schema:
-    """Return the Arrow schema of a shard."""
-    return mesh.mesh_schema(DigitRow, KIND.class_names)
+def stored_schema(class_names: tuple[str, ...], *, has_files: bool = False) -> pa.Schema:
+    """Return the Arrow schema of a shard; only the rows of pictures in a folder name their files."""
+    schema = mesh.mesh_schema(DigitRow, class_names)
+    if has_files:
+        return schema
+    plain = schema.remove(schema.get_field_index("file"))
+    return plain.with_metadata(mesh.mesh_metadata(plain, class_names))
 
 
 def report_table(shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:

@@ -28,6 +28,9 @@ PUBLISHED_SIZES: dict[str, int] = {
 }
 """Digits per class in each published split, 1,358 in total."""
 
+OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
+"""Proportions of the splits of pictures in a folder, which were printed by nobody."""
+
 MOST_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
 
@@ -47,7 +50,8 @@ class SplitSpec:
         ``"digit"``.
     sizes : tuple of (str, int), or None
         Digits per class of each split; a mapping is accepted, too. None means the published sizes, or their
-        proportions for a class of fewer than 1,358 digits.
+        proportions for a class of fewer than 1,358 digits. A folder of images is divided into four fifths
+        for ``train`` and one for ``test``.
     """
 
     seed: int = integer(0, help="Random seed.")

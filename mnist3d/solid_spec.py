@@ -51,7 +51,7 @@ class SolidSpec:
     join_bodies : bool
         Bridge separate pieces of ink, so that every digit prints in one piece.
     bridge_width_mm : float
-        Width of these bridges.
+        Largest width of these bridges; they are never wider than the strokes.
     lattice_pitch_mm : float or None
         Distance of the nodes at which the fast method evaluates the solid; the number of vertices follows
         from it. None chooses the pitch that meets the vertex budget.

@@ -6,6 +6,7 @@ table prints the name of the last one as ``printed_train`` a second time).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +16,6 @@ from mnist3d.published_splits import PUBLISHED_SIZES, SPLITS, SplitSpec
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog
 from tactile_toolkit.array_types import Int64, Integers
 from tactile_toolkit.errors import InputError
-
-_PER_CLASS = sum(PUBLISHED_SIZES.values())
-_CLASSES = 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,14 +33,16 @@ class SplitPlan:
         ids, labels = self.ids[split], self.labels[split]
         if per_class is not None:
             kept = np.zeros(len(labels), bool)
-            for label in range(_CLASSES):
+            for label in np.unique(labels):
                 kept[np.flatnonzero(labels == label)[:per_class]] = True
             ids = ids[kept]
         return ids[:limit]
 
 
-def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
-    """Divide the digits of a source into the five splits.
+def plan_splits(
+    catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int] = PUBLISHED_SIZES
+) -> SplitPlan:
+    """Divide the digits of a source into splits.
 
     No digit is in two splits. The split of a digit depends only on the seed and the ids of its source.
 
@@ -52,6 +52,8 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
         Content of the source.
     spec : SplitSpec
         How to divide it.
+    usual : mapping
+        Digits per class of each split, in proportion, if ``spec`` states none; the published ones by default.
 
     Returns
     -------
@@ -66,9 +68,9 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     if spec.by == "none":
         split_of = np.full(len(catalog), SPLITS.index("train"))
     elif spec.by == "writer":
-        split_of = _by_writer(catalog, spec)
+        split_of = _by_writer(catalog, spec, usual)
     else:
-        split_of = _by_digit(catalog, spec)
+        split_of = _by_digit(catalog, spec, usual)
     plan = SplitPlan({}, {})
     for number, split in enumerate(SPLITS):
         chosen = np.flatnonzero(split_of == number)
@@ -78,57 +80,59 @@ def plan_splits(catalog: DigitCatalog, spec: SplitSpec) -> SplitPlan:
     return plan
 
 
-def _by_digit(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
+def _by_digit(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int]) -> Int64:
     """Return the index of the split of each digit, -1 for none."""
     split_of = np.full(len(catalog), -1)
-    for label in range(_CLASSES):
+    for label, name in enumerate(catalog.class_names):
         members = np.flatnonzero(catalog.labels == label)
         # By their keys, the first digits of a class go to the first split, the next to the second.
         order = members[np.argsort(_keys(catalog.ids[members], spec.seed, stream=0))]
-        sizes = _sizes_of(label, len(members), spec)
+        sizes = _sizes_of(name, len(members), spec, usual)
         home = np.repeat(np.arange(len(SPLITS)), [sizes[split] for split in SPLITS])
         split_of[order[: len(home)]] = home
     return split_of
 
 
-def _sizes_of(label: int, available: int, spec: SplitSpec) -> dict[str, int]:
+def _sizes_of(name: str, available: int, spec: SplitSpec, usual: Mapping[str, int]) -> dict[str, int]:
     """Return how many digits of a class go into each split."""
     if spec.sizes is None or not available:  # a class that the source lacks is in no split
-        return _published_sizes(available)
+        return _usual_sizes(available, usual)
     sizes = {split: dict(spec.sizes).get(split, 0) for split in SPLITS}
     wanted = sum(sizes.values())
     if wanted > available:
         raise InputError(
-            f"the split sizes ask for {wanted} digits per class, the source has {available} of class {label}",
+            f"the split sizes ask for {wanted} digits per class, the source has {available} of class {name}",
             next="ask for smaller sizes or use a larger source",
         )
     return sizes
 
 
-def _published_sizes(available: int) -> dict[str, int]:
+def _usual_sizes(available: int, usual: Mapping[str, int]) -> dict[str, int]:
     """Return the published sizes, or for a smaller class their proportions (largest remainders)."""
-    if available >= _PER_CLASS:
+    sizes = dict.fromkeys(SPLITS, 0)
+    per_class = sum(usual.values())
+    if usual == PUBLISHED_SIZES and available >= per_class:
         return dict(PUBLISHED_SIZES)
-    quotas = {split: available * size / _PER_CLASS for split, size in PUBLISHED_SIZES.items()}
-    sizes = {split: int(quota) for split, quota in quotas.items()}
-    by_remainder = sorted(SPLITS, key=lambda split: sizes[split] - quotas[split])
+    quotas = {split: available * size / per_class for split, size in usual.items()}
+    sizes |= {split: int(quota) for split, quota in quotas.items()}
+    by_remainder = sorted(quotas, key=lambda split: sizes[split] - quotas[split])
     for split in by_remainder[: available - sum(sizes.values())]:
         sizes[split] += 1
     # A split is empty only if there are fewer digits than splits; then the later ones are.
-    for split in SPLITS:
-        largest = max(SPLITS, key=lambda name: sizes[name])
+    for split in quotas:
+        largest = max(quotas, key=lambda name: sizes[name])
         if sizes[split] == 0 and sizes[largest] > 1:
             sizes[largest] -= 1
             sizes[split] += 1
     return sizes
 
 
-def _by_writer(catalog: DigitCatalog, spec: SplitSpec) -> Int64:
+def _by_writer(catalog: DigitCatalog, spec: SplitSpec, usual: Mapping[str, int]) -> Int64:
     """Return the index of the split of each digit, the same for all digits of a writer.
 
     Sizes are as near to those of the specification as whole writers allow.
     """
-    sizes = PUBLISHED_SIZES if spec.sizes is None else dict(spec.sizes)
+    sizes = usual if spec.sizes is None else dict(spec.sizes)
     shares = np.array([sizes.get(split, 0) for split in SPLITS], dtype=np.float64)
     writers, inverse, counts = np.unique(catalog.writers, return_inverse=True, return_counts=True)
     if NO_WRITER in writers:

@@ -19,9 +19,11 @@ from .convert.media_conversions import (
     resize as resize,
 )
 from .convert.picture_files import frames as frames
+from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
 from .finding import RecordingFinding as RecordingFinding
 from .faults.checking import CheckResult as CheckResult, check as check
+from .depth_maps import DepthMaps as DepthMaps
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
 from .importing.import_shards import NOT_IMPORTED as NOT_IMPORTED
@@ -47,7 +49,8 @@ from .touch_dataset import (
     TouchStream as TouchStream,
     dataset_of as dataset_of,
 )
-from .touch_options import CheckLimits as CheckLimits, ImportColumns as ImportColumns
+from .import_columns import ImportColumns as ImportColumns
+from .touch_options import CheckLimits as CheckLimits
 from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 

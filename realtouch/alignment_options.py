@@ -17,8 +17,9 @@ class Alignment:
     ----------
     method : "nearest" or "linear"
         Which value a picture gets: that of the nearest sample, the earlier of two equally near; or one on a
-        line between the two samples around it, of quaternions on the shorter turn. Text, integers and
-        switches are always those of the nearest sample.
+        line between the two samples around it, of quaternions on the shorter turn, and of columns whose names
+        state degrees or radians on the shorter way around the circle. Text, integers and switches are always
+        those of the nearest sample.
     max_gap_ms : float
         A picture gets a missing value if its nearest sample is farther away than this, or if it lies between
         two samples that are farther apart, milliseconds.

@@ -29,7 +29,7 @@ _PER_M, _MOST = 1e6, 65_535
 _MODES = ("I;16", "I;16B")
 
 
-def encode_depth(depth_m: Floating) -> bytes:
+def encode_map(depth_m: Floating) -> bytes:
     """Encode a map of depth, (H, W), metres, as PNG; less than 0 is 0.
 
     Raises InputError for values that are not finite, or of more than 65.535 mm.
@@ -45,7 +45,7 @@ def encode_depth(depth_m: Floating) -> bytes:
     return stream.getvalue()
 
 
-def decode_depth(data: memoryview | bytes) -> Float32:
+def decode_map(data: memoryview | bytes) -> Float32:
     """Decode a map of depth, shape (H, W), float32, metres; ValueError for any other file."""
     try:
         image = Image.open(io.BytesIO(data), formats=["PNG"])
@@ -89,7 +89,7 @@ class DepthMaps(Sequence[Float32]):
 
     def _decode(self, touch: int) -> Float32:
         with self.row.naming(self._column, touch):
-            return decode_depth(self._blobs[self._start + touch] or b"")
+            return decode_map(self._blobs[self._start + touch] or b"")
 
     def __reduce__(self) -> tuple[object, ...]:
         return (DepthMaps, (self.row, self._column))

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from realtouch import picture_views, touch_clips
 from realtouch.contact import require_method
+from realtouch.depth_maps import DEPTH, DEPTH_ERROR, DepthMaps
 from realtouch.extras import Extras
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import extra_columns, flat_row, take_touches
@@ -153,6 +154,16 @@ class TouchSingleRound(TouchRound):
             return SensorImages(self.row)
 
         return self._once("sensor_image", images)
+
+    @property
+    def depth_m(self) -> DepthMaps:
+        """Maps of how far the gel is pressed in, T of them, metres; of sets that `realtouch depth` wrote."""
+        return self._once(DEPTH, lambda: DepthMaps(self.row, DEPTH))
+
+    @property
+    def depth_error_m(self) -> DepthMaps:
+        """Maps of the expected error of :attr:`depth_m`, T of them, metres."""
+        return self._once(DEPTH_ERROR, lambda: DepthMaps(self.row, DEPTH_ERROR))
 
     def contact_image(self, touch: int) -> UInt8:
         """As :meth:`TouchRound.contact_image`."""

@@ -5,11 +5,12 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import TYPE_CHECKING, Any
 
+from realtouch.depth_maps import DEPTH, DEPTH_ERROR, DepthMaps
 from realtouch.extras import Extras
 from realtouch.picture_views import touch_html
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.touch_clips import TouchClip, contact_frames_of
-from tactile_toolkit.array_types import Floating, UInt8
+from tactile_toolkit.array_types import Float32, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
@@ -105,6 +106,25 @@ class Touch:
     def image(self) -> UInt8:
         """Picture of the contact, shape (H, W, 3), uint8; of a clip, its last frame of contact."""
         return self.round.contact_image(self._index_in_row)
+
+    @property
+    def depth_m(self) -> Float32:
+        """How far each point of the gel is pressed in, shape (H, W), metres; 0 where nothing touches it.
+
+        Raises
+        ------
+        InputError
+            `realtouch depth` did not write the data set.
+        """
+        return self._map(DEPTH)
+
+    @property
+    def depth_error_m(self) -> Float32:
+        """Expected error of each pixel of :attr:`depth_m`, shape (H, W), metres."""
+        return self._map(DEPTH_ERROR)
+
+    def _map(self, column: str) -> Float32:
+        return DepthMaps(self.round.row, column)[self._index_in_row]
 
     @property
     def clip(self) -> TouchClip:

@@ -67,6 +67,10 @@ class CheckedScenes:
         """Return JSON values."""
         return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
 
+    def advice(self) -> Sequence[str]:
+        """Return nothing: scenes are not printed."""
+        return ()
+
     def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
         """Return header, rows and title of a table of invalid scenes."""
         solids = with_count(self.bodies, "solids")

@@ -56,6 +56,11 @@ class SceneRow(mesh.MeshRow):
     )
 
 
+def published_schema(_manifest: object = None) -> pa.Schema:
+    """Return the Arrow schema of scenes with the published classes; other names do not change its columns."""
+    return scene_schema()
+
+
 @cache
 def scene_schema(class_names: tuple[str, ...] = KIND.class_names) -> pa.Schema:
     """Return the Arrow schema of a shard."""

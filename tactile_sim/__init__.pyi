@@ -13,6 +13,11 @@ from .pressable import Pressable as Pressable
 from .pressing import Pressed as Pressed, render_touch as render_touch
 from .round_plan import RoundPlan as RoundPlan, plan_round as plan_round
 from .sensor import Sensor as Sensor, center_view as center_view, full_view as full_view
+from .sensor_health import (
+    SensorHealth as SensorHealth,
+    check_sensor as check_sensor,
+    images_of as images_of,
+)
 from .sensor_models import SENSORS as SENSORS, SensorModel as SensorModel
 from .sensor_noise import SensorNoise as SensorNoise
 from .touch_preview import TouchPreview as TouchPreview, preview_touch as preview_touch
@@ -24,5 +29,10 @@ from .touch_spec import (
     default_optics as default_optics,
 )
 from .touch_table import TouchTable as TouchTable
+from .twin.calibration import calibrate as calibrate
+from .twin.mistakes import Mistake as Mistake, find_mistakes as find_mistakes
+from .twin.reader import DepthReading as DepthReading
+from .twin.recordings import Recordings as Recordings
+from .twin.sources import read_recordings as read_recordings
 
 __version__: str

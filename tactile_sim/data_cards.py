@@ -33,6 +33,7 @@ _OPTICS = {
     "depth": "the depth image, grey: black deepest in the gel, white no contact",
     "taxim": "Taxim with the calibration of the GelSight Mini, shadows included",
     "cyclegan": "a generator that was trained on real touches, from the depth image",
+    "twin": "the twin of a sensor, which `tactile-sim calibrate` made from its touches",
 }
 _LIKE = {"published": "published data sets", "environment": "published environments at this size"}
 _NOISE = ("of a real sensor, added to the finished image", "as stated below, added to the finished image")
@@ -123,7 +124,8 @@ class _CardSensor:
 def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
     size_px, like = spec["size_px"], spec["like"]
     if "sensor" in spec:
-        model = SensorModel(**spec["sensor"])
+        geometry = SensorModel.geometry_names()
+        model = SensorModel(**{name: spec["sensor"][name] for name in geometry})
         (window,) = (name for name, stored in WINDOWS.items() if stored == like)
         sides_mm = [1e3 * side_m for side_m in sensor_of_model(model, window, tuple(size_px)).window_m]
         shown = " x ".join(f"{side_mm:.4g}" for side_mm in sides_mm)

@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
-_SHEAR_TOLERANCE = 5e-5  # root mean square of the error along the surface, relative to the largest motion
+_SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
 _LEAST_DEPTH_M = 1e-9
 _HALF = 0.5
 _MOST_BLOCKS = 100

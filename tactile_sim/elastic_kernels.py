@@ -167,7 +167,12 @@ def _take_step(
 
 
 class _Shear(NamedTuple):
-    """State of the pixels in contact, by their number: traction, what is left to move, direction, bound."""
+    """State of the pixels in contact, by their number.
+
+    Places in the field, greatest traction, wanted displacement; traction, what is left to move, its free
+    part, that of the step before, direction; curvature and inverse stiffness; of those that slip, where the
+    traction points.
+    """
 
     places: Int64
     bound: Float32
@@ -178,6 +183,8 @@ class _Shear(NamedTuple):
     last: Float32
     steps: Float32
     curved: Float32
+    inverse: Float32
+    out: Float32
     slips: Bool
 
 
@@ -214,6 +221,8 @@ def shear(
         np.zeros(pairs, kind),
         np.zeros(pairs, kind),
         np.zeros(count, kind),
+        np.zeros(count, kind),
+        np.empty(pairs, kind),
         np.zeros(count, np.bool_),
     )
     for number in range(count):
@@ -233,13 +242,13 @@ def shear(
             respond(q, bend, layer, work, width)
             _rest(state, bend)
             since = 0
-        is_done = _free_part(state) <= tolerance * math.sqrt(largest) or step == _MOST_STEPS
+        is_done = _free_part(state, layer.own_shear) <= tolerance * math.sqrt(largest) or step == _MOST_STEPS
         if is_done and since == 0:
             break
         off = 0.0
         if not is_done:
             step, since = step + 1, since + 1
-            old = _direction(state, layer.own_shear, old)
+            old = _direction(state, old)
             _put(state.steps, q, state.places)
             respond(q, bend, layer, work, width)
             off = _move(state, bend)
@@ -278,29 +287,24 @@ def _rest(state: _Shear, bend: Float32) -> None:
 
 
 @compiled
-def _outward(state: _Shear, number: int) -> tuple[float, float, float]:
-    """Return the direction of a traction, and its size."""
-    q_x, q_y = state.q[0, number], state.q[1, number]
-    size = math.sqrt(q_x * q_x + q_y * q_y)
-    if size == 0.0:
-        return 0.0, 0.0, 0.0
-    return q_x / size, q_y / size, size
+def _free_part(state: _Shear, own: float) -> float:
+    """Write the part of what is left that tractions may still follow, and which pixels slip.
 
-
-@compiled
-def _free_part(state: _Shear) -> float:
-    """Write the part of what is left that tractions may still follow; return its root mean square."""
+    ``own`` is the stiffness of a pixel. Returned is the root mean square of what is left.
+    """
     keep_apart()
-    left = 0.0
+    left, inverse = 0.0, np.float32(1.0 / own)
     for number in range(len(state.places)):
-        bound = state.bound[number]
-        out_x, out_y, size = _outward(state, number)
-        rest_x, rest_y = state.rest[0, number], state.rest[1, number]
-        outward = rest_x * out_x + rest_y * out_y
-        slips = outward > 0.0 and size >= _STICKS * bound
-        state.slips[number] = slips
-        state.curved[number] = outward / bound if slips else np.float32(0.0)
-        if slips:
+        q_x, q_y, limit = state.q[0, number], state.q[1, number], np.float32(_STICKS) * state.bound[number]
+        rest_x, rest_y, square = state.rest[0, number], state.rest[1, number], q_x * q_x + q_y * q_y
+        state.slips[number], state.curved[number], state.inverse[number] = False, 0.0, inverse
+        if square >= limit * limit and rest_x * q_x + rest_y * q_y > 0.0:
+            size = np.float32(math.sqrt(square))
+            out_x, out_y = q_x / size, q_y / size
+            outward = rest_x * out_x + rest_y * out_y
+            state.out[0, number], state.out[1, number], state.slips[number] = out_x, out_y, True
+            state.curved[number] = outward / state.bound[number]
+            state.inverse[number] = 1.0 / (own + state.curved[number])
             rest_x, rest_y = rest_x - outward * out_x, rest_y - outward * out_y
         state.free[0, number], state.free[1, number] = rest_x, rest_y
         left += rest_x * rest_x + rest_y * rest_y
@@ -308,23 +312,22 @@ def _free_part(state: _Shear) -> float:
 
 
 @compiled
-def _direction(state: _Shear, own: float, old: float) -> float:
+def _direction(state: _Shear, old: float) -> float:
     """Write the next direction: preconditioned, conjugate to the last one (Polak and Ribiere)."""
     keep_apart()
     new, changed = 0.0, 0.0
     for number in range(len(state.places)):
-        inverse = 1.0 / (own + state.curved[number])
+        inverse = state.inverse[number]
         for axis in range(2):
             free = state.free[axis, number]
             new += inverse * free * free
             changed += inverse * free * (free - state.last[axis, number])
             state.last[axis, number] = free
-    keep = max(changed / old, 0.0)
+    keep = np.float32(max(changed / old, 0.0))
     for number in range(len(state.places)):
-        inverse = 1.0 / (own + state.curved[number])
-        step_x, step_y = state.steps[0, number], state.steps[1, number]
+        inverse, step_x, step_y = state.inverse[number], state.steps[0, number], state.steps[1, number]
         if state.slips[number]:
-            out_x, out_y, _ = _outward(state, number)
+            out_x, out_y = state.out[0, number], state.out[1, number]
             outward = step_x * out_x + step_y * out_y
             step_x, step_y = step_x - outward * out_x, step_y - outward * out_y
         state.steps[0, number] = inverse * state.free[0, number] + keep * step_x
@@ -412,7 +415,7 @@ def solve(
         for place in range(size):
             if p[0, place] > 0.0:
                 change = max(change, abs(lifted[0, place] - before[0, place]))
-        if change <= _COUPLED * tolerance[0] * depth:
+        if number > 0 and change <= _COUPLED * tolerance[0] * depth:
             break
     respond(p, u, layer, work, width)
     respond(q, wanted, layer, work, width)

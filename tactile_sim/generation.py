@@ -96,7 +96,7 @@ class TouchGenerator(generation.RowGenerator):
 
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
-        make_optics(spec.optics, spec.weights)  # missing packages are reported before anything is written
+        optics_of(spec)  # missing packages are reported before anything is written
         name, splits, unfinished = _open_source(source, unit, opened)
         _require_known_objects(name, splits, spec)
         rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
@@ -210,6 +210,8 @@ class TouchGenerator(generation.RowGenerator):
 
 def optics_of(spec: GenerateSpec) -> Optics:
     """Return the optics of a specification, made once in a process and again when the weights change."""
+    if spec.optics == "twin":
+        return spec.sensor.optics
     if spec.weights is None:
         return _optics(spec.optics, None, ())
     file = store.expanded(spec.weights)

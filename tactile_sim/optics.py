@@ -119,6 +119,8 @@ def make_optics(
             "the CPU in single precision",
             next="leave out both, or use cyclegan",
         )
+    if name == "twin":
+        raise InputError("the optics 'twin' belong to a calibrated sensor", next="take `model.optics` of it")
     if name == "taxim":
         # Imported by name, because its kernels import numba, which takes half a second.
         taxim: Optics = lazy("tactile_sim.taxim:TaximOptics")()

@@ -13,6 +13,7 @@ from tactile_sim.elastic_press import STILL, Load, WholeGel, loads_of
 from tactile_sim.poses import as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
 from tactile_sim.sensor import Sensor, full_view
+from tactile_sim.sensor_models import SensorModel
 from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import MeshLike
@@ -63,7 +64,7 @@ def render_touch(
     solid: MeshLike | Pressable | Sequence[MeshLike | Pressable],
     object_pose: Any,
     sensor_pose: Any,
-    sensor: Sensor | None = None,
+    sensor: Sensor | SensorModel | None = None,
     *,
     cell_m: tuple[float, float] = CELL_M,
     gel: Gel | None = None,
@@ -85,7 +86,7 @@ def render_touch(
         A closed mesh in metres; a sequence has one for each touch.
     object_pose, sensor_pose : array_like, shape (4, 4) or (n, 4, 4), or an object with ``matrix``
         To the cell frame, metres, see :func:`tactile_sim.pose`. The sensor's height does not matter.
-    sensor : Sensor, optional
+    sensor : Sensor or SensorModel, optional
         The sensor; 320 x 240 pixels of its whole surface by default.
     cell_m : tuple of float
         Width and depth of the plate, metres.
@@ -113,6 +114,8 @@ def render_touch(
         elastic gel has not one of force and depth, or a rigid one has.
     """
     sensor = sensor or full_view()
+    if isinstance(sensor, SensorModel):
+        sensor = sensor.sensor
     objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
     solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
     is_single = not isinstance(solid, (list, tuple)) and objects.ndim == targets.ndim == 2

@@ -1,14 +1,17 @@
-"""Geometry of sensors: sensing area, pixels and gel, of presets or from a file.
+"""Sensors: their geometry, of presets or from a file, and the twins of those that were calibrated.
 
 The optics `taxim` and `cyclegan` are calibrated for the GelSight Mini; of other sensors there are depth
-images. Commands import this module for their options, so it imports nothing heavy.
+images until ``tactile-sim calibrate`` made a twin. Commands import this module for their options, so it
+imports nothing heavy.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import MISSING, asdict, dataclass, fields
-from typing import Any
+from dataclasses import MISSING, dataclass, fields
+from os import PathLike, fspath
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 from tactile_toolkit.checked_fields import check_fields, integer, real, text
 from tactile_toolkit.errors import InputError
@@ -18,11 +21,24 @@ _LONGEST_TEXT = 500
 _GEL_OF_MINI = "no thickness of its gel was found, that of the GelSight Mini is taken"
 
 _read_values = lazy("tactile_sim.value_files:read_values")
+_read_sensor = lazy("tactile_sim.twin.twin_files:read_sensor")
+_write_sensor = lazy("tactile_sim.twin.twin_files:write_sensor")
+_read_depth = lazy("tactile_sim.twin.reader:read_depth")
+_twin_optics = lazy("tactile_sim.twin.twin:TwinOptics")
+_make_optics = lazy("tactile_sim.optics:make_optics")
+_sensor_of_model = lazy("tactile_sim.sensor:sensor_of_model")
+
+if TYPE_CHECKING:
+    from tactile_sim.optics import Optics
+    from tactile_sim.sensor import Sensor
+    from tactile_sim.twin.reader import DepthReading
+    from tactile_sim.twin.twin import Twin
+    from tactile_toolkit.array_types import Float32, UInt8
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """Geometry of a sensor with a flat gel.
+    """A sensor with a flat gel: its geometry, and its twin if it was calibrated.
 
     Attributes
     ----------
@@ -36,6 +52,8 @@ class SensorModel:
         Thickness of the gel, mm. The press depth is half of it, as in `tactile-mnist` for the GelSight Mini.
     source : str
         Where the numbers are from.
+    twin : Twin, optional
+        What ``tactile-sim calibrate`` found: images of this sensor and depth from its images.
 
     Raises
     ------
@@ -50,6 +68,7 @@ class SensorModel:
     height_px: int = integer(MISSING, 16, 1280)
     gel_mm: float = real(least=0.1, most=50)
     source: str = text("")
+    twin: Twin | None = None
 
     def __post_init__(self) -> None:
         for name in ("name", "source"):
@@ -60,17 +79,113 @@ class SensorModel:
 
     @classmethod
     def named(cls, word: str) -> SensorModel:
-        """Return the sensor that an option names: one of :data:`SENSORS`, or a JSON file."""
+        """Return the sensor that an option names: a known one, a JSON file, or a calibrated one."""
         known = SENSORS.get(word)
         if known is not None:
             return known
-        if not word.endswith(".json"):
-            raise InputError(
-                f"no sensor {word!r}; expected one of {', '.join(SENSORS)}, or a JSON file with "
-                f"{', '.join(each.name for each in fields(cls))}"
-            )
-        found: SensorModel = _read_values(word, cls, "the sensor")
+        if word.endswith(".json"):
+            found: SensorModel = _read_values(word, cls, "the sensor")
+            return found
+        if Path(word).expanduser().is_dir():
+            return cls.load(word)
+        raise InputError(
+            f"no sensor {word!r}; expected one of {', '.join(SENSORS)}, a JSON file with "
+            f"{', '.join(cls.geometry_names())}, or a folder that `tactile-sim calibrate` wrote"
+        )
+
+    @classmethod
+    def load(cls, folder: str | PathLike[str]) -> SensorModel:
+        """Read a calibrated sensor from its folder; InputError if it holds none, or a damaged one."""
+        geometry, twin = _read_sensor(fspath(folder))
+        if not set(geometry) <= set(cls.geometry_names()):
+            raise InputError(f"the sensor in {fspath(folder)!r} has fields {', '.join(geometry)}")
+        return cls(**geometry, twin=twin)
+
+    def save(self, folder: str | PathLike[str]) -> None:
+        """Write a calibrated sensor into a folder: ``sensor.json`` and ``arrays.npz``.
+
+        InputError for a sensor without a twin, or a folder with something else.
+        """
+        _write_sensor(fspath(folder), self, self._require_twin())
+
+    @classmethod
+    def geometry_names(cls) -> tuple[str, ...]:
+        """Return the names of the fields of the geometry."""
+        return tuple(each.name for each in fields(cls) if each.name != "twin")
+
+    def geometry(self) -> dict[str, Any]:
+        """Return the geometry as JSON values."""
+        return {name: getattr(self, name) for name in self.geometry_names()}
+
+    @property
+    def sensor(self) -> Sensor:
+        """Geometry of the whole image, in the sensor's own pixels."""
+        found: Sensor = _sensor_of_model(self, "full", (self.width_px, self.height_px))
         return found
+
+    @property
+    def optics_name(self) -> str:
+        """Name of the optics that make images of this sensor; depth where it is not calibrated."""
+        if self.twin is not None:
+            return "twin"
+        return "taxim" if self == GELSIGHT_MINI else "depth"
+
+    @property
+    def optics(self) -> Optics:
+        """Optics that make images of this sensor; depth images where it is not calibrated."""
+        found: Optics = _make_optics(self.optics_name) if self.twin is None else _twin_optics(self.twin)
+        return found
+
+    @property
+    def background(self) -> Float32:
+        """Image without contact, levels, shape (H, W, 3)."""
+        return self._require_twin().background
+
+    @property
+    def report(self) -> Mapping[str, Any]:
+        """What the calibration found, JSON values; empty without one."""
+        return {} if self.twin is None else self.twin.report
+
+    def read_depth_m(self, images: UInt8, *, fast: bool = False) -> Float32:
+        """Read how far the gel is pressed in.
+
+        Parameters
+        ----------
+        images : ndarray of uint8, shape (N, H, W, 3)
+            Images of this sensor, in any size.
+        fast : bool
+            Read in half of the resolution, several times as fast.
+
+        Returns
+        -------
+        ndarray of float32, shape (N, H, W)
+            How far the solid reaches into the gel at rest, metres; 0 where nothing touches.
+
+        Raises
+        ------
+        InputError
+            The images have another shape or type, or the sensor was not calibrated.
+        """
+        return self.read_depth(images, fast=fast).depth_m
+
+    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthReading:
+        """Read depth as :meth:`read_depth_m` does, with the expected error of each pixel."""
+        found: DepthReading = _read_depth(self._require_twin(), images, fast=fast)
+        return found
+
+    def render_read(self, depth_m: Float32) -> UInt8:
+        """Return images of depth (N, H, W) as :meth:`read_depth_m` gives it: the lens is in it already."""
+        optics: Any = _twin_optics(self._require_twin(), lens=False)
+        found: UInt8 = optics.reached(depth_m, self.sensor)
+        return found
+
+    def _require_twin(self) -> Twin:
+        if self.twin is None:
+            raise InputError(
+                f"the sensor {self.name!r} was not calibrated",
+                next="run `tactile-sim calibrate` on touches of it",
+            )
+        return self.twin
 
     @property
     def press_m(self) -> float:
@@ -78,8 +193,10 @@ class SensorModel:
         return self.gel_mm / 2 / 1e3
 
     def to_dict(self) -> dict[str, Any]:
-        """Return JSON values."""
-        return asdict(self)
+        """Return JSON values that identify the sensor; a twin by its digest."""
+        if self.twin is None:
+            return self.geometry()
+        return {**self.geometry(), "twin_sha256": self.twin.sha256}
 
 
 GELSIGHT_MINI = SensorModel(
@@ -127,6 +244,6 @@ def checked_sensor(sensor: object) -> SensorModel:
         return sensor
     if isinstance(sensor, str):
         return SensorModel.named(sensor)
-    if isinstance(sensor, Mapping) and set(sensor) <= {each.name for each in fields(SensorModel)}:
+    if isinstance(sensor, Mapping) and set(sensor) <= set(SensorModel.geometry_names()):
         return SensorModel(**sensor)
     raise InputError(f"the sensor is {sensor!r}; expected a SensorModel, or one of {', '.join(SENSORS)}")

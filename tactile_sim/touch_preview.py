@@ -7,8 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from tactile_sim.generation import depth_sensor, noisy
-from tactile_sim.optics import make_optics
+from tactile_sim.generation import depth_sensor, noisy, optics_of
 from tactile_sim.poses import pose
 from tactile_sim.pressable import Pressable
 from tactile_sim.random_numbers import keyed_rng
@@ -76,7 +75,7 @@ def preview_touch(
     InputError
         As :func:`tactile_sim.render_touch`.
     """
-    optics = make_optics(spec.optics, spec.weights)
+    optics = optics_of(spec)
     sensor = depth_sensor(spec, optics)
     solid = Pressable.of(mesh, layer_m=spec.layer_m)
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)

@@ -23,8 +23,8 @@ if TYPE_CHECKING:
     from tactile_sim.touch_table import TouchTable
     from tactile_toolkit.catalog import IdChoice
 
-OPTICS = ("depth", "taxim", "cyclegan")
-"""Names of the optics, by which depth becomes an image."""
+OPTICS = ("depth", "taxim", "cyclegan", "twin")
+"""Names of the optics, by which depth becomes an image; "twin" is that of a calibrated sensor."""
 
 WINDOWS = {"center": "environment", "full": "published"}
 """Windows of the gel that an image shows, and how manifests name them."""
@@ -169,7 +169,8 @@ class GenerateSpec:
     size_px : tuple of int
         Width and height of the images, pixels.
     optics : str
-        How depth becomes an image: ``"depth"``, ``"taxim"`` or ``"cyclegan"``.
+        How depth becomes an image: ``"depth"``, ``"taxim"``, ``"cyclegan"``, or ``"twin"`` for a calibrated
+        sensor.
     window : str
         ``"center"``: rendered in this size, with the window that the environments show in it;
         ``"full"``: rendered as 320 x 240 pixels of the full view of the sensor and scaled to the size.
@@ -238,11 +239,11 @@ class GenerateSpec:
     )
     sensor: SensorModel = text(
         GELSIGHT_MINI,
-        metavar=f"{'|'.join(SENSORS)}|FILE",
+        metavar=f"{'|'.join(SENSORS)}|FILE|DIR",
         shown=GELSIGHT_MINI.name,
         read=SensorModel.named,
-        help="Geometry of the sensor: a known one, or as in a JSON file. Others than the Mini need --optics "
-        "depth.",
+        help="The sensor: a known one, as in a JSON file, or as `tactile-sim calibrate` wrote it. Others "
+        "than the Mini have images if they were calibrated, else --optics depth.",
     )
     press: ElasticPress | None = None
     ids: IdChoice | None = None
@@ -260,14 +261,19 @@ class GenerateSpec:
                 next="add --optics taxim, or give the standard deviation of another noise, such as 0.005",
             )
         object.__setattr__(self, "sensor", checked_sensor(self.sensor))
+        if self.optics == "twin" and self.sensor.twin is None:
+            raise InputError(
+                f"the optics are 'twin', and the sensor {self.sensor.name!r} was not calibrated",
+                next="give the folder of a calibrated sensor",
+            )
         self._check_press()
         if not self.has_other_sensor:
             return
-        if self.optics != "depth":
+        if self.optics not in ("depth", self.sensor.optics_name):
             raise InputError(
-                f"the optics {self.optics!r} are calibrated for the GelSight Mini; expected 'depth' for the "
-                f"sensor {self.sensor.name!r}",
-                next="add --optics depth",
+                f"the optics {self.optics!r} are calibrated for the GelSight Mini; expected "
+                f"{self.sensor.optics_name!r} for the sensor {self.sensor.name!r}",
+                next=f"add --optics {self.sensor.optics_name}",
             )
         most = _MOST_PIXELS // (self.sensor.width_px * self.sensor.height_px)
         if self.plan.touches > most:

@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import column_types, store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
+from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
 from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
@@ -197,12 +198,16 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
         content = stream.read()
     rows = content.count(b"\n")
     require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
-    names, lines = table_lines(content, str(file))
+    table = read_text_table(content, str(file))
+    texts = dict(zip(table.names, table.columns(), strict=True))
     columns = {}
-    for name, (ours, divisor) in _meanings(names).items():
-        # A comma that separates no columns is the decimal mark. Missing values become NaN, which is refused.
+    for name, (ours, divisor) in _meanings(table.names).items():
+        # Missing values become NaN, which is refused.
         try:
-            values = np.array([float((line[name] or "nan").replace(",", ".")) for line in lines])
+            column = pa.array(texts[name], pa.string())
+            values = column_types.floats_of(
+                column_types.from_text(column, decimal_commas=table.separator != ",")
+            )
         except ValueError as error:
             raise InputError(f"column {name}: {error}; expected numbers") from error
         columns[ours] = values / divisor

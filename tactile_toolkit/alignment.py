@@ -69,6 +69,23 @@ class Neighbours:
         with np.errstate(invalid="ignore", over="ignore"):  # infinite samples are the affair of the source
             return np.where(share == 0, first, first + (second - first) * share)
 
+    def on_circle(self, angles: Floating, turn: float) -> Float64:
+        """Return angles, shape (m, ...), on the shorter way around the circle, shape (n, ...).
+
+        ``turn`` is a full turn in their unit. Samples within one turn from 0, or from half a turn before it,
+        as most devices state angles, give values within that turn; others may count turns.
+        """
+        first, second = (angles[each].astype(np.float64, copy=False) for each in (self.before, self.after))
+        share = self.share.reshape(-1, *[1] * (angles.ndim - 1))
+        with np.errstate(invalid="ignore"):
+            found = first + ((second - first + turn / 2) % turn - turn / 2) * share
+            for start in (0.0, -turn / 2):
+                inside = np.nan_to_num(angles, nan=start)
+                if inside.min() >= start and inside.max() <= start + turn:
+                    found = (found - start) % turn + start
+                    break
+            return np.where(share == 0, first, found)
+
     def turned(self, quaternions: Floating) -> Float64:
         """Return quaternions, shape (m, 4), on the shorter turn from one to the next, shape (n, 4).
 

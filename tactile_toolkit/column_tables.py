@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import io
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.csv
 import pyarrow.json
 import pyarrow.parquet as pq
 
+from tactile_toolkit import column_types
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
@@ -28,19 +28,6 @@ _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20  # a line that is longer is an error of Arrow
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
-# Types that text may have, given that of earlier rows; else it stays text.
-_TEXT_TYPES: dict[pa.DataType, tuple[pa.DataType, ...]] = {
-    pa.null(): (pa.int64(), pa.float64(), pa.bool_()),
-    pa.int64(): (pa.int64(), pa.float64()),
-    pa.float64(): (pa.float64(),),
-    pa.bool_(): (pa.bool_(),),
-}
-_UNKNOWN = pa.array(["", "NA", "N/A", "#N/A", "nan", "NaN", "null", "NULL", "None"])
-_CODE = r"^[+-]?0([0-9]+$|[xX])"  # 007 is a name, which a number would not give back
-_SWITCHED = pa.array(["0", "1"])
-_LONG_INTEGER = r"^[+-]?[0-9]{16,300}$"
-_EXPONENT = r"[eE]\+?[0-9]{3,}$|^[+-]?[0-9]{301,}"
-_DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 
 
 class ColumnTable:
@@ -67,8 +54,8 @@ class ColumnTable:
     def __init__(self, path: str, open_file: Callable[[], IO[bytes]]) -> None:
         self.path, self._open = path, open_file
         self._types: dict[str, pa.DataType] = {}
-        self._read = _READERS.get(path[path.rfind(".") :].lower(), _text_batches)
-        self._is_text = self._read is _text_batches
+        self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
+        self._is_text, self._separator = self._read == self._text_batches, ""
         first = next(self._batches(), None)
         self.names: list[str] = [] if first is None else first.column_names
 
@@ -84,6 +71,22 @@ class ColumnTable:
                 table = pa.Table.from_batches([batch])
                 yield table.rename_columns(_checked_names(table.column_names, self.path))
 
+    def _text_batches(self, stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
+        """Yield the rows of a text table, all columns as text."""
+        head = stream.read(_HEADER_BYTES)
+        encoding = "utf-16" if head.startswith(UTF16_MARKS) else "utf-8"
+        whole = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
+        text, self._separator = table_text(whole.encode(), path)
+        header = text.lstrip().partition("\n")[0]
+        _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
+        reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
+        reading.skip_rows = int(text != whole)  # the line that states the separator
+        parsing = pa.csv.ParseOptions(delimiter=self._separator, newlines_in_values=True)
+        names = pa.csv.read_csv(io.BytesIO(f"{header}\n".encode()), parse_options=parsing).column_names
+        types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
+        stream.seek(0)
+        yield from pa.csv.open_csv(stream, reading, parsing, types)
+
     @contextmanager
     def _named_errors(self) -> Iterator[None]:
         try:
@@ -92,7 +95,12 @@ class ColumnTable:
             found = printable(str(error))[:_LONGEST_SHOWN]
             raise InputError(f"{self.path!r} cannot be read as a table: {found}") from error
 
-    def scan(self, column: str = "") -> tuple[int, pa.ChunkedArray]:
+    def first_row(self) -> dict[str, Any]:
+        """Return the first row as it stands; nothing for a table without rows."""
+        first = next(self._batches(), None)
+        return {} if first is None or not len(first) else first.slice(0, 1).to_pylist()[0]
+
+    def scan(self, column: str = "") -> tuple[int, pa.Array]:
         """Read all rows once, so that types are known: return their number, and the values of a column."""
         rows, kept = 0, []
         with self._named_errors():
@@ -104,8 +112,8 @@ class ColumnTable:
                     kept.append(self._typed(batch.select([column])))
             self.names = list(self._types) or self.names
             if not kept:
-                return rows, pa.chunked_array([pa.nulls(rows)])
-            return rows, self._typed(pa.concat_tables(kept, promote_options="permissive")).column(0)
+                return rows, pa.nulls(rows)
+            return rows, column_types.joined([each.column(0).combine_chunks() for each in kept])
 
     def rows(self, numbers: Int64) -> pa.Table:
         """Return some rows by their rising numbers, at least one, after :meth:`scan`."""
@@ -118,14 +126,6 @@ class ColumnTable:
         with self._named_errors():
             return self._typed(pa.concat_tables(parts, promote_options="permissive"))
 
-    def lines(self, most: int) -> list[dict[str, Any]]:
-        """Return all rows as objects of Python; InputError for more than ``most``."""
-        rows, _ = self.scan()
-        if rows > most:
-            raise InputError(f"{self.path!r} has {rows:,} rows; expected at most {most:,}")
-        found: list[dict[str, Any]] = self.rows(np.arange(rows)).to_pylist() if rows else []
-        return found
-
     def _common(self, name: str, values: pa.ChunkedArray, is_exact: bool) -> pa.DataType:
         """Return the type of a column, given some of its rows, and what is known from earlier ones.
 
@@ -133,27 +133,22 @@ class ColumnTable:
         """
         known = self._types.get(name, pa.null())
         if self._is_text:
-            words = _without_words(values)
-            if words.null_count == len(words):
-                return known
-            for kind in _TEXT_TYPES.get(known, ()):
-                with suppress(pa.ArrowException):
-                    words.cast(kind)
-                    return pa.string() if is_exact and _is_changed(words, kind) else kind
-            return pa.string()
-        found = values.type.value_type if pa.types.is_dictionary(values.type) else values.type
-        both = [pa.schema([(name, each)]) for each in (known, found)]
-        return pa.unify_schemas(both, promote_options="permissive").field(0).type
+            return column_types.text_type(self._words(values), known, is_exact=is_exact)
+        return column_types.common_type(known, column_types.from_arrow(values).type, name)
+
+    def _words(self, values: pa.ChunkedArray) -> pa.Array:
+        found = values.combine_chunks()
+        return column_types.words_of(found, decimal_commas=self._separator != ",")
 
     def _typed(self, table: pa.Table) -> pa.Table:
         """Return some rows with the types that columns have in all of them."""
         columns = {}
         for name, values in zip(table.column_names, table.columns, strict=True):
             kind = self._types[name]
-            if pa.types.is_null(kind):  # to which text has no cast
-                kind = pa.float64()
-            is_word = pa.types.is_string(values.type) and not pa.types.is_string(kind)
-            columns[name] = (_without_words(values) if is_word else values).cast(kind)
+            if self._is_text:
+                columns[name] = column_types.as_type(values.combine_chunks(), self._words(values), kind)
+            else:
+                columns[name] = column_types.from_arrow(values).cast(kind)
         return pa.table(columns)
 
 
@@ -166,46 +161,6 @@ def _checked_names(names: Sequence[str], path: str) -> list[str]:
     if twice is not None:
         raise InputError(f"{path!r} has two columns {twice!r}; expected different names")
     return found
-
-
-def _is_changed(words: pa.ChunkedArray, data_type: pa.DataType) -> bool:
-    """Return whether values of a type would not give texts back: codes, long integers, numbers too large."""
-    if pc.any(pc.match_substring_regex(words, _CODE)).as_py():
-        return True
-    if pa.types.is_boolean(data_type):
-        return bool(pc.any(pc.is_in(words, _SWITCHED)).as_py())
-    if pa.types.is_integer(data_type):
-        return False
-    long = words.filter(pc.match_substring_regex(words, _LONG_INTEGER)).to_pylist()
-    large = words.filter(pc.match_substring_regex(words, _EXPONENT)).cast(pa.float64())
-    return any(int(float(word)) != int(word) for word in long) or bool(pc.any(pc.is_inf(large)).as_py())
-
-
-def _without_words(values: pa.ChunkedArray) -> pa.ChunkedArray:
-    """Return texts with null for what stands for no value, and with points for decimal commas."""
-    words = pc.utf8_trim_whitespace(values)
-    words = pc.if_else(pc.is_in(words, _UNKNOWN), pa.scalar(None, pa.string()), words)
-    if pc.any(pc.match_substring(words, ",")).as_py():
-        is_comma = pc.match_substring_regex(words, _DECIMAL_COMMA)
-        words = pc.if_else(is_comma, pc.replace_substring(words, ",", "."), words)
-    return words
-
-
-def _text_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
-    """Yield the rows of a text table, all columns as text."""
-    head = stream.read(_HEADER_BYTES)
-    encoding = "utf-16" if head.startswith(UTF16_MARKS) else "utf-8"
-    whole = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
-    text, separator = table_text(whole.encode(), path)
-    header = text.lstrip().partition("\n")[0]
-    _checked_names([str(number) for number in range(header.count(separator) + 1)], path)
-    reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
-    reading.skip_rows = int(text != whole)  # the line that states the separator
-    parsing = pa.csv.ParseOptions(delimiter=separator, newlines_in_values=True)
-    names = pa.csv.read_csv(io.BytesIO(f"{header}\n".encode()), parse_options=parsing).column_names
-    types = pa.csv.ConvertOptions(column_types=dict.fromkeys(names, pa.string()))
-    stream.seek(0)
-    yield from pa.csv.open_csv(stream, reading, parsing, types)
 
 
 def _json_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:

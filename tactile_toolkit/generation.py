@@ -94,6 +94,10 @@ class RowGenerator(ABC):
         """Return the report about the rows of a shard, an Arrow table; None without a report."""
         return None
 
+    def next_if_other(self) -> str:
+        """Return the next step if a folder holds rows of another specification; "" for the usual one."""
+        return ""
+
     def statistics(self, rows: Sequence[Any]) -> JsonObject | None:
         """Return JSON values about rows for the manifest, which add up over shards."""
         return None
@@ -137,6 +141,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
         layout.style,
         layout.report_file,
         libraries=layout.libraries,
+        other_next=generator.next_if_other(),
     )
 
 

@@ -19,7 +19,7 @@ from tactile_toolkit.json_types import JsonObject
 if TYPE_CHECKING:
     import pyarrow as pa
 
-EXPORT, MERGE, SPLIT = "export", "merge", "split"
+EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
 
 SHARED_COMMANDS = (
@@ -35,6 +35,7 @@ SHARED_COMMANDS = (
         "list",
         "merge",
         "split",
+        "select",
     ),
     *("cache", "gallery", "export"),
 )
@@ -64,7 +65,7 @@ def is_for_others(manifest: Specified | None) -> bool:
 
 def is_copy(manifest: Specified | None) -> bool:
     """Return whether a manifest is that of a copy, which states its source, not how rows are made."""
-    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT)
+    return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT, SELECT)
 
 
 def lazy(path: str) -> Callable[..., Any]:
@@ -146,7 +147,8 @@ class DatasetKind:
     write_card : callable
         Takes a ``DataFolder`` and its ``Manifest``, if it has one; writes the card and its picture.
     schema : callable or None
-        Returns the Arrow schema of every shard; None if it follows from a source.
+        Takes a ``Manifest`` or None, returns the Arrow schema of every shard; None if it follows from a
+        source.
     check : callable or None
         Takes a ``DataFolder`` and a number of threads, returns findings; None if checksums, schema, ids and
         card are all there is to check.
@@ -186,7 +188,7 @@ class DatasetKind:
     card_template: str
     write_card: Callable[[Any, Any], None]
     content: str = ""
-    schema: Callable[[], pa.Schema] | None = None
+    schema: Callable[[Specified | None], pa.Schema | None] | None = None
     check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
     loader: Callable[[Specified | None], str] | None = None
@@ -226,7 +228,7 @@ class DatasetKind:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
         if self.schema is None or is_copy(manifest):
             return None
-        return self.schema()
+        return self.schema(manifest)
 
     def loading_lines(
         self, manifest: Specified | None, name: str, split: str, revision: str | None = None

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
+from dataclasses import dataclass
 from typing import Any
 
 from tactile_toolkit.errors import InputError
@@ -41,17 +42,52 @@ def table_text(content: bytes, path: str) -> tuple[str, str]:
     return text, max(_SEPARATORS, key=header.count)
 
 
-def table_lines(content: bytes, path: str) -> tuple[list[str], list[dict[str, Any]]]:
-    """Return columns and lines of a table; InputError, which names ``path``, for an unreadable one."""
+@dataclass(frozen=True, slots=True)
+class TextTable:
+    """A table of text, as it stands.
+
+    Attributes
+    ----------
+    names : list of str
+        Columns, in order; there may be two of one name.
+    rows : list of list of str
+        Values of each row that is not empty; there may be more or fewer than columns.
+    separator : str
+        What stands between values.
+    """
+
+    names: list[str]
+    rows: list[list[str]]
+    separator: str
+
+    def columns(self) -> list[tuple[str | None, ...]]:
+        """Return the values of each column; None in rows that are too short."""
+        width = len(self.names)
+        is_even = all(len(row) == width for row in self.rows)
+        rows: list[list[Any]] = self.rows
+        if not is_even:
+            rows = [[*row, *[None] * (width - len(row))][:width] for row in self.rows]
+        return list(zip(*rows, strict=True)) if rows else [()] * width
+
+    def too_long(self) -> list[int]:
+        """Return the numbers of rows with more values than there are columns."""
+        return [number for number, row in enumerate(self.rows) if len(row) > len(self.names)]
+
+
+def read_text_table(content: bytes, path: str) -> TextTable:
+    """Read a table; InputError, which names ``path``, for an unreadable one."""
     text, separator = table_text(content, path)
     # Spaces after a separator are not part of the value.
     stream = io.StringIO(text, newline="")
-    lines = csv.DictReader(stream, delimiter=separator, strict=True, skipinitialspace=True)
+    lines = csv.reader(stream, delimiter=separator, strict=True, skipinitialspace=True)
+    rows, read = list[list[str]](), 0
     try:
-        lines.fieldnames = [name.strip() for name in lines.fieldnames or ()]
-        return list(lines.fieldnames), list(lines)
-    except csv.Error as error:
-        # The reader does not count an unreadable line; an unclosed quote extends to the end.
+        for row in lines:
+            read = lines.line_num
+            rows += [row] if row else []
+    except csv.Error as error:  # an unclosed quote extends to the end
         raise InputError(
-            f"{path!r}, line {lines.line_num + 1}: {error}; expected a table with commas, semicolons or tabs"
+            f"{path!r}, line {read + 1}: {error}; expected a table with commas, semicolons or tabs"
         ) from error
+    names = [name.strip() for name in rows[0]] if rows else []
+    return TextTable(names, rows[1:], separator)

@@ -16,6 +16,9 @@ PER_METRE = {unit: MM_PER_UNIT["m"] / MM_PER_UNIT[unit] for unit in ("mm", "cm",
 PER_RADIAN = {"deg": math.degrees(1.0), "rad": 1.0}
 """Number of units in a radian."""
 
+TURN = 2 * math.pi
+"""A full turn, radians."""
+
 PER_SECOND = {"s": 1.0, "ms": 1e3, "us": 1e6, "ns": 1e9}
 """Number of units in a second."""
 

@@ -16,6 +16,8 @@ KIND = DatasetKind(
     schema=lazy("env_assets.wrench.dataset:wrench_schema"),
     class_names=("wrench",),
     columns=("opening_mm",),
-    missing_commands=("info", "validate", "preview", "card", "upload", "download", "gallery", "list"),
+    missing_commands=(
+        *("info", "validate", "preview", "card", "upload", "download", "gallery", "list", "select"),
+    ),
     recipe=lazy("env_assets.wrench.dataset:wrench_recipe"),
 )

@@ -17,39 +17,72 @@ from mnist3d.ink.grey_levels import (
 )
 from mnist3d.ink.photographs import even_out, is_clean
 from mnist3d.ink.refusals import refuse
-from mnist3d.ink.sheet import fit
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import AnyArray, Bool, UInt8
 from tactile_toolkit.errors import InputError
 
+INKS = ("auto", "dark", "light")
+"""Which part of a picture is ink; ``"auto"`` decides for each."""
 
-def binarise(
-    pixels: AnyArray,
-    spec: SolidSpec,
-    *,
-    ink: Literal["auto", "dark", "light"] = "auto",
-    resample: bool = False,
-) -> Bool:
+
+def binarise(pixels: AnyArray, spec: SolidSpec, *, ink: Literal["auto", "dark", "light"] = "auto") -> Bool:
     """Return the ink that becomes the solid: binarised, cleaned and, with ``spec.join_bodies``, joined.
 
-    Parameters and errors are those of :func:`mnist3d.solidify`; the mask has the shape (H, W).
+    Parameters
+    ----------
+    pixels : ndarray, shape (H, W)
+        Grey levels of one digit, whose side is ``spec.pixel_pitch_mm``.
+    spec : SolidSpec
+        Parameters of the algorithm.
+    ink : {"auto", "dark", "light"}
+        Which part is ink, as for :func:`mnist3d.solidify`.
+
+    Returns
+    -------
+    ndarray of bool, shape (H, W)
+
+    Raises
+    ------
+    ItemError
+        As :func:`mnist3d.solidify`.
     """
-    if ink not in ("auto", "dark", "light"):
+    levels, otsu = ink_levels(pixels, spec.threshold, ink)
+    require_large(levels, spec)
+    return cleaned_ink(levels, spec, otsu)
+
+
+def ink_levels(
+    pixels: AnyArray, threshold: float | None, ink: str, *, whole: bool = False
+) -> tuple[UInt8, int | None]:
+    """Return levels of an array in which ink is dark, and their Otsu threshold if it was computed.
+
+    With ``"auto"``, levels up to a given ``threshold`` are ink, and the light of images without clean paper
+    is evened out; ``whole`` is as for :func:`~mnist3d.ink.photographs.even_out`.
+    """
+    if ink not in INKS:
         raise InputError(f"ink is {ink!r}; expected 'auto', 'dark' or 'light'")
     levels = as_levels(pixels)
-    if ink == "auto" and spec.threshold is not None:
-        ink = "dark"  # levels up to the threshold are ink
+    if ink == "auto" and threshold is not None:
+        ink = "dark"
     elif ink == "auto" and not is_clean(levels):
-        levels, ink = even_out(levels), "dark"
-    levels, otsu = dark_on_light(levels, ink)
-    if resample:
-        # The threshold of the image does not fit resampled levels.
-        levels, otsu = fit(levels), None
-    elif max(levels.shape) < SMALL_PX:
+        levels, ink = even_out(levels, whole=whole), "dark"
+    return dark_on_light(levels, ink)
+
+
+def require_large(levels: UInt8, spec: SolidSpec) -> None:
+    """Refuse an image that makes a block of a few millimetres; ItemError ``too-small``."""
+    if max(levels.shape) < SMALL_PX:
         height_px, width_px = levels.shape
         size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
         refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
-    mask = clean(ink_of_levels(levels, otsu if spec.threshold is None else spec.threshold), spec)
+
+
+def cleaned_ink(levels: UInt8, spec: SolidSpec, threshold: float | None = None) -> Bool:
+    """Return clean ink of dark levels and, with ``spec.join_bodies``, join it.
+
+    ``spec.threshold`` is used if it is given, then ``threshold``, then Otsu's.
+    """
+    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
     if spec.join_bodies:
         mask = join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
     return mask

@@ -1,16 +1,18 @@
-"""The one digit in the ink of a page."""
+"""The one digit in the ink of a page, or all that was drawn on it."""
 
 from __future__ import annotations
+
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
 
 from mnist3d.ink.reflectance import Ink
 from mnist3d.ink.refusals import refuse
-from tactile_toolkit.array_types import Bool
+from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 
-_RIM, _SPECK = 0.05, 0.02
-"""Shares of the longer side: reach of the border of a scan, and least length of ink."""
+_RIM, _SPECK, _DOT = 0.05, 0.02, 0.005
+"""Shares of the longer side: reach of the border of a scan, least length of a digit and of a dot."""
 
 _PART, _THIN_PART, _GAP, _OTHER = 0.1, 0.4, 0.14, 0.2
 """Shares of the longest piece: least length and thickness of its parts, widest gap, least other digit."""
@@ -30,39 +32,86 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
 
     Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
     """
-    labels, count = ndimage.label(mask, np.ones((3, 3)))
-    if not count:
-        refuse("no-ink", sentence="empty-page")
-    pieces, piece, side = np.arange(1, count + 1), labels[mask], max(mask.shape)
-    depth, from_rim = ndimage.distance_transform_edt(mask), ndimage.distance_transform_cdt(np.pad(inside, 1))
-    # A blur of a pixel removes noise.
-    slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
-    slopes = ndimage.maximum_filter(slopes, 3)
-    edges = (depth > 0) & (depth <= 1)
-    spans = np.array([max(part.stop - part.start for part in box) for box in ndimage.find_objects(labels)])
+    pieces = _Pieces.of(mask, inside, found)
+    labels, piece, numbers, depth = pieces.labels, pieces.piece, pieces.numbers, pieces.depth
+    possible = pieces.is_sharp & (pieces.spans > _SPECK * max(mask.shape))
     # Ink along the rim only is the border of a scan.
-    possible = ndimage.maximum(from_rim[1:-1, 1:-1][mask], piece, pieces) > _RIM * side
-    possible &= ndimage.median(slopes[edges], labels[edges], pieces) >= _SOFT
-    possible &= spans > _SPECK * side
+    possible &= pieces.farthest > _RIM * max(mask.shape)
     if not possible.any():
         refuse("no-ink", sentence="empty-page")
     main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
     stroke = float(np.percentile(depth[labels == main + 1], 90))
-    possible &= spans >= _PART * spans[main]
-    possible &= ndimage.maximum(depth[mask], piece, pieces) >= _THIN_PART * stroke
+    possible &= pieces.spans >= _PART * pieces.spans[main]
+    possible &= ndimage.maximum(depth[mask], piece, numbers) >= _THIN_PART * stroke
     # Pieces near each other form one digit.
-    away = ndimage.distance_transform_cdt(~np.isin(labels, pieces[possible]))
-    groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, pieces)
+    spans, away = pieces.spans, ndimage.distance_transform_cdt(~np.isin(labels, numbers[possible]))
+    groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, numbers)
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
     if len(digits) > 1:
         refuse("several-digits", len(digits))
-    digit = np.isin(labels, pieces[possible & (groups == groups[main])])
-    if from_rim[1:-1, 1:-1][digit].min() <= NEAR_PX:
+    digit = np.isin(labels, numbers[possible & (groups == groups[main])])
+    if pieces.from_rim[digit].min() <= NEAR_PX:
         refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
-    if np.percentile(slopes[digit & edges], 10) < _SOFT:
+    if np.percentile(pieces.slopes[digit & pieces.edges], 10) < _SOFT:
         refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
     return digit
+
+
+def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
+    """Return all ink with sharp edges, except the border of a scan and specks.
+
+    Raises ItemError ``no-ink``, or ``cut-off`` if ink reaches the edge of the page.
+    """
+    pieces = _Pieces.of(mask, inside, found)
+    kept = pieces.is_sharp & (pieces.spans > _DOT * max(mask.shape))
+    # The border of a scan lies along the rim and reaches it; small parts of a drawing may lie near it.
+    nearest = ndimage.minimum(pieces.from_rim[mask], pieces.piece, pieces.numbers)
+    kept &= (pieces.farthest > _RIM * max(mask.shape)) | (nearest > NEAR_PX)
+    if not kept.any():
+        refuse("no-ink", sentence="empty-page")
+    drawing = np.isin(pieces.labels, pieces.numbers[kept])
+    if pieces.from_rim[drawing].min() <= NEAR_PX:
+        refuse("cut-off", sentence="drawing-cut-off")
+    return drawing
+
+
+class _Pieces(NamedTuple):
+    """The pieces of the ink on a page.
+
+    ``labels`` numbers the piece of each pixel, ``piece`` those of the ink only. The others up to ``farthest``
+    have a value for each piece: its longer side, whether its edges are sharp, and its reach from the rim.
+    """
+
+    labels: AnyArray
+    piece: AnyArray
+    numbers: Int64
+    spans: Int64
+    is_sharp: Bool
+    farthest: AnyArray
+    depth: Float64
+    from_rim: AnyArray
+    slopes: Float32
+    edges: Bool
+
+    @classmethod
+    def of(cls, mask: Bool, inside: Bool, found: Ink) -> _Pieces:
+        """Find the pieces; ItemError ``no-ink`` if there are none."""
+        labels, count = ndimage.label(mask, np.ones((3, 3)))
+        if not count:
+            refuse("no-ink", sentence="empty-page")
+        numbers, piece = np.arange(1, count + 1), labels[mask]
+        depth = np.asarray(ndimage.distance_transform_edt(mask))
+        from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
+        # A blur of a pixel removes noise.
+        slopes = ndimage.gaussian_gradient_magnitude(found.reflectance, 1.0) / (1 - found.ink)
+        slopes = ndimage.maximum_filter(slopes, 3)
+        edges = (depth > 0) & (depth <= 1)
+        boxes = ndimage.find_objects(labels)
+        spans = np.array([max(part.stop - part.start for part in box) for box in boxes])
+        farthest = np.asarray(ndimage.maximum(from_rim[mask], piece, numbers))
+        is_sharp = np.asarray(ndimage.median(slopes[edges], labels[edges], numbers)) >= _SOFT
+        return cls(labels, piece, numbers, spans, is_sharp, farthest, depth, from_rim, slopes, edges)
 
 
 def _check(digit: Bool, depth_px: float, inside: Bool) -> None:

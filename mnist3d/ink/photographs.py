@@ -14,11 +14,12 @@ from PIL import Image
 from scipy import ndimage
 
 from mnist3d.ink.coarse_pictures import WIDEST_STROKE, eroded, fine_mask, to_coarse
+from mnist3d.ink.colours import coloured_ink
 from mnist3d.ink.grey_levels import SMALL_PX, margin
-from mnist3d.ink.one_digit import NEAR_PX, find_one_digit
+from mnist3d.ink.one_digit import NEAR_PX, find_drawing, find_one_digit
 from mnist3d.ink.page_outline import find_page
 from mnist3d.ink.printed_lines import without_lines
-from mnist3d.ink.reflectance import find_ink, ink_is_light, reflectance, without_shadows
+from mnist3d.ink.reflectance import Ink, find_ink, ink_is_light, reflectance, without_shadows
 from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import ItemError
@@ -37,6 +38,9 @@ _WORK_PX = 1000
 
 _CROSSED, _NARROW, _CORE, _KEPT = 0.15, 0.5, 0.2, 0.9
 """Limits of second attempts: ink on the outline, width of strokes, depth of the core, share of it kept."""
+
+_WIDEST_PART = 0.5
+"""Coloured parts of drawings are narrower than this share of the longer side."""
 
 _GAIN = 2
 """Factor by which the greys of edges are made steeper."""
@@ -59,11 +63,12 @@ def is_clean(levels: UInt8) -> bool:
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
 
 
-def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
+def even_out(picture: UInt8, ink: str = "auto", *, whole: bool = False) -> UInt8:
     """Return the ink of the one digit in a photograph or scan as grey levels from 0 (ink) to 255 (paper).
 
-    Everything else is 255: the surroundings of the page, borders of scans, specks, and printed lines that are
-    thinner than the strokes. Size and scale are those of the picture.
+    With ``whole``, all ink of the page is kept, also several pieces, blobs, and coloured parts. Everything
+    else is 255: the surroundings of the page, borders of scans, specks, and printed lines that are thinner
+    than the strokes. Size and scale are those of the picture.
 
     Parameters
     ----------
@@ -79,8 +84,8 @@ def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
     Raises
     ------
     ItemError
-        There is not exactly one digit; ``reason`` is ``no-ink``, ``several-digits``, ``cut-off`` (the ink
-        reaches the edge of the page) or ``not-a-digit``.
+        There is no ink or, unless ``whole``, not exactly one digit; ``reason`` is ``no-ink``,
+        ``several-digits``, ``cut-off`` (the ink reaches the edge of the page) or ``not-a-digit``.
     """
     height, width = picture.shape[:2]
     scale = min(1.0, _WORK_PX / max(height, width))
@@ -88,7 +93,7 @@ def even_out(picture: UInt8, ink: str = "auto") -> UInt8:
     work = Image.fromarray(picture)
     if scale < 1:
         work = work.resize(size, Image.Resampling.BOX)
-    levels = _even_out(_views(work), ink)
+    levels = _even_out(_views(work), ink, whole)
     if scale < 1:
         levels = np.asarray(Image.fromarray(levels).resize((width, height), Image.Resampling.BILINEAR))
     return levels
@@ -102,10 +107,12 @@ def _views(picture: Image.Image) -> UInt8:
     return np.stack([grey, *np.moveaxis(np.asarray(picture), -1, 0)])
 
 
-def _even_out(views: UInt8, ink: str) -> UInt8:
+def _even_out(views: UInt8, ink: str, whole: bool) -> UInt8:
     page = find_page(views.min(axis=0))
     if ink == "light" or (ink == "auto" and ink_is_light(to_coarse(views[0]), page)):
         views = 255 - views
+    if whole:
+        return _drawing_on(views, page)
     try:
         return _ink_on(views, page)
     except ItemError as error:
@@ -151,9 +158,27 @@ def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
     inside = fine_mask(eroded(page, 2), views[0].shape)
     found = find_ink(reflectance(views, page, widest), inside)
     digit = find_one_digit(without_lines(without_shadows(found), inside), inside, found)
-    # The greys of edges are kept, but steeper, so that any threshold divides them in the same place.
+    return _levels_of(digit, found)
+
+
+def _drawing_on(views: UInt8, page: Bool) -> UInt8:
+    """Return the levels of all ink on a page."""
+    inside = fine_mask(eroded(page, 2), views[0].shape)
+    found = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
+    inked = without_lines(without_shadows(found), inside)
+    if len(views) > 1:
+        channels = np.stack([reflectance(view[None], page, _WIDEST_PART) for view in views[1:]])
+        inked |= coloured_ink(channels) & inside
+    return _levels_of(find_drawing(inked, inside, found), found)
+
+
+def _levels_of(inked: Bool, found: Ink) -> UInt8:
+    """Return the levels of ink; the greys of its edges are kept, but steeper.
+
+    So any threshold divides them in the same place.
+    """
     gain = _GAIN * 255 / (1 - found.ink)
     levels = np.rint(127.5 + gain * (found.reflectance - (1 + found.ink) / 2))
-    near = ndimage.binary_dilation(digit, iterations=NEAR_PX) & ~found.mask
+    near = ndimage.binary_dilation(inked, iterations=NEAR_PX) & ~found.mask
     shown = np.where(near, np.clip(levels, 128, 255), 255)
-    return np.where(digit, np.clip(levels, 0, 127), shown).astype(np.uint8)
+    return np.where(inked, np.clip(levels, 0, 127), shown).astype(np.uint8)

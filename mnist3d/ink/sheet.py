@@ -21,23 +21,23 @@ _BLUR_PX = 0.6
 _PAPER = 255
 
 
-def fit(pixels: UInt8) -> UInt8:
-    """Fit a dark-on-light image of any size into the sheet: aspect kept, centred on white paper.
+def fit(pixels: UInt8, side: int = SIDE_PX) -> UInt8:
+    """Fit a dark-on-light image of any size into a square sheet: aspect kept, centred on white paper.
 
-    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`. An image of
-    500 x 500 px is returned unchanged.
+    Larger images are shrunk with antialiasing, smaller ones go through :func:`enlarge`. An image of the size
+    of the sheet, 500 x 500 px by default, is returned unchanged.
     """
     height, width = pixels.shape
-    if height == width == SIDE_PX:
+    if height == width == side:
         return pixels
-    scale = SIDE_PX / max(height, width)
+    scale = side / max(height, width)
     height, width = max(1, round(height * scale)), max(1, round(width * scale))
     if scale > 1:
         resized = enlarge(pixels, (height, width))
     else:
         resized = np.asarray(Image.fromarray(pixels).resize((width, height), Image.Resampling.LANCZOS))
-    sheet = np.full((SIDE_PX, SIDE_PX), _PAPER, np.uint8)
-    top, left = (SIDE_PX - height) // 2, (SIDE_PX - width) // 2
+    sheet = np.full((side, side), _PAPER, np.uint8)
+    top, left = (side - height) // 2, (side - width) // 2
     sheet[top : top + height, left : left + width] = resized
     return sheet
 

@@ -12,72 +12,105 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from mnist3d.ink.binarisation import binarise
+from mnist3d.ink.binarisation import binarise, ink_of_levels
 from mnist3d.ink.cleaning import count_bodies_and_holes
 from mnist3d.ink.refusals import refuse
-from mnist3d.solid.decimation import BUDGET_SLACK, decimate
+from mnist3d.solid.decimation import BUDGET_SLACK, decimate, without_flat_vertices
 from mnist3d.solid.erosion_and_stacking import erode, stack
 from mnist3d.solid.lattice import Lattice, lattice_of
 from mnist3d.solid.literal import literal_solid
 from mnist3d.solid.marching_cubes import half_surface
 from mnist3d.solid.mirroring_and_scaling import mirror, scale
+from mnist3d.solid.picture_ink import PictureLike, SizedInk, for_strokes, sized_ink
 from mnist3d.solid.smoothing import smooth
+from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid.surface import Surface, bodies_and_holes
 from mnist3d.solid_spec import SolidSpec
-from tactile_toolkit.array_types import AnyArray, Bool, Float32
+from tactile_toolkit.array_types import Bool, Float32, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, on_base_plate
 
 
 def solidify(
-    pixels: AnyArray,
+    picture: PictureLike,
     spec: SolidSpec | None = None,
     *,
+    height_mm: float | None = None,
+    width_mm: float | None = None,
+    pixel_mm: float | None = None,
+    base_mm: float | None = None,
     method: Literal["fast", "literal"] = "fast",
     ink: Literal["auto", "dark", "light"] = "auto",
-    resample: bool = False,
+    threshold: Literal["auto", "local", "global"] = "auto",
 ) -> Mesh:
-    """Turn the image of a digit into a closed, printable mesh.
+    """Turn a picture into a closed, printable mesh; ``mnist3d solidify`` makes the same one.
 
     Parameters
     ----------
-    pixels : ndarray of uint8, shape (H, W)
-        Grey levels, row 0 at the top. Other integers count from 0 to 255, floats from 0 to 1 or to 255; bool
-        is accepted too.
+    picture : path, PIL.Image.Image or ndarray
+        A file, an image, or an array of shape (H, W), (H, W, 3) or (H, W, 4), row 0 at the top. Integers
+        count from 0 to 255, floats from 0 to 1 or to 255; bool is accepted too. The picture may show any
+        drawing: a digit, a word, a logo.
     spec : SolidSpec, optional
-        Parameters of the algorithm; the published ones by default.
+        Parameters of the algorithm; the published ones by default. Without it, pictures other than grey
+        levels keep specks down to 0.64 mm^2 and get as many vertices as their strokes need.
+    height_mm, width_mm, pixel_mm : float, optional
+        Size of the solid along y or x, or of a pixel; at most one of them. By default, the longer side of
+        the picture is 500 pixels of ``spec.pixel_pitch_mm``: 100 mm.
+    base_mm : float, optional
+        Put the upper half of the solid on a plate of this thickness, which joins separate parts.
     method : {"fast", "literal"}
         ``"fast"``: one distance transform and a lattice of real values; ``"literal"``: the algorithm as the
         paper prints it.
     ink : {"auto", "dark", "light"}
         Which part is ink. ``"auto"`` takes the margin of a clean image for paper and evens out the light of
         photographs and scans (``mnist3d.ink.even_out``); with ``spec.threshold``, levels up to it are ink.
-        ``"dark"`` and ``"light"`` apply one threshold to the whole image.
-    resample : bool
-        Draw the image again with 500 pixels on its longer side, as the sources do. Images of less than 64
-        pixels are refused otherwise: 28 pixels of 0.2 mm make a block of 5.6 mm.
+        ``"dark"`` and ``"light"`` apply one threshold to a whole array of grey levels.
+    threshold : {"auto", "local", "global"}
+        Even out the light and find the page, or apply one threshold to the picture; ``"auto"`` takes
+        ``"local"`` for pictures without clean paper.
 
     Returns
     -------
     Mesh
-        Metres. Origin at the image centre, x right, y up, z out of the plate, lowest point at z = 0.
+        Metres. Origin at the centre of the picture or, with ``height_mm`` or ``width_mm``, of its ink; x
+        right, y up, z out of the plate, lowest point at z = 0.
 
     Raises
     ------
     ItemError
-        The image is not a usable digit; ``reason`` is one of ``bad-shape``, ``bad-dtype``, ``bad-pixels``,
-        ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``cut-off``,
-        ``several-digits``, ``not-a-digit``, ``topology``, ``vertex-budget``.
+        The picture cannot be used; ``reason`` is one of ``unreadable``, ``bad-shape``, ``bad-dtype``,
+        ``bad-pixels``, ``not-finite``, ``too-small``, ``unclear-ink``, ``no-ink``, ``all-ink``, ``cut-off``,
+        ``topology``, ``vertex-budget``.
     InputError
-        ``method`` or ``ink`` is unknown.
+        An option is unknown, or two sizes are given.
     """
-    spec = spec or SolidSpec()
     if method not in ("fast", "literal"):
         raise InputError(f"method is {method!r}; expected 'fast' or 'literal'")
-    mask = binarise(pixels, spec, ink=ink, resample=resample)
+    size = SolidSize(height_mm, width_mm, pixel_mm)
+    sized = sized_ink(picture, spec, size, which=ink, threshold=threshold)
+    return solid_of_ink(sized, base_mm, method)
+
+
+def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "fast") -> Mesh:
+    """Build the solid of ink on its sheet; see :func:`solidify`."""
     if method == "literal":
-        return literal_solid(mask, spec)
-    return solid_steps(mask, spec).mesh
+        made = literal_solid(sized.mask, sized.spec)
+    else:
+        made = solid_steps(sized.mask, sized.spec).mesh
+    if sized.is_fine:
+        made = without_flat_vertices(made)
+    return made if base_mm is None else on_base_plate(made, base_mm)
+
+
+def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) -> Mesh:
+    """Build the solid of a digit that a source has drawn on its sheet, dark ink on light paper.
+
+    Of a drawing, parts that are as thin as its strokes are kept, such as the dot of an i.
+    """
+    if is_drawing:
+        spec = for_strokes(ink_of_levels(pixels, spec.threshold), spec)
+    return solid_steps(binarise(pixels, spec, ink="dark"), spec).mesh
 
 
 class SolidSteps(NamedTuple):

@@ -20,6 +20,9 @@ FEW_TOO_MANY = 2.0
 E_FOLD_MM = 0.1
 """Tolerance at which one pass leaves about 1/e of the vertices."""
 
+FLAT_MM = 0.005
+"""Largest distance of a vertex from the surface without it, in even parts of drawings."""
+
 BUDGET_SLACK = 1.5
 """Largest number of vertices, as a multiple of the budget."""
 
@@ -57,6 +60,19 @@ def decimate(mesh: Mesh, target_vertices: int) -> Mesh:
         enough = math.ceil(found / BUDGET_SLACK)
         refuse("vertex-budget", found, *counts, target_vertices, BUDGET_SLACK, enough)
     return _mesh_of(solid)
+
+
+def without_flat_vertices(mesh: Mesh) -> Mesh:
+    """Remove vertices that change the surface by 0.005 mm at most, unless bodies or holes would be lost.
+
+    Fine lattices have many of them in even parts: a drawing keeps a fifth of its triangles.
+    """
+    counts = bodies_and_holes(len(mesh.vertices_m), mesh.faces)
+    solid = mesh.to_manifold().simplify(FLAT_MM)
+    simpler = _mesh_of(solid)
+    if _keeps_topology(solid, counts) and not _crosses_itself(simpler, counts[0]):
+        return simpler
+    return mesh
 
 
 def _mesh_of(solid: Any) -> Mesh:

@@ -11,6 +11,9 @@ from tactile_toolkit.errors import ItemError
 NO_WRITER = -1
 """Writer number of digits whose writer is unknown."""
 
+DIGITS = tuple("0123456789")
+"""Names of the classes of digits."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DigitImage:
@@ -21,17 +24,20 @@ class DigitImage:
     id : int
         Number of the digit in its source (in HWD+: the row of the image array).
     label : int
-        The digit written, 0 to 9.
+        The digit written, 0 to 9, or the number of another class.
     pixels : ndarray of uint8, shape (H, W)
         Grey levels, always dark ink (0) on light paper (255). Row 0 is the top of the digit as it is read.
     writer : int
         Number of the writer in the source, or :data:`NO_WRITER`.
+    file : str or None
+        Name of the picture, if the source is a folder of files.
     """
 
     id: int
     label: int
     pixels: UInt8
     writer: int = NO_WRITER
+    file: str | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,14 +49,17 @@ class DigitCatalog:
     ids : ndarray of int64, shape (N,)
         Distinct, in increasing order.
     labels : ndarray of int64, shape (N,)
-        Digit of each id, 0 to 9.
+        Class of each id, a place in ``class_names``: the digit, 0 to 9.
     writers : ndarray of int64, shape (N,)
         Writer of each id, or :data:`NO_WRITER`.
+    class_names : tuple of str
+        Names of the classes, the ten digits by default.
     """
 
     ids: Int64
     labels: Int64
     writers: Int64
+    class_names: tuple[str, ...] = DIGITS
 
     def __len__(self) -> int:
         """Return the number of digits."""

@@ -39,6 +39,10 @@ _MOST_PAGES = 1000
 _SUBFILE, _COPY_OR_MASK = 254, 1 | 4
 # Memory for reading, by mode, as measured; 24 for transparency and for more than 8 bits.
 _BYTES_PER_PIXEL = {"1": 4, "L": 4, "P": 11, "RGB": 11}
+# Memory of the decoded picture alone, as Pillow holds it.
+_BYTES_HELD = {"1": 2, "L": 1, "I;16": 2}
+_REDUCED_PX = 4000
+"""Longer side to which pictures are reduced that would not fit into memory; solids need an eighth of it."""
 
 
 def is_picture_name(name: str) -> bool:
@@ -90,14 +94,15 @@ def _opened(path: Path) -> Iterator[Image.Image]:
     formats = (*_formats(), "TGA") if ending in _ENDINGS["TGA"] else _formats()
     try:
         with warnings.catch_warnings():
+            # Pillow warns of pictures up to twice its limit; those are reduced, the others are refused.
             warnings.simplefilter("ignore")
-            # Pillow only warns of pictures up to twice its limit; one of them takes half a gigabyte.
-            warnings.simplefilter("error", Image.DecompressionBombWarning)
             with store.open_regular(path) as stream, Image.open(stream, formats=formats) as picture:
                 yield picture
     # Decoders raise many types for broken files: OSError, SyntaxError, ValueError, struct.error, ...
     except Exception as error:
         next_step = "replace it by an intact copy, or leave it out"
+        if isinstance(error, Image.DecompressionBombError):
+            next_step = "store it with fewer pixels; 20 million are more than enough"
         if ending in _ENDINGS["HEIF"] and isinstance(error, UnidentifiedImageError) and "HEIF" not in formats:
             next_step = f"{install_line('heic')}, or store it as JPEG"
         found = f"{path}: cannot be read as a picture ({_problem(error)}), expected an intact image file"
@@ -108,7 +113,7 @@ def _problem(error: Exception) -> str:
     """Describe an error in words that do not depend on the versions of libraries."""
     if isinstance(error, ToolkitError):
         return error.message
-    if isinstance(error, (Image.DecompressionBombWarning, Image.DecompressionBombError)):
+    if isinstance(error, Image.DecompressionBombError):
         return "it has too many pixels"
     if isinstance(error, UnidentifiedImageError):
         return "its content is of no known type"
@@ -120,21 +125,57 @@ def _problem(error: Exception) -> str:
 def decode_page(path: Path, page: int) -> Image.Image:
     """Read a page of a file upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I).
 
-    Raises ItemError ``"unreadable"``.
+    A picture that would not fit into the memory that is allowed (:mod:`tactile_toolkit.bounds`) is reduced to
+    a longer side of 2,000 to 4,000 pixels while it is read. Raises ItemError ``"unreadable"``.
     """
     with _opened(path) as picture:
         if page:
             picture.seek(page)
-        memory = picture.width * picture.height * _BYTES_PER_PIXEL.get(picture.mode, 24)
-        require_unpackable(memory, f"a picture of {picture.width} x {picture.height} pixels")
-        if picture.format in ("JPEG", "MPO"):
-            try:
-                require_bounded_jpeg(path.read_bytes())
-            except ValueError as error:
-                raise InputError(str(error)) from error
-        upright = ImageOps.exif_transpose(picture)
-        if upright.mode[:1] in ("F", "I"):
-            return upright
-        if upright.has_transparency_data:
-            return upright.convert("RGBA")
-        return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
+        _require_bounded(picture, path)
+        return upright_levels(_reduced(picture))
+
+
+def upright_levels(picture: Image.Image) -> Image.Image:
+    """Return a picture upright, in mode L, RGB, RGBA, or one of more than 8 bits (F, I)."""
+    upright = ImageOps.exif_transpose(picture)
+    if upright.mode[:1] in ("F", "I"):
+        return upright
+    if upright.has_transparency_data:
+        return upright.convert("RGBA")
+    return upright.convert("L" if upright.mode in ("1", "L") else "RGB")
+
+
+def size_of_page(path: Path, page: int) -> tuple[int, int]:
+    """Return width and height of a page as it is stored, pixels; raises ItemError ``"unreadable"``."""
+    with _opened(path) as picture:
+        if page:
+            picture.seek(page)
+        return picture.size
+
+
+def _require_bounded(picture: Image.Image, path: Path) -> None:
+    """Raise InputError for a picture that takes too much memory even if it is reduced."""
+    if picture.format not in ("JPEG", "MPO"):
+        return
+    try:
+        require_bounded_jpeg(path.read_bytes())
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def _reduced(picture: Image.Image) -> Image.Image:
+    """Return a picture that fits into memory: itself, or one with the mean of each square of pixels."""
+    width, height = picture.size
+    what = f"a picture of {width} x {height} pixels"
+    try:
+        require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
+    except InputError:
+        # JPEG is decoded at 1/2, 1/4 or 1/8 of its size.
+        picture.draft(None, (_REDUCED_PX // 2, _REDUCED_PX // 2))
+        width, height = picture.size
+        require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
+        factor = -(-max(width, height) // _REDUCED_PX)
+        if picture.mode in ("1", "P"):
+            return picture.convert("L" if picture.mode == "1" else "RGB").reduce(factor)
+        return picture.reduce(factor)
+    return picture

@@ -1,10 +1,12 @@
-"""A folder of pictures of digits of any mode, depth and polarity."""
+"""A folder of pictures of digits, letters, words or other drawings of any mode, depth and polarity."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 import re
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 import mnist3d.ink
-from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
+from mnist3d.sources.digit_source import DIGITS, NO_WRITER, DigitCatalog, DigitImage, require_known
 from mnist3d.sources.picture_files import is_picture_name, pages_of
 from mnist3d.sources.picture_levels import read_picture
 from tactile_toolkit import store
@@ -22,7 +24,6 @@ from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.shown_text import printable
 
 _CHOICES = {"ink": ("auto", "dark", "light"), "threshold": ("auto", "local", "global")}
-_DIGITS = frozenset("0123456789")
 _LABEL = re.compile(r"(?<![a-z])label[_=-]?([0-9])(?![0-9])", re.IGNORECASE)
 # At most 18 digits, so that the number fits into 64 bits.
 _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
@@ -30,12 +31,14 @@ _WRITER = re.compile(r"(?<![a-z])writer[_=-]?([0-9]{1,18})", re.IGNORECASE)
 
 @dataclass(frozen=True, slots=True)
 class FolderSource:
-    """Pictures in ``ROOT/<label>/``, or in ``ROOT`` with the label in their names (``..._label7_...``).
+    """Pictures in ``ROOT/<class>/``, or in ``ROOT`` with the digit in their names (``..._label7_...``).
 
-    Pictures may have any size, mode and polarity; they become dark ink on white paper, fitted into
-    500 x 500 px. Each page of a TIFF, GIF or other file with pages is a digit. Hidden files are ignored.
-    Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a name states who wrote
-    the digit; otherwise the writer is unknown.
+    The folders are the classes, also those without pictures yet. If all of them are digits, the classes are
+    the ten digits, and each picture must show one digit. Otherwise the pictures may show anything, such as
+    letters, words or drawings. They may have any size, mode and polarity; they become dark ink on white
+    paper, fitted into 500 x 500 px. Each page of a TIFF, GIF or other file with pages is a picture. Hidden
+    files are ignored. Files of other types are left out; :meth:`fingerprint` names them. ``writer12`` in a
+    name states who wrote it; otherwise the writer is unknown.
 
     Parameters
     ----------
@@ -64,29 +67,30 @@ class FolderSource:
     def catalog(self) -> DigitCatalog:
         """List the folder and return ids, labels and writers.
 
-        Raises InputError when the folder is missing or holds no picture, has sub-folders that are not digits
-        or pictures without a label, or when `ink` or `threshold` has an unknown value.
+        Raises InputError when the folder is missing or holds no picture, has pictures without a class or
+        folders within those of the classes, or when `ink` or `threshold` has an unknown value.
         """
-        pictures = self._listing().pictures
+        listing = self._listing()
+        pictures = listing.pictures
         labels = np.array([picture.label for picture in pictures], np.int64)
         writers = np.array([picture.writer for picture in pictures], np.int64)
-        return DigitCatalog(np.arange(len(pictures)), labels, writers)
+        return DigitCatalog(np.arange(len(pictures)), labels, writers, listing.class_names)
 
     def image(self, digit_id: int) -> DigitImage:
         """Read one picture and fit it into 500 x 500 px.
 
         Raises ItemError ``"unknown-id"``, or one of the reasons of ``read_picture``.
         """
-        pictures = self._listing().pictures
-        require_known(digit_id, len(pictures), self.root)
-        picture = pictures[digit_id]
-        pixels = mnist3d.ink.fit(
-            read_picture(Path(self.root, picture.name), self.ink, self.threshold, picture.page)
-        )
-        return DigitImage(digit_id, picture.label, pixels, picture.writer)
+        listing = self._listing()
+        require_known(digit_id, len(listing.pictures), self.root)
+        picture = listing.pictures[digit_id]
+        is_whole = listing.class_names != DIGITS
+        path = Path(self.root, picture.name)
+        pixels = mnist3d.ink.fit(read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole))
+        return DigitImage(digit_id, picture.label, pixels, picture.writer, picture.file)
 
     def fingerprint(self) -> dict[str, object]:
-        """Return options, count, files that are left out, and one SHA-256 of names, sizes and contents.
+        """Return options, count, classes, files that are left out, and one SHA-256 of names and contents.
 
         Raises InputError as :meth:`catalog` does, and when a file cannot be opened.
         """
@@ -105,6 +109,8 @@ class FolderSource:
         found: dict[str, object] = {"name": self.name, "ink": self.ink, "images": len(listing.pictures)}
         if self.threshold != "auto":
             found["threshold"] = self.threshold
+        if listing.class_names != DIGITS:
+            found["classes"] = list(listing.class_names)
         if listing.left_out:
             found["left_out"] = dict(listing.left_out)
         return {**found, "sha256": total.hexdigest()}
@@ -115,9 +121,7 @@ class FolderSource:
                 found = f"{option}: found {getattr(self, option)!r}, expected one of {', '.join(words)}"
                 raise InputError(found, next="choose one")
         # Listed again if one of the folders has changed.
-        folders = [Path(self.root), *(Path(self.root, digit) for digit in sorted(_DIGITS))]
-        stamps = tuple(folder.stat().st_mtime_ns if folder.is_dir() else 0 for folder in folders)
-        return _list_folder(self.root, stamps)
+        return _list_folder(self.root, _stamps(self.root))
 
 
 class _Picture(NamedTuple):
@@ -125,52 +129,104 @@ class _Picture(NamedTuple):
     name: str
     page: int
     writer: int
+    file: str
 
 
 class _Listing(NamedTuple):
     pictures: tuple[_Picture, ...]
     left_out: tuple[tuple[str, str], ...]
     """Names of other files, and why they are left out."""
+    class_names: tuple[str, ...]
+
+
+def _stamps(root: str) -> tuple[int, ...]:
+    """Return the times at which a folder and the folders in it were changed."""
+    base = Path(root)
+    with suppress(OSError):
+        inner = sorted(path for path in base.iterdir() if path.is_dir())
+        return tuple(folder.stat().st_mtime_ns for folder in (base, *inner))
+    return ()
 
 
 @lru_cache(maxsize=4)
 def _list_folder(root: str, stamps: tuple[int, ...]) -> _Listing:
-    base, found, left_out = Path(root), list[_Picture](), list[tuple[str, str]]()
+    base, left_out = Path(root), list[tuple[str, str]]()
     try:
-        inner = [path for digit in base.glob("[0-9]") for path in digit.iterdir()]
-        visible = sorted(path for path in (*base.iterdir(), *inner) if not store.is_hidden(path.name))
+        visible = _visible(base)
+        classes = [path for path in visible if path.is_dir()]
+        files = [path for path in visible if not path.is_dir()]
+        files += [path for folder in classes for path in _visible(folder)]
     except OSError as error:
         raise InputError(
             f"{root}: cannot be listed ({error.strerror}), expected a folder of pictures",
             next="check the path",
         ) from error
-    for path in visible:
-        name, is_sorted = path.relative_to(base).as_posix(), path.parent != base
-        label, writer = _LABEL.search(path.name), _WRITER.search(path.name)
-        if problem := _problem_of(path, base):
-            left_out.append((printable(name), problem))
-            continue
-        pages = () if path.is_dir() else _pages(path)
-        is_unsorted = pages and not is_sorted and label is None
-        if is_unsorted or (path.is_dir() and (is_sorted or path.name not in _DIGITS)):
-            raise InputError(
-                f"{root}: found {name!r}, expected pictures in folders named 0 to 9, or with label<digit> in "
-                "their names such as a_label7_b.png",
-                next="rename it, sort it into such a folder or move it away",
-            )
-        if not pages and not path.is_dir():
-            left_out.append((printable(name), "not a picture"))
-        digit = path.parent.name if is_sorted or label is None else label[1]
-        found += [_Picture(int(digit), name, page, int(writer[1]) if writer else NO_WRITER) for page in pages]
+    pages: dict[Path, tuple[int, ...]] = {}
+    for path in sorted(files):
+        name = path.relative_to(base).as_posix()
+        if path.is_dir():
+            raise _misplaced(root, name)
+        problem = _problem_of(path, base)
+        pages[path] = () if problem else _pages(path)
+        if not pages[path]:
+            left_out.append((printable(name), problem or "not a picture"))
+    names = _class_names(root, [folder.name for folder in classes if _is_class(folder, files, pages)])
+    found = [each for path, numbers in pages.items() for each in _pictures_of(root, path, numbers, names)]
     if not found:
         raise InputError(
-            f"{root}: found no picture, expected {root}/<digit>/*.png (or jpg, tif, ...), digits 0 to 9",
-            next="check the path and sort the pictures into such folders",
+            f"{root}: found no picture, expected {root}/<class>/*.png (or jpg, tif, ...), such as {root}/7",
+            next="check the path and sort the pictures into a folder for each class",
         )
     order = sorted(
         found, key=lambda each: (each.label, natural_key(each.name.casefold()), each.name, each.page)
     )
-    return _Listing(tuple(order), tuple(left_out))
+    return _Listing(tuple(order), tuple(left_out), names)
+
+
+def _visible(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.iterdir() if not store.is_hidden(path.name))
+
+
+def _is_class(folder: Path, files: Sequence[Path], pages: Mapping[Path, tuple[int, ...]]) -> bool:
+    """Return whether a folder holds pictures, or nothing yet."""
+    inside = [path for path in files if path.parent == folder]
+    return not inside or any(pages[path] for path in inside)
+
+
+def _class_names(root: str, folders: Sequence[str]) -> tuple[str, ...]:
+    """Return the classes that folders stand for: the digits, if all of them are digits."""
+    if set(folders) <= set(DIGITS):
+        return DIGITS
+    strange = next((name for name in folders if printable(name) != name or not name.isprintable()), None)
+    if strange is not None:
+        raise InputError(
+            f"{root}: found a folder called {strange!r}, expected the name of a class as plain text",
+            next="rename it",
+        )
+    return tuple(sorted(folders, key=lambda name: (natural_key(name.casefold()), name)))
+
+
+def _pictures_of(root: str, path: Path, pages: tuple[int, ...], names: tuple[str, ...]) -> Iterator[_Picture]:
+    """Yield the pages of a file with its class; InputError if it has none."""
+    name, label = path.relative_to(root).as_posix(), _LABEL.search(path.name)
+    word = path.parent.name
+    if path.parent == Path(root):
+        word = "" if label is None or names != DIGITS else label[1]
+    if pages and word not in names:
+        raise _misplaced(root, name)
+    writer = _WRITER.search(path.name)
+    for page in pages:
+        file = f"{name}#{page + 1}" if len(pages) > 1 else name
+        number = int(writer[1]) if writer else NO_WRITER
+        yield _Picture(names.index(word), name, page, number, printable(file))
+
+
+def _misplaced(root: str, name: str) -> InputError:
+    return InputError(
+        f"{root}: found {name!r}, expected pictures in a folder for each class, such as {root}/7, or "
+        "with label<digit> in their names such as a_label7_b.png",
+        next="sort it into the folder of its class, or move it away",
+    )
 
 
 def _problem_of(path: Path, base: Path) -> str:

@@ -5,12 +5,15 @@ A row is a touch, with its picture in a column of bytes, or of ``bytes`` and ``p
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+
+import numpy as np
 
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
-from realtouch.importing.found_touches import FoundTouch, path_of, source_of
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit import store
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.source_files import path_of, source_of
+from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import MEDIA_COLUMN
 from tactile_toolkit.wording import did_you_mean
@@ -24,8 +27,8 @@ _OF_ORDER = ("id", "touch", "frame")
 stored_images = stored_pictures
 
 
-def find_flat(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each row of the files, in their order; the split is that of the file's name."""
+def find_flat(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
+    """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
     home, paths = _files(home)
     for path in paths:
         try:
@@ -33,7 +36,7 @@ def find_flat(home: store.DataFolder, columns: ImportColumns, table: str | None)
         except ItemError as error:
             raise InputError(f"{home.address(path)!r}: {error.what}") from error
         column = _picture_column(parquet, columns.image_name)
-        yield from _touches(home, path, parquet, column)
+        yield _touches(home, path, parquet, column)
 
 
 def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
@@ -68,22 +71,26 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
     )
 
 
-def _touches(home: store.DataFolder, path: str, parquet: ForeignParquet, column: str) -> Iterator[FoundTouch]:
+def _touches(home: store.DataFolder, path: str, parquet: ForeignParquet, column: str) -> FoundTouches:
     names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
-    stated: dict[str, object] = {}
-    if shard is not None and _SPLIT not in names:
-        stated[_SPLIT] = shard.split
     left_out = _OF_ORDER if {*names} >= _OURS else ()
-    for number, row in enumerate(parquet.rows([*names, f"{column}.path"])):
-        name = _base_name(row.pop(column, None)) or f"{stem}_{number:06d}"
-        values = {**stated, **{key: value for key, value in row.items() if key not in left_out}}
-        yield FoundTouch(name, home.address(), path, number, size, values, part=column)
+    said = parquet.columns([name for name in names if name not in left_out])
+    if shard is not None and _SPLIT not in names:
+        said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
+    called = [_base_name(name) for name in parquet.picture_names(column)]
+    return FoundTouches.of(
+        [name or f"{stem}_{number:06d}" for number, name in enumerate(called)],
+        home.address(),
+        path,
+        said,
+        part=column,
+        start=np.arange(len(parquet)),
+        size=size,
+    )
 
 
-def _base_name(picture: object) -> str:
+def _base_name(picture: str | None) -> str:
     """Return the name of the file that a picture was, without its folder; empty if it is not known."""
-    if isinstance(picture, Mapping) and isinstance(picture.get("path"), str):
-        return path_of(picture["path"]).rpartition("/")[2]
-    return ""
+    return path_of(picture or "").rpartition("/")[2]

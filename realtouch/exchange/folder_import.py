@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from functools import cache
 
-from realtouch.importing.found_touches import (
+import pyarrow as pa
+
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.source_files import (
     IMAGE_ENDINGS,
-    FoundTouch,
-    found_file,
+    image_files,
     natural_order,
     path_of,
     read_table,
@@ -16,7 +18,6 @@ from realtouch.importing.found_touches import (
     source_of,
     visible_files,
 )
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError, ItemError
@@ -26,7 +27,7 @@ _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MOST_IMAGES = 1_000_000
 
 
-def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
+def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
     """Yield a touch for each line of the table; a missing file is the touch's problem.
 
     Without a table, each image is a touch; see :func:`_labelled`.
@@ -39,7 +40,7 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
         folder, tables = home, visible_files(home, COLUMN_TABLE_ENDINGS)
         images = [] if tables or columns.image_name else _images(home)
         if images:
-            yield from _labelled(home, images)
+            yield _labelled(home, images)
             return
         if len(tables) != 1:
             raise InputError(
@@ -47,21 +48,17 @@ def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | Non
                 next="name it with --table",
             )
         found = tables[0]
-    names, lines = read_table(folder, found)
-    require_columns(names, [columns.image, *columns.found_in(names).names()], folder.address(found))
+    lines = read_table(folder, found, columns, [columns.image])
+    wanted = [columns.image, *columns.found_in(lines.names).names()]
+    require_columns(lines.names, wanted, folder.address(found))
+    paths = list(map(path_of, lines.texts(columns.image)))
+    problems = {row: error for row in lines.too_long if (error := lines.problem(row)) is not None}
     seen: dict[str, int] = {}
-    sizes = cache(home.sizes)  # of a store, one look at each folder
-    known = set[str]()
-    with store.without_collecting():
-        for number, values in enumerate(lines):
-            name = path_of(str(values[columns.image] or ""))
-            first = seen.setdefault(name, number)
-            problem = None
-            if first != number:
-                problem = ItemError("duplicate", f"the same file as in row {first} of the table")
-            elif None in values:
-                problem = ItemError("columns", "the line has more values than the table has columns")
-            yield found_file(home, name, values, sizes, problem, known)
+    for row, path in enumerate(paths):
+        first = seen.setdefault(path, row)
+        if first != row:
+            problems[row] = ItemError("duplicate", f"the same file as in row {first} of the table")
+    yield image_files(home, paths, lines.columns, problems)
 
 
 def _images(home: store.DataFolder) -> list[str]:
@@ -75,8 +72,8 @@ def _images(home: store.DataFolder) -> list[str]:
     return sorted(found, key=natural_order)
 
 
-def _labelled(home: store.DataFolder, paths: list[str]) -> Iterator[FoundTouch]:
-    """Yield the touches of images, whose folders name their classes.
+def _labelled(home: store.DataFolder, paths: list[str]) -> FoundTouches:
+    """Return the touches of images, whose folders name their classes.
 
     Outer folders that are all called ``train``, ``val``, ``test`` and so on are splits, and those in them are
     classes. Other outer folders are classes if there are several.
@@ -85,11 +82,11 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> Iterator[FoundTouch]:
     is_split = {names[0] if names else "" for names in folders} <= _SPLITS
     inner = [names[is_split:] for names in folders]
     has_classes = is_split or len({names[0] for names in inner if names}) > 1
-    sizes = cache(home.sizes)
-    for path, names, below in zip(paths, folders, inner, strict=True):
-        values: dict[str, object] = {}
-        if is_split:
-            values["split"] = names[0]
-        if has_classes and below:
-            values["label"] = below[0]
-        yield found_file(home, path, values, sizes)
+    said = {}
+    if is_split:
+        said["split"] = pa.array([names[0] for names in folders])
+    if has_classes and any(inner):
+        # A name that is not Unicode is the problem of its image.
+        labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
+        said["label"] = pa.array(labels, pa.string())
+    return image_files(home, paths, said)

@@ -6,16 +6,15 @@ from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
+from operator import itemgetter
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from realtouch.extras import array_with_gaps
-from realtouch.importing.found_touches import FoundTouch
-from tactile_toolkit import read, store
-from tactile_toolkit.array_types import AnyArray
+from realtouch.importing.found_touches import Place
+from tactile_toolkit import column_types, read, store
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
@@ -88,17 +87,29 @@ class ForeignParquet:
                 found = table.to_pylist()
             yield from found or ({} for _ in range(len(table)))
 
-    def arrays(self, names: Sequence[str]) -> dict[str, AnyArray]:
-        """Return columns as arrays with an entry a row; what is missing is NaN, or None among objects.
+    def columns(self, names: Sequence[str]) -> dict[str, pa.Array]:
+        """Return columns with an entry a row; see :mod:`tactile_toolkit.column_types`.
 
-        Raises ItemError for lists of several lengths in one column, else as :meth:`rows` does.
+        Raises as :meth:`rows` does.
         """
         found = list(self._bounded(names))
         if not found:
-            return {name: np.empty(0) for name in names}
+            return {name: pa.nulls(0) for name in names}
         with _named_values(self.place):
             joined = pa.concat_tables(found)
-            return {name: _array(name, joined[name].combine_chunks()) for name in names}
+            return {name: column_types.from_arrow(joined[name]) for name in names}
+
+    def picture_names(self, name: str) -> list[str | None]:
+        """Return the paths that a column of pictures states; None where it states none."""
+        if not pa.types.is_struct(self.types[name]) or self.types[name].get_field_index("path") < 0:
+            return [None] * len(self)
+        found = list[str | None]()
+        for table in self._bounded([f"{name}.path"]):
+            values = table[name].combine_chunks().to_pylist()
+            found += [
+                value["path"] if isinstance((value or {}).get("path"), str) else None for value in values
+            ]
+        return found
 
     def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
         """Yield the encoded picture in each of some rows; those that stand in order are read once."""
@@ -191,20 +202,12 @@ def _named_values(place: str) -> Iterator[None]:
         raise IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def _array(name: str, values: pa.Array) -> AnyArray:
-    try:
-        return array_with_gaps(values)
-    except ValueError as error:
-        raise ItemError("column", f"the column {name!r} has {error}") from error
-
-
-def stored_pictures(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield the pictures of each item, whose ``part`` is their column of a Parquet file."""
-    for (_, _, name), group in groupby(items, key=lambda item: (item.home, item.path, item.part)):
-        same = list(group)
-        rows = (row for item in same for row in range(item.start, item.start + max(1, item.frames)))
+def stored_pictures(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+    """Yield the pictures of each place, whose ``part`` is their column of a Parquet file."""
+    for (home, path, name), group in groupby(places, key=itemgetter(0, 1, 2)):
+        rows = (row for place in group for row in range(place.start, place.start + max(1, place.frames)))
         try:
-            parquet = ForeignParquet(store.open_folder(same[0].home), same[0].path)
+            parquet = ForeignParquet(store.open_folder(home), path)
         except ItemError as error:
             yield from (error for _ in rows)
             continue

@@ -19,11 +19,16 @@ import numpy as np
 from realtouch.exchange.hdf5_arrays import dataset_in, in_words, kind_of_member, open_file
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
-from realtouch.importing.fields import NUMBERED
-from realtouch.importing.found_touches import natural_order, open_source, source_of, visible_files
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit import store
+from realtouch.importing.source_files import (
+    NUMBERED,
+    file_or_folder,
+    natural_order,
+    open_source,
+    visible_files,
+)
+from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
 _ENDINGS = (".h5", ".hdf5")
@@ -37,10 +42,8 @@ def find_hdf5(home: store.DataFolder, columns: ImportColumns, table: str | None)
 
     They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
     """
-    names = visible_files(home, _ENDINGS)
-    if (home.info("") or {}).get("type") == "file":
-        home, name = source_of(home.address())
-        names = [name]
+    home, named = file_or_folder(home)
+    names = [named] if named else visible_files(home, _ENDINGS)
     if not names:
         raise InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
     image = columns.image_name.strip("/")
@@ -102,15 +105,16 @@ def _recording(
     }
     pictures = PictureArray.of(inside.pop(image)())
     wanted = {NUMBERED, *columns.found_in(inside).names()}
-    per_frame, left_out = columns_of(inside, len(pictures), wanted)
+    found, left_out = columns_of(inside, len(pictures), wanted)
+    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
     for each in dict.fromkeys(("/", f"/{group}")):
         for name, value in root[each].attrs.items():
-            found = np.asarray(value)
+            stated = np.asarray(value)
             is_text = isinstance(value, str) and len(value) <= _MOST_LETTERS
-            if is_text or (found.dtype.kind in "biuf" and found.size <= _MOST_NUMBERS and found.ndim < 2):
-                values[name] = found.tolist()
+            if is_text or (stated.dtype.kind in "biuf" and stated.size <= _MOST_NUMBERS and stated.ndim < 2):
+                values[name] = stated.tolist()
             else:
                 left_out.append(f"attribute {name}")
     part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])

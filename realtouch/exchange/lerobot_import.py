@@ -7,22 +7,23 @@ Parquet: of one episode a file (v2), or of many (v3). Pictures are in these rows
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from itertools import groupby
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch import video
 from realtouch.exchange import video_import
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
 from realtouch.exchange.lerobot_mark import as_ours
 from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches, Place
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray, Float64
+from tactile_toolkit import column_types, store
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import IntegrityError, ItemError
 
 _ROWS = ".parquet"
@@ -40,17 +41,18 @@ def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | No
     yield from map(reader.recording, read_episodes(home, info, camera))
 
 
-def describe_conversion(items: Sequence[FoundTouch]) -> str:
+def describe_conversion(touches: FoundTouches) -> str:
     """Return what was done to the pictures; empty if they are stored as they were."""
-    usable = next((item for item in items if item.problem is None), None)
-    if usable is None or usable.path.endswith(_ROWS):
+    places = touches.take(np.flatnonzero(touches.is_usable)[:1])
+    if not len(places) or places[0].path.endswith(_ROWS):
         return ""
+    usable = places[0]
     return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield the pictures of items in order, from rows or videos."""
-    for are_rows, group in groupby(items, key=lambda item: item.path.endswith(_ROWS)):
+def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+    """Yield the pictures of places in order, from rows or videos."""
+    for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
         yield from (stored_pictures if are_rows else video_import.encoded_frames)(group)
 
 
@@ -63,7 +65,7 @@ class _Episodes:
         self.camera = camera
         self.tasks = tasks
         self._path = ""
-        self._columns: dict[str, AnyArray] = {}
+        self._columns: dict[str, pa.Array] = {}
         self._picture_bytes = 0
 
     def recording(self, episode: Episode) -> Recording:
@@ -80,7 +82,9 @@ class _Episodes:
     def _read(self, found: Recording, episode: Episode) -> Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
-        per_frame = {name: column[rows] for name, column in self._columns.items()}
+        per_frame = {
+            name: column.slice(rows.start, rows.stop - rows.start) for name, column in self._columns.items()
+        }
         time_s = _times(per_frame, self.info.fps)
         values = {**self._task(per_frame), **episode.values}
         per_frame = {name: column for name, column in per_frame.items() if name not in _INDICES}
@@ -102,26 +106,36 @@ class _Episodes:
                 raise ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
         plain = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
-        self._columns = parquet.arrays([name for name in plain if name not in self.info.pictures])
+        columns = parquet.columns([name for name in plain if name not in self.info.pictures])
+        for name, column in columns.items():
+            lengths = column_types.lengths_of(column)
+            if len(lengths) > 1:
+                found = f"vectors of {lengths[0]} and of {lengths[-1]} values"
+                raise ItemError("column", f"the column {name!r} has {found}; expected one length")
+        self._columns = columns
         self._path = path
 
-    def _task(self, per_frame: dict[str, AnyArray]) -> dict[str, str]:
+    def _task(self, per_frame: dict[str, pa.Array]) -> dict[str, str]:
         """Return the task of an episode; if there are several, each frame gets its own."""
-        numbers = per_frame.get("task_index", np.empty(0))
-        if numbers.dtype.kind not in "iu" or numbers.ndim > 1:
+        numbers = per_frame.get("task_index", pa.nulls(0))
+        if not pa.types.is_integer(numbers.type):
             return {}
-        found = [self.tasks.get(number) for number in numbers.tolist()]
+        found = [self.tasks.get(number) for number in numbers.to_pylist()]
         if len({*found}) > 1:
-            per_frame["task"] = np.array(found, object)
+            per_frame["task"] = pa.array(found, pa.string())
         elif found[0] is not None:
             return {"task": found[0]}
         return {}
 
 
-def _rows_of(episode: Episode, columns: Mapping[str, AnyArray]) -> slice:
+def _rows_of(episode: Episode, columns: Mapping[str, pa.Array]) -> slice:
     """Return where the frames of an episode stand in a file; ItemError unless all do, one after another."""
-    numbers = columns.get("episode_index", np.empty(0))
-    if numbers.dtype.kind not in "iu" or numbers.ndim > 1 or (numbers[1:] < numbers[:-1]).any():
+    stated = columns.get("episode_index", pa.nulls(0))
+    numbers = np.empty(0, np.int64)
+    is_stated = pa.types.is_integer(stated.type) and not stated.null_count
+    if is_stated:
+        numbers = stated.to_numpy()
+    if not is_stated or (numbers[1:] < numbers[:-1]).any():
         raise ItemError("episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers")
     start, stop = np.searchsorted(numbers, [episode.number, episode.number + 1]).tolist()
     if stop - start != episode.length or not episode.length:
@@ -130,13 +144,17 @@ def _rows_of(episode: Episode, columns: Mapping[str, AnyArray]) -> slice:
     return slice(start, stop)
 
 
-def _times(per_frame: Mapping[str, AnyArray], fps: float) -> Float64:
+def _times(per_frame: Mapping[str, pa.Array], fps: float) -> Float64:
     """Return the times of frames, seconds: as stated, or by the frame rate if they are that, rounded."""
-    stated = per_frame.get("timestamp", np.empty(0, object))
-    if stated.dtype.kind != "f" or stated.ndim > 1 or not np.isfinite(stated).all():
-        raise ItemError("time", f"the column 'timestamp' is {stated.dtype}; expected seconds as floats")
+    column = per_frame.get("timestamp", pa.nulls(0))
+    stated: Float64 = np.full(1, np.nan)
+    if pa.types.is_floating(column.type):
+        stated = column.to_numpy(zero_copy_only=False)
+    if not np.isfinite(stated).all():
+        raise ItemError("time", f"the column 'timestamp' is {column.type}; expected seconds as floats")
     exact: Float64 = np.arange(len(stated)) / fps
-    return exact if np.array_equal(exact.astype(stated.dtype), stated) else stated.astype(np.float64)
+    is_rounded = np.array_equal(exact.astype(np.float32), stated)
+    return exact if is_rounded else stated
 
 
 def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:

@@ -42,7 +42,9 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     every = found.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
-    values, time_s = dict(found.values), columns.pop(TIME, found.time_s)
+    values, time_s = dict(found.values), found.time_s
+    if TIME in columns:
+        time_s = columns.pop(TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
     touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
@@ -56,6 +58,5 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
     ours = name_ours(found, _VECTORS, mark.class_names).per_frame
     # Later, as a further column may have the name of one of ours.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
-    # A slice, as an entry of an array of texts is no array.
-    values |= {each: per_frame.pop(each)[:1].tolist()[0] for each in of_episode if each in per_frame}
+    values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}
     return replace(found, values=values, per_frame=per_frame)

@@ -13,7 +13,7 @@ import msgspec
 from realtouch.exchange.foreign_parquet import ForeignParquet
 from realtouch.exchange.lerobot_mark import Mark
 from realtouch.importing.fields import shown
-from realtouch.importing.found_touches import open_source
+from realtouch.importing.source_files import open_source
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import did_you_mean

@@ -13,8 +13,8 @@ from realtouch.exchange.zarr_recordings import (
     group_in,
     recordings_of,
 )
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 
 __all__ = ["describe_conversion", "encoded_frames", "find_oxt"]

@@ -7,14 +7,14 @@ what 8 bits hold without loss is converted.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouches, Place
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
@@ -156,22 +156,22 @@ OpenPictures = Callable[[str, str, str], PictureArray]
 """Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
 
 
-def encoded_pictures(items: Iterable[FoundTouch], opened: OpenPictures) -> Iterator[bytes]:
-    """Yield each picture of some items in order, images as PNG, those of clips as JPEG.
+def encoded_pictures(places: Iterable[Place], opened: OpenPictures) -> Iterator[bytes]:
+    """Yield each picture of some places in order, images as PNG, those of clips as JPEG.
 
     A block of an array is read once.
     """
     open_part, pixels = lru_cache(1)(opened), lru_cache(1)(PictureArray.pixels)
-    for item in items:
-        pictures = open_part(item.home, item.path, item.part)
-        for number in range(item.start, item.start + max(1, item.frames)):
-            block, place = divmod(number, pictures.array.step)
-            yield encode_image(pixels(pictures, block)[place], "jpeg" if item.frames else "png")
+    for place in places:
+        pictures = open_part(place.home, place.path, place.part)
+        for number in range(place.start, place.start + max(1, place.frames)):
+            block, row = divmod(number, pictures.array.step)
+            yield encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
 
 
-def described_pictures(items: Sequence[FoundTouch], opened: OpenPictures) -> str:
-    """Return what is done to the pictures of some items; empty if they are taken as they are."""
-    first = items[0]
+def described_pictures(touches: FoundTouches, opened: OpenPictures) -> str:
+    """Return what is done to the pictures of some touches; empty if they are taken as they are."""
+    first = touches[0]
     words = [opened(first.home, first.path, first.part).described()]
     words += ["pictures of clips encoded as JPEG of quality 95"] * bool(first.frames)
     return "; ".join(filter(None, words))

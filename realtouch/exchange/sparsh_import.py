@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import pickletools
 from collections.abc import Iterator
-from typing import IO, Any
+from typing import IO
 
-from realtouch.importing.found_touches import FoundTouch, open_source, read_table, source_of, visible_files
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit import store
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.source_files import open_source, read_table, source_of, visible_files
+from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
 # No image is smaller; a million empty ones would take long to check.
@@ -43,8 +44,8 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
         raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
 
 
-def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouch]:
-    """Yield a touch for each image of the pickles of one split, with the fields of the table next to it."""
+def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
+    """Yield the images of each pickle of one split as touches, with the fields of the table next to it."""
     split = home.address().rstrip("/").rpartition("/")[2]
     files = home.sizes()
     names = visible_files(home, ".pkl")
@@ -52,19 +53,18 @@ def find_sparsh(home: store.DataFolder, columns: ImportColumns, table: str | Non
         raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.rpartition(".")[0]
-        folder, beside = home, f"{stem}.csv"
-        if table is not None:
-            folder, beside = source_of(table)
+        folder, beside = (home, f"{stem}.csv") if table is None else source_of(table)
         with open_source(home, name) as stream:
             places = list(places_of_images(stream, name))
-        lines: list[dict[str, Any]] = [{}] * len(places)
+        said = {"split": column_types.repeated(split, len(places))}
         if table is not None or beside in files:
-            _, lines = read_table(folder, beside)
-        if len(lines) != len(places):  # else they would be of other images
-            raise InputError(
-                f"{beside!r} has {len(lines):,} lines; expected {len(places):,}, one for each image of "
-                f"{name!r}"
-            )
-        for count, ((start, size), line) in enumerate(zip(places, lines, strict=True)):
-            values = {"split": split, **line}
-            yield FoundTouch(f"{stem}_{count:06d}", home.address(), name, start, size, values)
+            lines = read_table(folder, beside, columns)
+            if lines.rows != len(places):  # else they would be of other images
+                raise InputError(
+                    f"{beside!r} has {lines.rows:,} lines; expected {len(places):,}, one for each image of "
+                    f"{name!r}"
+                )
+            said |= lines.columns
+        called = [f"{stem}_{count:06d}" for count in range(len(places))]
+        starts, sizes = [place[0] for place in places], [place[1] for place in places]
+        yield FoundTouches.of(called, home.address(), name, said, start=starts, size=sizes)

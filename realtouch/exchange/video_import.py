@@ -14,19 +14,17 @@ from typing import Any
 import numpy as np
 
 from realtouch import video, video_files
-from realtouch.importing import found_touches
+from realtouch.import_columns import ImportColumns
+from realtouch.importing import source_files
 from realtouch.importing.cut_tables import RECORDING_COLUMNS
-from realtouch.importing.fields import NUMBERED
-from realtouch.importing.found_touches import FoundTouch, path_of, source_of
+from realtouch.importing.found_touches import FoundTouches, Place
 from realtouch.importing.recordings import Recording
-from realtouch.touch_options import ImportColumns
+from realtouch.importing.source_files import NUMBERED, SourceTable, path_of, source_of
 from tactile_toolkit import store
+from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
 
 _FILE = "file"
-_HEADER_BYTES = 1 << 16
-_FIRST_LINES = 3  # the separator, the columns, a line
 
 
 def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
@@ -37,23 +35,22 @@ def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None
     the folders that hold all videos are their classes.
     """
     folder, paths = _videos(home)
-    stems = Counter(map(_stem, paths))
-    lines = _lines(folder, columns.image or _FILE, table, paths)
+    stems, column = Counter(map(_stem, paths)), columns.image or _FILE
+    lines = _lines(folder, columns, column, table, paths)
     said, unnamed = _classes(paths), None
     if lines is not None:
         said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
-    for path, values in lines or ():
-        problem = None
+    for row, path in enumerate(() if lines is None else map(path_of, lines.texts(column))):
+        problem = None if lines is None else lines.problem(row)
         if path in seen:
             problem = ItemError("duplicate", "the same file as in an earlier line of the table")
-        elif None in values:
-            problem = ItemError("columns", "the line has more values than the table has columns")
         seen.add(path)
+        values = {} if lines is None else lines.values(row)
         yield _recording(folder, path, values, problem, stems)
     for path in paths:
         if path not in seen:
-            yield _recording(folder, path, said.get(path, {}), unnamed, stems)
+            yield _recording(folder, path, {column: path, **said.get(path, {})}, unnamed, stems)
 
 
 def _recording(
@@ -65,7 +62,7 @@ def _recording(
 ) -> Recording:
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    whole = Recording(name, folder.address(), path, "", 0, 1, 0, {_FILE: path, **said}, time_s=np.zeros(1))
+    whole = Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
     try:
         if problem is not None:
             raise problem
@@ -83,8 +80,8 @@ def _stem(path: str) -> str:
 
 def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
     """Return a folder and the paths of the videos in it, or where the file lies that was named."""
-    if (home.info("") or {}).get("type") == "file":
-        folder, name = source_of(home.address())
+    folder, name = source_files.file_or_folder(home)
+    if name:
         return folder, [name]
     paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
     if not paths:
@@ -101,29 +98,29 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
 
 
 def _lines(
-    home: store.DataFolder, image: str, table: str | None, paths: Sequence[str]
-) -> list[tuple[str, dict[str, Any]]] | None:
-    """Return the path of each line of the table, and the line; None if there is no table."""
+    home: store.DataFolder, columns: ImportColumns, image: str, table: str | None, paths: Sequence[str]
+) -> SourceTable | None:
+    """Return the table of the videos; None if there is none."""
 
-    def read(folder: store.DataFolder, name: str) -> list[tuple[str, dict[str, Any]]]:
-        names, lines = found_touches.read_table(folder, name)
-        found_touches.require_columns(names, [image], folder.address(name))
-        return [(path_of(str(each[image] or "")), each) for each in lines]
+    def read(folder: store.DataFolder, name: str) -> SourceTable:
+        found = source_files.read_table(folder, name, columns, [image])
+        source_files.require_columns(found.names, [image], folder.address(name))
+        return found
 
     if table is not None:
         return read(*source_of(table))
     found, refused = {}, None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in found_touches.visible_files(home, TABLE_ENDINGS):
+    for name in source_files.visible_files(home, COLUMN_TABLE_ENDINGS):
         if name.startswith(streams):
             continue
-        names, line = _beginning(home, name)
-        if image in names:
+        first = _first_row(home, name)
+        if image in first:
             lines = read(home, name)
-            if {path for path, _ in lines}.intersection(paths):
+            if {*map(path_of, lines.texts(image))}.intersection(paths):
                 found[name] = lines
-        elif not {*RECORDING_COLUMNS}.intersection(names):  # no table of cuts
-            other = [column for column, value in line.items() if value and path_of(str(value)) in paths]
+        elif not {*RECORDING_COLUMNS}.intersection(first):  # no table of cuts
+            other = [column for column, value in first.items() if value and path_of(str(value)) in paths]
             refused = refused or (other and (name, other[0]))
     if len(found) > 1:
         words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
@@ -135,23 +132,22 @@ def _lines(
     return next(iter(found.values()), None)
 
 
-def _beginning(home: store.DataFolder, name: str) -> tuple[list[str], dict[str, Any]]:
-    """Return the columns of a table and its first line; the table may be long, or of no text."""
-    with suppress(InputError), found_touches.open_source(home, name) as stream:
-        names, lines = table_lines(b"\n".join(stream.read(_HEADER_BYTES).split(b"\n")[:_FIRST_LINES]), name)
-        return names, next(iter(lines), {})
-    return [], {}
+def _first_row(home: store.DataFolder, name: str) -> dict[str, Any]:
+    """Return the first row of a table, which may be long, or no table at all."""
+    with suppress(InputError):
+        return source_files.column_table(home, name).first_row()
+    return {}
 
 
-def describe_conversion(items: Sequence[FoundTouch]) -> str:
+def describe_conversion(touches: FoundTouches) -> str:
     """Return what is done to the pictures of videos; empty if they are stored as they are."""
-    return "; ".join(sorted({item.part for item in items} - {""}))
+    return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(items: Iterable[FoundTouch]) -> Iterator[bytes | ItemError]:
-    """Yield the pictures of each item in order; those of one file are read in one go."""
-    for (home, path), group in groupby(items, key=attrgetter("file")):
-        ranges = [range(item.start, item.start + max(1, item.frames)) for item in group]
+def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+    """Yield the pictures of each place in order; those of one file are read in one go."""
+    for (home, path), group in groupby(places, key=attrgetter("file")):
+        ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
         left = sum(map(len, ranges))
         try:
             for picture in video.pictures_of_video(

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import json
 import tarfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
@@ -14,10 +13,12 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import msgspec
+import pyarrow as pa
 
-from realtouch.importing.found_touches import (
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.source_files import (
     IMAGE_ENDINGS,
-    FoundTouch,
     open_source,
     path_of,
     require_columns,
@@ -25,39 +26,67 @@ from realtouch.importing.found_touches import (
     visible_files,
 )
 from realtouch.tars import files_of_tar
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit import store
+from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
+_MOST_FIELDS = 1000
 _MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
 def find_webdataset(
     home: store.DataFolder, columns: ImportColumns, table: str | None
-) -> Iterator[FoundTouch]:
-    """Yield a touch for each sample of the tars, by their headers and JSON files alone."""
+) -> Iterator[FoundTouches]:
+    """Yield the samples of each tar as touches, by their headers and JSON files alone."""
     if table is not None:
         raise InputError(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
-    with store.without_collecting():
-        for folder, name in _tars(home):
-            seen = set[str]()  # keys of this tar, because many writers number samples from 0 in each tar
-            for key, members in groupby(_members(folder, name), key=attrgetter("key")):
-                item = _sample(folder, name, key, list(members), columns)
-                if key in seen:
-                    problem = ItemError(
-                        "duplicate", f"the key {key!r} stands in an earlier sample of this tar"
-                    )
-                    item = replace(item, problem=problem)
-                seen.add(key)
-                known |= dict.fromkeys(item.values)
-                yield item
+    for folder, name in _tars(home):
+        with store.without_collecting():
+            groups = groupby(_members(folder, name), key=attrgetter("key"))
+            samples = [_sample(key, list(members), columns) for key, members in groups]
+        if samples:
+            yield _touches(folder, name, samples)
+            known |= dict.fromkeys(field for sample in samples for field in sample.values)
     if known:
         require_columns(list(known), columns.found_in(known).names(), home.address())
+
+
+def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> FoundTouches:
+    """Return the samples of a tar; of those of one key, which many writers number anew in each, the first."""
+    problems: dict[int, ItemError] = {}
+    seen = set[str]()
+    for number, sample in enumerate(samples):
+        if sample.key in seen:
+            problem = f"the key {sample.key!r} stands in an earlier sample of this tar"
+            problems[number] = ItemError("duplicate", problem)
+        elif sample.problems:
+            problems[number] = sample.problems[0]
+        seen.add(sample.key)
+    names = dict.fromkeys(field for sample in samples for field in sample.values)
+    if len(names) > _MOST_FIELDS:
+        raise InputError(
+            f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MOST_FIELDS:,}",
+            next="check that the names of fields are no values",
+        )
+    said = {}
+    for field in names:
+        column = column_types.from_values([sample.values.get(field) for sample in samples])
+        if pa.types.is_string(column.type) and any(field in sample.texts for sample in samples):
+            column = column_types.from_text(column)
+        said[field.encode(errors="backslashreplace").decode()] = column
+    return FoundTouches.of(
+        [sample.key for sample in samples],
+        folder.address(),
+        name,
+        said,
+        problems=problems,
+        start=[sample.image.start for sample in samples],
+        size=[sample.image.size for sample in samples],
+    )
 
 
 def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
@@ -115,14 +144,23 @@ def _is_image(ending: str) -> bool:
     return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
 
 
-def _sample(
-    folder: store.DataFolder, name: str, key: str, members: Sequence[_Member], columns: ImportColumns
-) -> FoundTouch:
-    """Combine the files of one key to a touch."""
+class _Sample(NamedTuple):
+    """The files of one key: the image, what is said of it, by which files of text, and what is wrong."""
+
+    key: str
+    image: _Member
+    values: Mapping[str, Any]
+    texts: Collection[str]
+    problems: Sequence[ItemError]
+
+
+def _sample(key: str, members: Sequence[_Member], columns: ImportColumns) -> _Sample:
+    """Combine the files of one key."""
     problems: list[ItemError] = []
     named = store.problem_of_name(key)
     if named:
         problems.append(ItemError("name", f"the key {named}"))
+        key = key.encode(errors="backslashreplace").decode()
     wanted = columns.image_name.lower()
     images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
     if not images:
@@ -141,10 +179,19 @@ def _sample(
             except ItemError as error:
                 problems.append(error)
         elif not _is_image(member.ending):
-            # Text that is not Unicode is reported where it is used.
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
-    image, problem = next(iter(images), _NO_FILE), next(iter(problems), None)
-    return FoundTouch(key, folder.address(), name, image.start, image.size, values, problem)
+    # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
+    texts = {name: value for name, value in values.items() if isinstance(value, str)}
+    if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
+        for name in [name for name, value in texts.items() if not _is_unicode(value)]:
+            problems.append(ItemError("json", f"its field {name!r} holds text that is not Unicode"))
+            values = {}
+    files = {member.ending for member in members}
+    return _Sample(key, next(iter(images), _NO_FILE), values, files, problems)
+
+
+def _is_unicode(text: str) -> bool:
+    return text.encode(errors="ignore").decode() == text
 
 
 def _fields(content: bytes) -> dict[str, Any]:

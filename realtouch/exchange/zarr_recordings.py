@@ -4,23 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.zarr_arrays import ZarrGroup
 from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
-from realtouch.importing.fields import NUMBERED
-from realtouch.importing.found_touches import source_of
-from realtouch.importing.recordings import Recording
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.recordings import TIME_S, Recording
+from realtouch.importing.source_files import NUMBERED, source_of
 from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS, ImportColumns
-from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray, Int64
+from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit import column_types, store
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 
 DATA = "data"
@@ -85,7 +87,9 @@ def recordings_of(
     of_meta = {
         each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
     }
-    per_frame, left_out = columns_of(arrays, len(shown), {*columns.found_in(arrays).names(), NUMBERED})
+    wanted = {*columns.found_in(arrays).names(), NUMBERED}
+    found, left_out = columns_of(arrays, len(shown), wanted)
+    per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
     whole = Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
     ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
@@ -99,8 +103,8 @@ def recordings_of(
     rounds = ids = list(map(str, said[ROUND].tolist()))
     if TOUCH in said:
         ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
-    found = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
-    return (replace(with_contact(each), round=name) for each, name in zip(found, rounds, strict=True))
+    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
+    return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
 
 
 def _open_pictures(home: str, path: str, part: str) -> PictureArray:
@@ -130,7 +134,9 @@ def of_episodes(whole: Recording, columns: ImportColumns) -> set[str]:
     """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
     known = columns.found_in(whole.per_frame)
     stated = {NUMBERED, known.label, known.object_id, known.round, known.split}
-    return {name for name, values in whole.per_frame.items() if name in stated or values.dtype.kind == "U"}
+    return {
+        name for name, column in whole.per_frame.items() if name in stated or pa.types.is_string(column.type)
+    }
 
 
 def episodes_of(
@@ -142,40 +148,45 @@ def episodes_of(
     """
     names = names or [f"episode-{episode:06d}" for episode in range(len(ends))]
     starts = np.append(0, ends[:-1])
-    per_frame = dict(whole.per_frame)
-    lengths = ends - starts
-    constant = {
-        name: values[starts]
-        for name, values in per_frame.items()
-        if name in of_episode and _is_same(values, np.repeat(values[starts], lengths, axis=0))
-    }
-    times = next((per_frame[name] for name in TIMES if _rises(per_frame.get(name), starts)), None)
-    per_frame = {name: values for name, values in per_frame.items() if name not in constant}
-    if times is per_frame.get("time_s"):
-        per_frame.pop("time_s", None)
+    per_frame, lengths = dict(whole.per_frame), ends - starts
+    firsts, of_rows = pa.array(starts), pa.array(np.repeat(np.arange(len(ends)), lengths))
+    constant = {}
+    for name in per_frame.keys() & set(of_episode):
+        values = per_frame[name].take(firsts)
+        if _is_same(per_frame[name], values.take(of_rows)):
+            constant[name] = values
+    time = next((name for name in TIMES if _rises(per_frame.get(name), starts)), None)
+    times = None if time is None else per_frame[time].to_numpy()
+    per_frame = {name: column for name, column in per_frame.items() if name not in constant}
+    if time == TIME_S:
+        per_frame.pop(TIME_S, None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
-        values = {name: each[number].tolist() for name, each in constant.items()}
+        values = {name: each[number].as_py() for name, each in constant.items()}
         yield replace(
             whole,
             name=names[number],
             first=whole.first + start,
             frames=end - start,
             values={**whole.values, **values},
-            per_frame={name: each[start:end] for name, each in per_frame.items()},
-            time_s=None if times is None else times[start:end].astype(np.float64),
+            per_frame={name: column.slice(start, end - start) for name, column in per_frame.items()},
+            time_s=None if times is None else times[start:end],
         )
 
 
-def _is_same(values: AnyArray, others: AnyArray) -> bool:
-    return np.array_equal(values, others, equal_nan=values.dtype.kind == "f")
+def _is_same(column: pa.Array, other: pa.Array) -> bool:
+    if pa.types.is_floating(column.type):  # where NaN is missing, too
+        first, second = column_types.floats_of(column), column_types.floats_of(other)
+        return np.array_equal(first, second, equal_nan=True)
+    return bool(column.equals(other))
 
 
-def _rises(times: AnyArray | None, starts: Int64) -> bool:
-    """Return whether an array holds seconds that rise in each episode."""
-    if times is None or times.dtype.kind != "f" or times.ndim != 1 or not np.isfinite(times).all():
+def _rises(column: pa.Array | None, starts: Int64) -> bool:
+    """Return whether a column holds seconds that rise in each episode."""
+    if column is None or not pa.types.is_floating(column.type) or column.null_count:
         return False
+    times = column.to_numpy()
     falls = np.flatnonzero(times[1:] < times[:-1]) + 1
-    return bool(np.isin(falls, starts).all())
+    return bool(np.isfinite(times).all() and np.isin(falls, starts).all())
 
 
 def _texts(stated: Mapping[str, object], name: str) -> list[str]:
@@ -191,16 +202,23 @@ def name_ours(
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
         if name in per_frame:
-            per_frame |= dict(zip(names, np.atleast_2d(per_frame.pop(name).T), strict=False))
+            with suppress(ValueError):
+                values = column_types.floats_of(per_frame.pop(name))
+                columns = np.atleast_2d(values.T)
+                per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
     label = per_frame.get(NUMBERED)
-    if label is not None and label.dtype.kind in "iu" and label.ndim == 1:
-        known = np.array([*class_names, ""])
-        per_frame[f"{NUMBERED}_name"] = known[np.where((label >= 0) & (label < len(class_names)), label, -1)]
+    if label is not None and pa.types.is_integer(label.type) and not label.null_count:
+        numbers, known = label.to_numpy(), pa.array([*class_names, None], pa.string())
+        is_known = (numbers >= 0) & (numbers < len(class_names))
+        per_frame[f"{NUMBERED}_name"] = known.take(pa.array(np.where(is_known, numbers, len(class_names))))
     return replace(whole, per_frame=per_frame)
 
 
 def with_contact(found: Recording) -> Recording:
     """Return a clip that this toolkit wrote with its first and last picture of contact, if it states them."""
     per_frame = dict(found.per_frame)
-    held = np.flatnonzero(per_frame.pop(CONTACT, ())).tolist()
+    stated = per_frame.pop(CONTACT, None)
+    held: list[int] = []
+    if stated is not None:
+        held = np.flatnonzero(np.array(stated.to_pylist(), object)).tolist()
     return replace(found, per_frame=per_frame, contact=(held[0], held[-1]) if held else None)

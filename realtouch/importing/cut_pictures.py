@@ -5,10 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from realtouch.contact_picture import ContactRule
-from realtouch.importing.contact_cuts import ContactRuns
-from realtouch.importing.found_touches import ReadContents
-from realtouch.importing.gel_at_rest import pictures_of
+from realtouch.importing.contact_cuts import ContactRuns, pictures_of
 from realtouch.importing.recordings import Recording
+from realtouch.importing.source_files import ReadContents
 from tactile_toolkit import pictures
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.touch import resized

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 
 from realtouch.contact_picture import ContactRule
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.contact_cuts import find_contacts
 from realtouch.importing.cut_pictures import draw_cuts
 from realtouch.importing.cut_tables import CutTable
-from realtouch.importing.found_touches import FoundTouch, ReadContents
-from realtouch.importing.recordings import CUTS, Recording, touches_of
+from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.recordings import CUTS, Clip, Recording, touches_of
+from realtouch.importing.source_files import ReadContents
 from tactile_toolkit.errors import ItemError
 
 MOST_PICTURES = 64
@@ -21,12 +23,14 @@ class Cutter:
 
     Parameters
     ----------
-    cut : str
-        One of :data:`CUTS`, or the path of a table of touches.
+    cut : str or None
+        One of :data:`CUTS`, or the path of a table of touches; None stands for what each recording states.
     contents : callable
         Reads the pictures of touches, as the format of the source has them.
-    time_unit : "s", "ms", "us" or "ns", optional
-        Unit of the columns ``start`` and ``end`` of a table, which do not state theirs.
+    columns : ImportColumns, optional
+        Its unit of time is that of the columns ``start`` and ``end`` of a table, which do not state theirs.
+    default : str
+        One of the first two of :data:`CUTS`, for recordings that state nothing.
 
     Attributes
     ----------
@@ -35,6 +39,8 @@ class Cutter:
         complete when all touches were taken.
     too_short : int
         Number of contacts that were too short to be a touch.
+    done : str
+        How the last recording was cut, "table" by a table; empty without one.
 
     Raises
     ------
@@ -42,37 +48,39 @@ class Cutter:
         ``cut`` is neither one of those names nor a table of touches.
     """
 
-    def __init__(self, cut: str, contents: ReadContents, time_unit: str | None = None) -> None:
+    def __init__(
+        self,
+        cut: str | None,
+        contents: ReadContents,
+        columns: ImportColumns | None = None,
+        default: str = "frames",
+    ) -> None:
         self.pictures: dict[str, bytes] = {}
-        self.too_short = 0
-        self._cut, self._contents, self._rule = cut, contents, ContactRule()
+        self.too_short, self.done = 0, ""
+        self._cut, self._contents, self._default, self._rule = cut, contents, default, ContactRule()
         self._table = None
-        if cut not in CUTS:
-            self._table = CutTable(cut, time_unit)
+        if cut is not None and cut not in CUTS:
+            self._table = CutTable(cut, columns or ImportColumns())
 
-    def touches(self, found: Iterable[FoundTouch | Recording]) -> Iterator[FoundTouch]:
-        """Yield the touches of a source in order; those that are no part of a recording as they are.
+    def cut(self, recording: Recording) -> FoundTouches:
+        """Return the touches of a recording in order; what cannot be cut is one touch, with its problem.
 
-        What cannot be cut is yielded once, with its problem. Raises InputError for a table that does not say
-        which of several recordings is meant.
+        Raises InputError for a table that does not say which of several recordings is meant.
         """
-        for each in found:
-            if isinstance(each, FoundTouch):
-                yield each
-            else:
-                yield from self._touches_of(each.checked())
+        recording = recording.checked()
         if self._table is not None:
-            yield from self._table.unused()
+            self.done = "table"  # what a set says of itself does not depend on paths
+            return self._table.touches_of(recording)
+        self.done = self._cut or recording.cut or self._default
+        if recording.problem is None and self.done == "contact":
+            return recording.clips(list(self._by_contact(recording)))
+        return touches_of(recording, self.done)
 
-    def _touches_of(self, recording: Recording) -> Iterator[FoundTouch]:
-        if self._table is not None:
-            yield from self._table.touches_of(recording)
-        elif recording.problem is None and self._cut == "contact":
-            yield from self._by_contact(recording)
-        else:
-            yield from touches_of(recording, self._cut)
+    def unused(self) -> list[FoundTouches]:
+        """Return what a table says of recordings that were not found, each with this problem."""
+        return [] if self._table is None else [self._table.unused()]
 
-    def _by_contact(self, recording: Recording) -> Iterator[FoundTouch]:
+    def _by_contact(self, recording: Recording) -> Iterator[Clip]:
         try:
             found = find_contacts(recording, self._contents, self._rule)
         except ItemError as error:
@@ -84,4 +92,4 @@ class Cutter:
             self.pictures[name] = draw_cuts(recording, found, self._contents, self._rule)
         for number, run in enumerate(found.runs):
             name = f"{recording.name}_{number:03d}"
-            yield recording.bounded(run.start, run.stop, name, (run.first - run.start, run.last - run.start))
+            yield Clip(run.start, run.stop, name, (run.first - run.start, run.last - run.start))

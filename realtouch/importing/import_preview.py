@@ -2,22 +2,22 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
 from typing import Any
 
+import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import kept_sources
-from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.importing.imported_rows import extras_in
 from realtouch.importing.touch_import import Arranged, arranged
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit import store
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE
@@ -97,20 +97,18 @@ def preview_import(
     found = find_source(fspath(source), reading)
     touches = arranged(found, classes, split)
     usable = {
-        name: sum(item.problem is None for items in of_split.values() for item in items)
-        for name, of_split in touches.rounds.items()
+        name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }
     messages: dict[str, list[str]] = {}
-    for item in found.items:
-        if item.problem is not None:
-            messages.setdefault(item.problem.reason, []).append(f"{item.name!r}: {item.problem.message}")
+    for _, name, error in found.touches.problems():
+        messages.setdefault(error.reason, []).append(f"{name!r}: {error.message}")
     first = _first(touches, messages)
     return ImportPreview(
         found.layout,
         found.recognised_by,
         found.cut,
         sum(usable.values()),
-        sum(map(len, touches.rounds.values())),
+        sum(len(part.where["round"].unique()) for parts in touches.shards.values() for part in parts),
         usable,
         touches.work.names,
         _pictures_in_words(found, touches),
@@ -123,14 +121,9 @@ def preview_import(
 
 def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
     """Make the first touches as an import would, and note why others cannot be used."""
-    named = [
-        (name, item)
-        for of_split in touches.rounds.values()
-        for name, items in of_split.items()
-        for item in items
-        if item.problem is None
-    ][:_TOUCHES_SHOWN]
-    content = touches.work(store.ShardName("preview", 0, 1), named)
+    parts = [part.take(np.flatnonzero(part.is_usable)) for each in touches.shards.values() for part in each]
+    some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
+    content = touches.work(store.ShardName("preview", 0, 1), some)
     for each in content.skipped:
         messages.setdefault(each.reason, []).append(each.message)
     shown = []
@@ -150,7 +143,7 @@ def _in_words(value: Any, touch: int) -> str:
 
 
 def _pictures_in_words(found: FoundSource, touches: Arranged) -> str:
-    words = IMPORTS[found.layout].describe(found.items) or "stored as they are"
+    words = IMPORTS[found.layout].describe(found.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
@@ -171,10 +164,9 @@ def _uses(found: FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str
     if columns.time is not None:
         roles[columns.time] = "time"
     roles = {**{source: f"extra {name!r}" for source, name in kept_sources(columns, extras).items()}, **roles}
-    names = Counter(name for item in found.items for name in (*item.values, *item.per_frame))
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []
-    for name in names:
+    for name in found.touches.names:
         unit = stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"

@@ -8,26 +8,27 @@ import struct
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby, islice
+from itertools import islice
 from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.importing.extra_columns import not_kept, time_of
-from realtouch.importing.fields import NUMBERED, each_of, label_of, object_of, poses, positions
-from realtouch.importing.found_touches import IMPORTS, FoundTouch
-from realtouch.importing.imported_clips import clip_of, clip_poses, clip_position, too_long
-from realtouch.importing.imported_rows import StoredTouch, extras_in, table_of, touch_schema
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.extra_columns import not_kept
+from realtouch.importing.fields import each_of, labels_of, objects_of, poses, positions
+from realtouch.importing.formats import IMPORTS
+from realtouch.importing.found_touches import File, FoundTouches, one_chunk
+from realtouch.importing.import_sources import Version, version_of
+from realtouch.importing.imported_clips import ImportedClip, clip_of
+from realtouch.importing.imported_rows import StoredTouches, extras_in, table_of
 from realtouch.stored_images import require_intact
-from realtouch.touch_options import CLIPS, ImportColumns
+from realtouch.touch_options import CLIPS
 from tactile_toolkit import store
-from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import has_application_data, is_jpeg
-
-__all__ = ["CLIPS", "NOT_IMPORTED", "ImportTouches", "NamedTouch", "touch_schema", "version_of"]
+from tactile_toolkit.touch import is_jpeg
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
@@ -35,18 +36,9 @@ NOT_IMPORTED = "not_imported"
 
 _ORIENTATION = 0x0112
 _TURNED = range(2, 9)
+_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
-_PLAIN = frozenset({str, int, type(None)})
-
-NamedTouch = tuple[str, FoundTouch]
-"""The name of a round, and a touch of it."""
-
-
-def version_of(file: tuple[str, str]) -> tuple[object, ...] | None:
-    """Return the version of a file, given by folder and path; it changes if the file is replaced."""
-    folder, path = file
-    return store.open_folder(folder).version(path)
 
 
 def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:
@@ -63,11 +55,11 @@ def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes
 class _Said(NamedTuple):
     """What is said of the touches of a shard, an entry for each, and what is wrong with some of them."""
 
-    labels: list[int]
-    objects: list[int]
-    poses: AnyArray
-    positions: AnyArray
-    problems: dict[int, ItemError]
+    labels: Int64
+    objects: Int64
+    poses: Float64
+    positions: Float64
+    problems: Mapping[int, ItemError]
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,31 +74,34 @@ class ImportTouches:
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
-    versions: Mapping[tuple[str, str], tuple[object, ...] | None]
+    versions: Mapping[File, Version]
 
-    def _contents(self, touches: Sequence[NamedTouch]) -> Iterator[bytes | ItemError]:
-        return IMPORTS[self.layout].contents(item for _, item in touches if _problem(item) is None)
+    def _contents(self, touches: FoundTouches) -> Iterator[bytes | ItemError]:
+        return IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
-    def digest(self, touches: Sequence[NamedTouch]) -> str:
+    def digest(self, touches: FoundTouches) -> str:
         """Read the images of touches and return the checksum of all."""
         found = hashlib.sha256()
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     @store.without_collecting()
-    def __call__(self, shard: store.ShardName, touches: Sequence[NamedTouch]) -> store.ShardContent:
+    def __call__(self, shard: store.ShardName, touches: FoundTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
-        tables, skipped = [self.schema.empty_table()], []
+        tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras = extras_in(self.schema)
-        for found in self._pieces(touches, _noted(self._contents(touches), digest)):
-            kept = [touch for touch in found if isinstance(touch, StoredTouch)]
-            skipped += [touch for touch in found if isinstance(touch, store.Skipped)]
-            tables.append(table_of(kept, self.columns, self.schema))
-            notes.update(note for touch in kept if touch.clip is not None for note in touch.clip.notes)
-            others.update(not_kept([touch.item for touch in kept], self.columns, extras))
-        for file in self.versions.keys() & {item.file for _, item in touches}:
+        extras, said = extras_in(self.schema), self._said(touches)
+        contents = _noted(self._contents(touches), digest)
+        for rows in _pieces(touches):
+            stored, problems = self._stored(touches, rows, said, contents)
+            tables.append(table_of(stored, self.columns, self.schema))
+            notes.update(note for clip in stored.clips for note in clip.notes)
+            others.update(not_kept(stored.touches, self.columns, extras))
+            for number, name, error in touches.take(rows).with_problems(problems).problems():
+                skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
+        files = {place.file for place in touches} if self.versions else ()
+        for file in self.versions.keys() & files:
             if version_of(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
                 raise IntegrityError(
@@ -121,100 +116,93 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _pieces(
-        self, touches: Sequence[NamedTouch], contents: Iterator[bytes | ItemError]
-    ) -> Iterator[list[StoredTouch | store.Skipped]]:
-        """Yield touches of whole rounds, a few at a time: pictures should not be held twice."""
-        said = self._said([item for _, item in touches])
-        piece: list[StoredTouch | store.Skipped] = []
-        size_bytes = 0
-        for name, of_round in groupby(enumerate(touches), key=lambda numbered: numbered[1][0]):
-            if size_bytes > _PIECE_BYTES:
-                yield piece
-                piece, size_bytes = [], 0
-            first: tuple[int, int] | None = None
-            for number, (_, item) in of_round:
-                about = said.labels[number], said.objects[number]
-                try:
-                    touch = self._touch(name, item, contents, said, number)
-                    if first not in (None, about):
-                        raise ItemError("round", "another label or object than the first touch of its round")
-                except ItemError as error:
-                    problem = f"{item.name!r}: {error.message}"
-                    piece.append(store.Skipped(item.number, error.reason, problem))
-                else:
-                    first = about
-                    piece.append(touch)
-                    size_bytes += len(touch.media)
-        yield piece
-
-    def _said(self, items: Sequence[FoundTouch]) -> _Said:
-        """Read labels and objects of all touches; of single images positions and poses, too."""
-        count = len(items)
-        said = _Said([-1] * count, [0] * count, np.full((count, 7), np.nan), np.full((count, 2), np.nan), {})
-        usable = [number for number, item in enumerate(items) if _problem(item) is None]
-        singles = [number for number in usable if not items[number].frames]
+    def _said(self, touches: FoundTouches) -> _Said:
+        """Read labels and objects of all touches that can be used; of images positions and poses, too."""
+        rows, count = np.flatnonzero(touches.is_usable), len(touches)
+        places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
+        labels, no_labels = labels_of(touches, self.columns.label, self.names)
+        objects, no_objects = objects_of(touches, self.columns.object_id)
+        problems = no_objects | no_labels
         for read, columns, out in (
-            (poses, self.columns.pose or (), said.poses),
-            (positions, self.columns.position or (), said.positions),
+            (poses, self.columns.pose or (), turns),
+            (positions, self.columns.position or (), places),
         ):
-            if columns and singles:
-                fields = {name: [items[number].values.get(name) for number in singles] for name in columns}
-                found, problems = each_of(read, fields, self.columns, len(singles))
-                said.problems.update({singles[place]: error for place, error in problems.items()})
-                out[singles] = found
-        numbers = {name: number for number, name in reversed([*enumerate(self.names)])}
-        about_columns = [name for name in (self.columns.label, self.columns.object_id, NUMBERED) if name]
-        seen: dict[tuple[object, ...], tuple[int, int]] = {}
-        for number in usable:
-            values = items[number].values
-            key = tuple([values.get(name) for name in about_columns])
-            is_key = _PLAIN.issuperset(map(type, key))  # not True, which equals 1, nor lists
-            try:
-                if not is_key or key not in seen:
-                    label = label_of(values, self.columns.label, numbers)
-                    about = label, object_of(values, self.columns.object_id)
-                    if is_key:
-                        seen[key] = about
-                said.labels[number], said.objects[number] = seen[key] if is_key else about
-                if self.columns.time and not items[number].frames:
-                    time_of(items[number], self.columns)
-            except ItemError as error:
-                said.problems.setdefault(number, error)
-        return said
+            if columns and len(rows) and not touches.has_clips:
+                fields = {name: touches.value(name) for name in columns}
+                known = {name: pa.nulls(count) if each is None else each for name, each in fields.items()}
+                found, wrong = each_of(read, known, self.columns, rows)
+                problems |= wrong
+                out[:] = np.nan if found is None else found
+        return _Said(labels, objects, turns, places, problems)
 
-    def _touch(
-        self, name: str, item: FoundTouch, contents: Iterator[bytes | ItemError], said: _Said, number: int
-    ) -> StoredTouch:
-        """Read the pictures of a touch; ItemError if they, or what is said of it, cannot be used."""
-        problem = _problem(item)
-        if problem is not None:
-            raise problem
-        pictures = list(islice(contents, item.frames)) if item.frames else [next(contents)]
+    def _stored(
+        self, touches: FoundTouches, rows: Int64, said: _Said, contents: Iterator[bytes | ItemError]
+    ) -> tuple[StoredTouches, dict[int, ItemError]]:
+        """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
+        piece = touches.take(rows)
+        frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
+        made: dict[int, bytes | ImportedClip] = {}
+        problems: dict[int, ItemError] = {}
+        for place in np.flatnonzero(piece.is_usable).tolist():
+            pictures = list(islice(contents, max(1, frames[place])))
+            try:
+                size = self._size(pictures, is_clip=frames[place] > 0)
+                if numbers[place] in said.problems:
+                    raise said.problems[numbers[place]]
+                made[place] = cast(bytes, pictures[0])
+                if frames[place]:
+                    made[place] = clip_of(piece, place, cast(Sequence[bytes], pictures), size, self.columns)
+            except ItemError as error:
+                problems[place] = error
+                made.pop(place, None)
+        problems |= _of_other_rounds(piece, said, rows, list(made))
+        kept = np.array([place for place in made if place not in problems], np.int64)
+        media = [made[place] for place in kept.tolist()]
+        clips = [each for each in media if isinstance(each, ImportedClip)]
+        places, turns = said.positions[rows[kept]], said.poses[rows[kept]]
+        if clips:
+            places = np.stack([clip.position for clip in clips])
+            turns = np.concatenate([clip.poses for clip in clips])
+        encoded = [each.video if isinstance(each, ImportedClip) else each for each in media]
+        about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
+        return StoredTouches(piece.take(kept), *about, encoded, clips), problems
+
+    def _size(self, pictures: Sequence[bytes | ItemError], *, is_clip: bool) -> tuple[int, int]:
+        """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
         size = self.image_size
-        for place, picture in enumerate(pictures):
+        for number, picture in enumerate(pictures):
             try:
                 size = _size_of(picture, size)
             except ItemError as error:
-                where = f"picture {place}: " if item.frames else ""
+                where = f"picture {number}: " if is_clip else ""
                 raise ItemError(error.reason, f"{where}{error.message}") from error
-        if number in said.problems:
-            raise said.problems[number]
-        label, object_id = said.labels[number], said.objects[number]
-        position, pose = said.positions[number], said.poses[number : number + 1]
-        if not item.frames:
-            return StoredTouch(name, item, label, object_id, position, pose, cast(bytes, pictures[0]), None)
-        if self.columns.position:
-            position = clip_position(item, self.columns)
-        if self.columns.pose:
-            pose = clip_poses(item, self.columns)
-        clip = clip_of(item, cast(Sequence[bytes], pictures), size or (0, 0), self.columns)
-        return StoredTouch(name, item, label, object_id, position, pose, clip.video, clip)
+        return size or (0, 0)
 
 
-def _problem(item: FoundTouch) -> ItemError | None:
-    """Return why a touch cannot be used, before it is read."""
-    return item.problem or too_long(item)
+def _pieces(touches: FoundTouches) -> Iterator[Int64]:
+    """Yield touches of whole rounds, a few at a time: pictures should not be held twice."""
+    rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
+    start = size_bytes = 0
+    for number, size in enumerate(sizes):
+        if size_bytes > _PIECE_BYTES and rounds[number] != rounds[number - 1]:
+            yield np.arange(start, number)
+            start, size_bytes = number, 0
+        size_bytes += size
+    yield np.arange(start, len(touches))
+
+
+def _of_other_rounds(
+    piece: FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
+) -> dict[int, ItemError]:
+    """Return the touches whose label or object is not that of the first touch of their round."""
+    places = np.array(kept, np.int64)
+    codes = one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
+    _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
+    error = ItemError("round", "another label or object than the first touch of its round")
+    differs = np.zeros(len(places), bool)
+    for about in (said.labels[rows[places]], said.objects[rows[places]]):
+        differs |= about != about[first[of_round]]
+    return dict.fromkeys(places[differs].tolist(), error)
 
 
 def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tuple[int, int]:
@@ -237,7 +225,7 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
 
 def _is_turned(image: bytes) -> bool:
     """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and not has_application_data(image):
+    if is_jpeg(image) and _APP1 not in image:
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:

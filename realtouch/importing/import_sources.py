@@ -2,23 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
-from realtouch.importing.aligner import Aligner
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.found_touches import IMPORTS, FoundTouch, require_columns
-from realtouch.importing.import_shards import version_of
-from realtouch.importing.imported_clips import said_of_whole
+from realtouch.importing.fields import each_of, times_s
+from realtouch.importing.formats import IMPORTS
+from realtouch.importing.found_touches import File, FoundTouches, one_chunk
 from realtouch.importing.recognised import Recognised, recognised
-from realtouch.importing.recordings import CUTS, Recording, touches_of
-from realtouch.importing.streams import StreamReport
-from realtouch.touch_options import ImportColumns, require_layout
-from tactile_toolkit import store
-from tactile_toolkit.errors import InputError
+from realtouch.importing.recordings import CUTS, TIME_S, Recording
+from realtouch.importing.source_files import NUMBERED, require_columns
+from realtouch.importing.streams import Aligner, StreamReport
+from realtouch.touch_options import require_layout
+from tactile_toolkit import column_types, store
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 _SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
+
+Version = tuple[object, ...] | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,20 +48,26 @@ class FoundSource:
     ``recognised_by`` is the file by which the format was recognised; empty if it was given. ``cut`` is how
     recordings were cut; empty if the source holds none. ``pictures`` show the cuts: PNG by name. ``streams``
     say how streams of other rates fit to the recordings. ``left_out`` names what recordings have besides what
-    was read. ``versions`` are those of files that hold several
-    pictures, by folder and path, when they were found.
+    was read. ``versions`` are those of files that hold several pictures, by folder and path, when they were
+    found: before any picture was looked at, as a file may be replaced later.
     """
 
     home: store.DataFolder
     layout: str
     recognised_by: str
-    items: Sequence[FoundTouch]
+    touches: FoundTouches
     columns: ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
     left_out: Sequence[str] = ()
-    versions: Mapping[tuple[str, str], tuple[object, ...] | None] = field(default_factory=dict)
+    versions: Mapping[File, Version] = field(default_factory=dict)
+
+
+def version_of(file: File) -> Version:
+    """Return the version of a file, given by folder and path; it changes if the file is replaced."""
+    folder, path = file
+    return store.open_folder(folder).version(path)
 
 
 def find_source(place: str, reading: Reading) -> FoundSource:
@@ -67,30 +81,39 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         raise InputError(f"{found}; expected a folder or file of recordings", next="check the name")
     if reading.layout is None:
         format_ = recognised(place)
-    layout = format_.layout
-    every, cuts = _found(home, layout, columns, reading.table), _Cuts(reading, layout)
-    items = [item.checked(number) for number, item in enumerate(cuts.touches(every))]
-    if not items:
+    read = IMPORTS[format_.layout]
+    cutter = Cutter(reading.cut, read.contents, columns, read.cut)
+    others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
+    aligner = Aligner(reading.streams, reading.alignment, columns, others)
+    parts, left_out, versions = list[FoundTouches](), dict[str, None](), dict[File, Version]()
+    for each in _found(home, format_.layout, columns, reading.table):
+        if isinstance(each, Recording):
+            left_out |= dict.fromkeys(each.left_out)
+            if each.problem is None and (each.home, each.path) not in versions:
+                versions[each.home, each.path] = version_of((each.home, each.path))
+            parts.append(cutter.cut(aligner.aligned(each)))
+        else:
+            versions |= {file: version_of(file) for file in _files_of_several(each) - versions.keys()}
+            parts.append(_timed(each, columns))
+    touches = FoundTouches.joined([*parts, *cutter.unused()])
+    if not len(touches):
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
-    cuts.require_recordings(home)
+    if reading.cut is not None and not cutter.done:
+        found = f"{home.address()!r} holds single pictures"
+        raise InputError(f"{found}; --cut applies to recordings", next="leave out --cut")
     # The time may be that of a stream, of which only what was aligned is left.
-    missing = set(replace(columns, time=None).names())
-    for item in items:
-        if not missing:
-            break
-        missing.difference_update(item.values, item.per_frame)
-    if missing and any(item.problem is None for item in items):
-        names = dict.fromkeys(name for item in items for name in (*item.values, *item.per_frame) if name)
-        require_columns(list(names), sorted(missing), home.address())
-    completed = columns.found_in(_known(items), rotvec=IMPORTS[layout].rotvec)
-    items = [said_of_whole(item, completed) for item in items]
-    of_cuts = (cuts.done, cuts.pictures, cuts.aligner.reports, tuple(cuts.left_out), cuts.versions)
-    return FoundSource(home, layout, format_.by, items, completed, *of_cuts)
+    missing = {*columns.names()} - {*touches.names} - aligner.times
+    if missing and touches.is_usable.any():
+        require_columns(touches.names, sorted(missing), home.address())
+    completed = columns.found_in(touches.known, rotvec=read.rotvec)
+    touches = said_of_whole(_checked(touches), completed)
+    of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(left_out), versions)
+    return FoundSource(home, format_.layout, format_.by, touches, completed, *of_cuts)
 
 
 def _found(
     home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None
-) -> Iterator[FoundTouch | Recording]:
+) -> Iterator[FoundTouches | Recording]:
     """Find what a folder holds, or the splits of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
@@ -103,65 +126,66 @@ def _found(
         yield from IMPORTS[layout].find(folder, columns, table)
 
 
-def _known(items: Iterable[FoundTouch]) -> set[str]:
-    """Return the names of what is said of any touch."""
-    known: set[str] = set()
-    for item in items:
-        for name in item.values.keys() - known:  # few, as most touches have the same
-            if name and item.values[name] not in (None, ""):
-                known.add(name)
-        known.update(item.per_frame)
-    return known
+def _files_of_several(touches: FoundTouches) -> set[File]:
+    """Return the files that hold the images of several touches: in which images stand behind something."""
+    files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
+    return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
 
-class _Cuts:
-    """Cuts recordings as the user says, or each as its source or format states.
+def _timed(touches: FoundTouches, columns: ImportColumns) -> FoundTouches:
+    """Return images with their time in seconds, as pictures of recordings have it."""
+    values = touches.value(columns.time) if columns.time else None
+    if values is None:
+        return touches
+    if TIME_S in touches.names and columns.time != TIME_S:
+        raise InputError(
+            f"the source has a column {TIME_S!r} beside that of the time, {columns.time!r}",
+            next=f"map one of them to the time, or name the other one: --map NEW={TIME_S}",
+        )
+    rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
+    read = lambda fields, how: times_s(fields[TIME_S], how)  # noqa: E731
+    time_s, problems = each_of(read, {TIME_S: values}, columns, rows)
+    column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
+    return touches.with_problems(problems).with_said({TIME_S: column})
 
-    ``done`` is how that was done; empty for a source without recordings. ``pictures`` show it: PNG by name.
-    ``left_out`` are the keys of what recordings have besides what was read.
-    ``versions`` are noted before any picture is looked at, as a file may be replaced later.
+
+def _checked(touches: FoundTouches) -> FoundTouches:
+    """Return all touches of a source with their numbers; images that are too large have a problem."""
+    where = touches.where
+    is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], MAX_IMAGE_BYTES))
+    problems = {}
+    for number in np.flatnonzero(is_large.to_numpy()).tolist():
+        found = f"{where['size'][number].as_py():,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
+        problems[number] = ItemError("image", found)
+    return touches.with_problems(problems).with_where(number=np.arange(len(touches)))
+
+
+def said_of_whole(touches: FoundTouches, columns: ImportColumns) -> FoundTouches:
+    """Return clips whose label, round, object and split, where each picture has them, are those of the clip.
+
+    A clip has a problem if they differ between its pictures.
     """
-
-    def __init__(self, reading: Reading, layout: str) -> None:
-        self.done = ""
-        self.pictures: Mapping[str, bytes] = {}
-        self.left_out: dict[str, None] = {}
-        self.versions: dict[tuple[str, str], tuple[object, ...] | None] = {}
-        self._last: tuple[str, str] | None = None
-        self._wanted, self._format = reading.cut, IMPORTS[layout]
-        self._columns = reading.columns or ImportColumns()
-        others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
-        self.aligner = Aligner(reading.streams, reading.alignment, self._columns, others)
-
-    def touches(self, found: Iterable[FoundTouch | Recording]) -> Iterator[FoundTouch]:
-        """Yield the touches of a source."""
-        if self._wanted is not None:
-            cutter = Cutter(self._wanted, self._format.contents, self._columns.time_unit)
-            self.pictures = cutter.pictures
-            yield from cutter.touches(map(self._noted, found))
-            return
-        for each in map(self._noted, found):
-            if isinstance(each, Recording):
-                yield from touches_of(each.checked(), each.cut or self._format.cut)
-            else:
-                yield each
-
-    def _noted(self, found: FoundTouch | Recording) -> FoundTouch | Recording:
-        """Return what was found, a recording with its streams."""
-        file, is_recording = (found.home, found.path), isinstance(found, Recording)
-        if found.problem is None and (is_recording or file == self._last) and file not in self.versions:
-            self.versions[file] = version_of(file)
-        self._last = file
-        if not isinstance(found, Recording):
-            return found
-        self.done = self._wanted or found.cut or self._format.cut
-        self.left_out |= dict.fromkeys(found.left_out)
-        if self.done not in CUTS:
-            self.done = "table"  # what a set says of itself does not depend on paths
-        return self.aligner.aligned(found)
-
-    def require_recordings(self, home: store.DataFolder) -> None:
-        """Refuse to cut a source of single pictures (InputError)."""
-        if self._wanted is not None and not self.done:
-            found = f"{home.address()!r} holds single pictures"
-            raise InputError(f"{found}; --cut applies to recordings", next="leave out --cut")
+    names = {columns.label, columns.round, columns.object_id, columns.split, NUMBERED}
+    for name in sorted(name for name in touches.per_frame.column_names if name in names):
+        lists = one_chunk(touches.per_frame[name])
+        entries, lengths = lists.flatten(), pc.list_value_length(lists).fill_null(0).to_numpy()
+        starts = np.cumsum(lengths) - lengths
+        codes = column_types.texts_of(entries).fill_null("").dictionary_encode().indices.to_numpy()
+        firsts = starts[lengths > 0]
+        is_one = np.ones(len(touches), bool)
+        if len(codes):
+            is_one[lengths > 0] = np.maximum.reduceat(codes, firsts) == np.minimum.reduceat(codes, firsts)
+        stated, has_own = touches.value(name), np.zeros(len(touches), bool)
+        if stated is not None:
+            has_own = stated.is_valid().to_numpy(zero_copy_only=False)
+        first = entries.take(pa.array(starts, mask=(lengths == 0) | has_own))
+        if stated is not None:
+            both = column_types.joined([stated, first])
+            first = both.take(pa.array(np.where(has_own, 0, len(first)) + np.arange(len(first))))
+        problems = {}
+        if name != NUMBERED:
+            found = f"{name!r} differs between the pictures of the clip"
+            error = ItemError("frames", f"{found}; expected one value (--cut frames has one each)")
+            problems = dict.fromkeys(np.flatnonzero(~is_one & ~has_own).tolist(), error)
+        touches = touches.with_said({name: first}).with_problems(problems)
+    return touches

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pyarrow as pa
 
-from realtouch.avi import MAX_CLIP_FRAMES, write_avi
+from realtouch.avi import write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.importing.fields import NUMBERED, Fields, each_of, poses, positions, times_s
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.fields import Fields, each_of, poses, positions, times_s
+from realtouch.importing.found_touches import FoundTouches
 from realtouch.stored_images import as_jpeg
-from realtouch.touch_options import ImportColumns
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg
@@ -30,112 +31,89 @@ _SAME_M = 1e-9
 
 @dataclass(frozen=True, slots=True)
 class ImportedClip:
-    """A clip as it is stored: times in microseconds from its first picture, poses of shape (frames, 7).
+    """A clip as it is stored: times in microseconds from its first picture; NaN for what no column states.
 
-    ``notes`` say how it was made, where that does not follow from the source.
+    ``position`` has the shape (2,), ``poses`` (frames, 7). ``notes`` say how it was made, where that does not
+    follow from the source.
     """
 
     video: bytes
     time_us: Int64
     contact: tuple[int, int]
+    position: Float64
+    poses: Float64
     notes: tuple[str, ...]
 
 
-def too_long(item: FoundTouch) -> ItemError | None:
-    """Return what is wrong with a clip of more pictures than clips may have."""
-    if item.frames <= MAX_CLIP_FRAMES:
-        return None
-    problem = (
-        f"a clip of {item.frames:,} pictures; the limit is {MAX_CLIP_FRAMES:,} (--cut makes shorter ones)"
-    )
-    return ItemError("clip", problem)
-
-
-def said_of_whole(item: FoundTouch, columns: ImportColumns) -> FoundTouch:
-    """Return a clip whose label, round, object and split, where each picture has them, are those of the clip.
-
-    It has a problem if they differ between its pictures.
-    """
-    names = {columns.label, columns.round, columns.object_id, columns.split, NUMBERED}
-    of_pictures = [name for name in names if name in item.per_frame and name not in item.values]
-    if not of_pictures:
-        return item
-    values, problem = dict(item.values), item.problem
-    for name in sorted(map(str, of_pictures)):
-        several = item.per_frame[name].tolist()
-        values[name] = several[0] if several else None
-        if any(value != several[0] for value in several) and name != NUMBERED:
-            found = f"{name!r} differs between the pictures of the clip"
-            problem = problem or ItemError(
-                "frames", f"{found}; expected one value (--cut frames has one each)"
-            )
-    return replace(item, values=values, problem=problem)
-
-
 def clip_of(
-    item: FoundTouch, pictures: Sequence[bytes], size: tuple[int, int], columns: ImportColumns
+    touches: FoundTouches,
+    row: int,
+    pictures: Sequence[bytes],
+    size: tuple[int, int],
+    columns: ImportColumns,
 ) -> ImportedClip:
     """Return a clip of pictures that are intact and of one size (height, width).
 
     Contact lasts from the first to the last picture that shows it by :class:`ContactRule`, unless that is
     known; the background is the median of the clip. Raises ItemError.
     """
-    notes = []
-    time_s = clip_times_s(item, columns)
+    notes, position, turns = [], np.full(2, np.nan), np.full((len(pictures), 7), np.nan)
+    if columns.position:
+        position = clip_position(touches, row, columns)
+    if columns.pose:
+        turns = clip_poses(touches, row, columns)
+    time_s = clip_times_s(touches, row, columns)
     if time_s is None:
-        time_s = np.arange(item.frames) / FRAMES_PER_SECOND
+        time_s = np.arange(len(pictures)) / FRAMES_PER_SECOND
         notes.append(f"times of {FRAMES_PER_SECOND:g} pictures a second, as none are known")
     if not all(map(is_jpeg, pictures)):
         notes.append("pictures encoded as JPEG")
-    step_s = float(np.median(np.diff(time_s))) if item.frames > 1 else 0.0
+    step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    jpegs, contact = list(map(as_jpeg, pictures)), item.contact
+    jpegs, contact = list(map(as_jpeg, pictures)), touches.where["contact"][row].as_py()
     if contact is None:  # by the pictures that are stored, so that a copy has the same
         contact, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size
     video = write_avi(jpegs, width, height, fps)
-    return ImportedClip(video, np.round(time_s * 1e6).astype(np.int64), contact, tuple(notes))
+    time_us = np.round(time_s * 1e6).astype(np.int64)
+    return ImportedClip(video, time_us, (contact[0], contact[1]), position, turns, tuple(notes))
 
 
-def clip_times_s(item: FoundTouch, columns: ImportColumns) -> Float64 | None:
+def clip_times_s(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if none are known.
 
     Raises ItemError for times that run back, or last longer than any clip does.
     """
-    time_s = item.time_s
-    if columns.time and columns.time in item.per_frame:
-        time_s = times_s(item.per_frame[columns.time], columns)
+    stated, count = touches.where["time_s"][row].values, touches.where["frames"][row].as_py()
+    time_s = None if stated is None else stated.to_numpy()
+    if columns.time and (values := _of_frames(touches, row, columns.time)) is not None:
+        time_s = times_s(values, columns)
     if time_s is None:
         if columns.time:
             raise ItemError("time", f"no {columns.time!r} for each picture; expected the time of each")
         return None
-    if len(time_s) != item.frames:
-        raise ItemError("time", f"{len(time_s):,} times of {item.frames:,} pictures; expected one for each")
-    from_first = time_s - time_s[:1]
+    from_first: Float64 = time_s - time_s[:1]
     steps = np.diff(from_first)
     if not np.isfinite(from_first).all() or (steps < 0).any():
         raise ItemError(
             "time", f"time runs back at picture {int((steps < 0).argmax()) + 1}; expected times that rise"
         )
-    if item.frames and from_first[-1] > _LONGEST_S:
+    if count and from_first[-1] > _LONGEST_S:
         problem = f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
         raise ItemError("time", problem)
     return from_first
 
 
-def clip_poses(item: FoundTouch, columns: ImportColumns) -> Float64:
+def clip_poses(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64:
     """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for what is none."""
-    fields, count = _of_clip(item, columns.pose or ())
-    found, problems = each_of(poses, fields, columns, count)
-    return np.repeat(_only(found, problems, count), item.frames // count, axis=0)
+    found = _each_picture(poses, touches, row, columns, columns.pose or ())
+    return np.repeat(found, touches.where["frames"][row].as_py() // len(found), axis=0)
 
 
-def clip_position(item: FoundTouch, columns: ImportColumns) -> Float64:
+def clip_position(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64:
     """Return the intended position, shape (2,); ItemError unless it is the same for all pictures."""
-    fields, count = _of_clip(item, columns.position or ())
-    found, problems = each_of(positions, fields, columns, count)
-    place = _only(found, problems, count)
+    place = _each_picture(positions, touches, row, columns, columns.position or ())
     if np.ptp(place, axis=0).max() > _SAME_M:
         problem = "it differs between the pictures of the clip; expected one (--map position= leaves it out)"
         raise ItemError("position", problem)
@@ -143,27 +121,35 @@ def clip_position(item: FoundTouch, columns: ImportColumns) -> Float64:
     return first
 
 
-def _only(found: Float64 | None, problems: dict[int, ItemError], count: int) -> Float64:
-    """Return what was read of all pictures; ItemError for the first that cannot be used."""
+def _of_frames(touches: FoundTouches, row: int, name: str) -> pa.Array | None:
+    """Return what is said of each picture of a clip; None if it is not said of pictures."""
+    if name not in touches.per_frame.column_names:
+        return None
+    found: pa.Array | None = touches.per_frame[name][row].values
+    return found
+
+
+def _each_picture(
+    read: Callable[[Fields, ImportColumns], Float64],
+    touches: FoundTouches,
+    row: int,
+    columns: ImportColumns,
+    names: Sequence[str],
+) -> Float64:
+    """Read columns with an entry for each picture, or for the clip if none has more; raises ItemError."""
+    fields = {name: _of_frames(touches, row, name) for name in names}
+    count = max([1, *(len(values) for values in fields.values() if values is not None)])
+    for name, values in fields.items():
+        if values is None:
+            whole = touches.value(name)
+            whole = pa.nulls(1) if whole is None else whole.slice(row, 1)
+            fields[name] = whole.take(pa.array(np.zeros(count, np.int64)))
+    found, problems = each_of(read, fields, columns, np.arange(count))
     for number, error in problems.items():
         where = f"picture {number}: " if count > 1 else ""
         raise ItemError(error.reason, f"{where}{error.message}")
     assert found is not None
     return found
-
-
-def _of_clip(item: FoundTouch, names: Sequence[str]) -> tuple[Fields, int]:
-    """Return columns with an entry for each picture, or for the clip if none has more; and their length."""
-    count = item.frames if any(name in item.per_frame for name in names) else 1
-    fields: dict[str, Sequence[object]] = {}
-    for name in names:
-        values: Sequence[object] = item.per_frame.get(name, [item.values.get(name)] * count)  # type: ignore[assignment]
-        if len(values) != count:
-            raise ItemError(
-                "frames", f"{len(values):,} of {name!r} for {count:,} pictures; expected one for each"
-            )
-        fields[name] = values
-    return fields, count
 
 
 def contact_by_pictures(

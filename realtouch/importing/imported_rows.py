@@ -3,44 +3,43 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from pathlib import PurePath
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouches, one_chunk
 from realtouch.importing.imported_clips import ImportedClip
 from realtouch.schema import POSE_COLUMN, extra_columns
-from realtouch.touch_options import ImportColumns
-from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
 
 _TIME = pa.duration("us")
 _WIDTHS = {"position": 3, "quaternion": 4}
 
 
-class StoredTouch(NamedTuple):
-    """A touch as it is stored; what no column states is empty.
+@dataclass(frozen=True, eq=False)
+class StoredTouches:
+    """Touches of whole rounds as they are stored, an entry for each; what no column states is empty.
 
-    ``pose`` has the shape (1, 7), or of a clip (frames, 7); ``position`` has (2,). ``media`` is the image or
-    the clip.
+    ``positions`` have the shape (n, 2), ``poses`` (n, 7), or of clips (all pictures, 7). ``media`` are images
+    or clips.
     """
 
-    round: str
-    item: FoundTouch
-    label: int
-    object_id: int
-    position: AnyArray
-    pose: AnyArray
-    media: bytes
-    clip: ImportedClip | None
+    touches: FoundTouches
+    labels: Int64
+    objects: Int64
+    positions: Float64
+    poses: Float64
+    media: Sequence[bytes]
+    clips: Sequence[ImportedClip]
 
 
-def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[FoundTouch]) -> pa.Schema:
+def touch_schema(columns: ImportColumns, names: Sequence[str], touches: FoundTouches) -> pa.Schema:
     """Return the schema of imported rounds with the known columns: of clips, or of single images."""
-    kind: Kind = "seq" if items and items[0].frames else "single"
+    kind: Kind = "seq" if touches.has_clips else "single"
     known: dict[str, pa.DataType] = {}
     if columns.position:
         known["pos_in_cell"] = pa.list_(pa.float64(), 2)
@@ -56,7 +55,7 @@ def touch_schema(columns: ImportColumns, names: Sequence[str], items: Sequence[F
             "touch_end_time_rel": _TIME,
         }
     known[MEDIA_COLUMN[kind]] = MEDIA_TYPE
-    known |= extra_types(items, columns)
+    known |= extra_types(touches, columns)
     of_round = [("id", pa.string()), ("label", pa.int64())]
     if columns.object_id:
         of_round.append(("object_id", pa.int64()))
@@ -69,46 +68,42 @@ def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
     return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
 
 
-def table_of(touches: Sequence[StoredTouch], columns: ImportColumns, schema: pa.Schema) -> pa.Table:
+def table_of(stored: StoredTouches, columns: ImportColumns, schema: pa.Schema) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
-    rounds = [touch.round for touch in touches]
-    starts = [place for place, name in enumerate(rounds) if not place or name != rounds[place - 1]]
-    first = [touches[start] for start in starts]
+    rounds = one_chunk(stored.touches.where["round"])
+    codes = rounds.dictionary_encode().indices.to_numpy()
+    starts = np.flatnonzero(np.diff(codes, prepend=-1))
     made: dict[str, pa.Array] = {
-        "id": pa.array([touch.round for touch in first], pa.string()),
-        "label": pa.array([touch.label for touch in first], pa.int64()),
-        "object_id": pa.array([touch.object_id for touch in first], pa.int64()),
+        "id": rounds.take(pa.array(starts)),
+        "label": pa.array(stored.labels[starts]),
+        "object_id": pa.array(stored.objects[starts]),
     }
-    items = [touch.item for touch in touches]
-    of_touches = _media_and_poses(touches, schema)
+    of_touches = _media_and_poses(stored, schema)
     extras = extras_in(schema)
-    arrays = extra_arrays(items, columns, extras)
-    of_touches |= dict(zip(extras, arrays, strict=True))
-    offsets = pa.array([*starts, len(touches)], pa.int32())
+    of_touches |= dict(zip(extras, extra_arrays(stored.touches, columns, extras), strict=True))
+    offsets = pa.array([*starts.tolist(), len(codes)], pa.int32())
     for name, values in of_touches.items():
         if name in schema.names:
             made[name] = pa.ListArray.from_arrays(offsets, values, type=schema.field(name).type)
     return pa.table([made[name] for name in schema.names], schema=schema)
 
 
-def _media_and_poses(touches: Sequence[StoredTouch], schema: pa.Schema) -> dict[str, pa.Array]:
+def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.Array]:
     """Return the columns that hold an entry for each touch, without the extra ones."""
     kind: Kind = "seq" if MEDIA_COLUMN["seq"] in schema.names else "single"
-    paths = [PurePath(touch.item.name).name for touch in touches]
+    paths = [name.rpartition("/")[2] for name in stored.touches.where["name"].to_pylist()]
     made: dict[str, pa.Array] = {}
     if kind == "seq":
         paths = [f"{path}.avi" for path in paths]
-        made |= _clip_times([touch.clip for touch in touches if touch.clip is not None])
-    media = [pa.array([touch.media for touch in touches], pa.binary()), pa.array(paths, pa.string())]
+        made |= _clip_times(stored.clips)
+    media = [pa.array(stored.media, pa.binary()), pa.array(paths, pa.string())]
     made[MEDIA_COLUMN[kind]] = pa.StructArray.from_arrays(media, fields=list(MEDIA_TYPE))
-    made["pos_in_cell"] = _vectors([touch.position for touch in touches], 2)
-    poses = np.concatenate([np.empty((0, 7)), *(touch.pose for touch in touches)])
+    made["pos_in_cell"] = _vectors(stored.positions, 2)
     for part, width in _WIDTHS.items():
         name = f"{POSE_COLUMN[kind]}.{part}"
-        values = _vectors(poses[:, 3:] if part == "quaternion" else poses[:, :3], width)
-        made[name] = values
+        made[name] = _vectors(stored.poses[:, 3:] if part == "quaternion" else stored.poses[:, :3], width)
         if kind == "seq":
-            made[name] = _lists(values, (len(touch.pose) for touch in touches))
+            made[name] = _lists(made[name], (len(clip.time_us) for clip in stored.clips))
     return made
 
 
@@ -129,9 +124,8 @@ def _times(time_us: AnyArray) -> pa.Array:
     return pa.array(np.ascontiguousarray(time_us).astype("timedelta64[us]"), _TIME)
 
 
-def _vectors(rows: Sequence[AnyArray] | AnyArray, width: int) -> pa.Array:
-    values = np.asarray(rows, np.float64).reshape(-1)
-    return pa.FixedSizeListArray.from_arrays(pa.array(values, pa.float64()), width)
+def _vectors(rows: Float64, width: int) -> pa.Array:
+    return pa.FixedSizeListArray.from_arrays(pa.array(rows.reshape(-1)), width)
 
 
 def _lists(values: pa.Array, lengths: Iterable[int]) -> pa.Array:

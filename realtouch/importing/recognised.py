@@ -9,7 +9,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch.importing.found_touches import IMAGE_ENDINGS, IMPORTS, source_of
+from realtouch.importing.formats import IMPORTS
+from realtouch.importing.source_files import IMAGE_ENDINGS, source_of
 from realtouch.kind import KIND
 from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
 from tactile_toolkit import places, store

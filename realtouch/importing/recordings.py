@@ -2,21 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.importing.found_touches import FoundTouch
-from tactile_toolkit.array_types import AnyArray, Float64
+from realtouch.importing.found_touches import FoundTouches, Place
+from tactile_toolkit import column_types
+from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
 
-_TIME = "time_s"
+TIME_S = "time_s"
+"""What the time of a picture of a recording is called, seconds."""
+
+_ROUND = "round_id"
 _SHORTER = "cut it into touches, by `--cut contact` or a table of times (`--cut TABLE`)"
+
+
+@dataclass(frozen=True, slots=True)
+class Clip:
+    """Pictures of a recording from ``start`` to the one before ``stop``, to be a touch.
+
+    ``contact`` counts from its first picture. ``problem`` is why it cannot be used; ``said`` is said of it
+    beside what is said of the recording.
+    """
+
+    start: int
+    stop: int
+    name: str
+    contact: tuple[int, int] | None = None
+    problem: ItemError | None = None
+    said: Mapping[str, Any] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +52,7 @@ class Recording:
     home, path : str
         Address of the source, and the file below it that holds the pictures.
     part : str
-        What of that file is meant; for the reader of the format alone, which gets it back in each touch.
+        What of that file is meant; for the reader of the format alone, which gets it back in each place.
     first : int
         Number of its first picture in the file or array.
     frames : int
@@ -40,7 +62,7 @@ class Recording:
     values : mapping
         What is said of the whole recording, by the names of the source.
     per_frame : mapping
-        What is said of each picture: arrays of numbers or text, shape (frames, ...).
+        What is said of each picture: columns of ``frames`` values; see :mod:`tactile_toolkit.column_types`.
     time_s : ndarray of float64, shape (frames,), or None
         Time of each picture, seconds; rises.
     problem : ItemError or None
@@ -63,7 +85,7 @@ class Recording:
     frames: int
     frame_bytes: int
     values: Mapping[str, object] = field(default_factory=dict)
-    per_frame: Mapping[str, AnyArray] = field(default_factory=dict)
+    per_frame: Mapping[str, pa.Array] = field(default_factory=dict)
     time_s: Float64 | None = None
     problem: ItemError | None = None
     round: str = ""
@@ -71,40 +93,20 @@ class Recording:
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
 
-    def clip(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
-        """Return some pictures as a touch; ``contact`` counts from the first of these."""
-        return FoundTouch(
-            name,
-            self.home,
-            self.path,
-            self.first + start,
-            self.frame_bytes * (stop - start),
-            {"round_id": self.round or self.name, **self.values},
-            self.problem,
-            part=self.part,
-            frames=stop - start,
-            per_frame={name: values[start:stop] for name, values in self.per_frame.items()},
-            time_s=None if self.time_s is None else self.time_s[start:stop],
-            contact=contact,
-        )
-
-    def bounded(self, start: int, stop: int, name: str, contact: tuple[int, int] | None = None) -> FoundTouch:
-        """Return some pictures as a touch, which cannot be used if there are more than clips may have."""
-        if stop - start <= MAX_CLIP_FRAMES:
-            return self.clip(start, stop, name, contact)
-        found = f"a clip of {stop - start:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
-        return self.unusable(ItemError("length", found, next=_SHORTER), name)
-
-    def unusable(self, problem: ItemError, name: str = "") -> FoundTouch:
-        """Return a touch of this recording, or all of it, that cannot be used, for one line in the list."""
-        return replace(self.clip(0, min(self.frames, 1), name or self.name), problem=problem)
+    def place(self, start: int, stop: int) -> Place:
+        """Return where some of its pictures are."""
+        size, count = self.frame_bytes * (stop - start), stop - start
+        return Place(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
         """Return the recording, with a problem if it has no picture, or times that run back."""
         problem = self.problem
         if problem is None and not self.frames:
             problem = ItemError("empty", "the recording has no picture")
-        if problem is None and self.time_s is not None:
+        if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
+            found = f"{len(self.time_s):,} times of {self.frames:,} pictures"
+            problem = ItemError("time", f"{found}; expected one for each")
+        elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN
             if not is_later.all():
                 number = int(is_later.argmin()) + 1
@@ -113,35 +115,71 @@ class Recording:
                 problem = ItemError("times", f"{found}; expected times that rise")
         return replace(self, problem=problem)
 
-    def images(self) -> Iterator[FoundTouch]:
-        """Yield each picture as a touch; what is said of a picture is said of the touch."""
-        stem = self.name.replace("/", "-")
-        no_times = None if self.time_s is None else self.time_s[:0]  # one for all: there may be many pictures
-        for frame in range(self.frames):
-            # A slice, as an entry of an array of texts is no array.
-            each = {name: values[frame : frame + 1].tolist()[0] for name, values in self.per_frame.items()}
-            time_s = None
-            if self.time_s is not None and _TIME not in each:
-                time_s, each[_TIME] = no_times, float(self.time_s[frame])
-            values = {"round_id": self.name, **self.values, **each}
-            yield FoundTouch(
-                f"{stem}_{frame:06d}.png",
-                self.home,
-                self.path,
-                self.first + frame,
-                self.frame_bytes,
-                values,
-                self.problem,
-                part=self.part,
-                time_s=time_s,
-            )
+    def unusable(self, problem: ItemError | None, name: str = "") -> Clip:
+        """Return a clip for all that cannot be used, for one line in the list."""
+        return Clip(0, min(self.frames, 1), name or self.name, problem=problem)
+
+    def clips(self, clips: Sequence[Clip]) -> FoundTouches:
+        """Return some of its pictures as touches; more than clips may have cannot be used."""
+        if self.problem is not None:  # nothing is known of its pictures
+            self = replace(self, per_frame={}, time_s=None)
+        counts = np.array([clip.stop - clip.start for clip in clips], np.int64)
+        rows = np.concatenate([np.arange(clip.start, clip.stop) for clip in clips])
+        problems = {number: clip.problem for number, clip in enumerate(clips) if clip.problem is not None}
+        for number in np.flatnonzero(counts > MAX_CLIP_FRAMES).tolist():
+            found = f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
+            problems.setdefault(number, ItemError("length", found, next=_SHORTER))
+        said = self._said(self.round or self.name, len(clips))
+        for name in dict.fromkeys(name for clip in clips for name in clip.said):
+            whole = self.values.get(name)
+            said[name] = column_types.from_values([clip.said.get(name, whole) for clip in clips])
+        taken, times = pa.array(rows), None
+        if self.time_s is not None and self.frames:
+            times = column_types.lists_of(pa.array(self.time_s[rows]), counts)
+        return FoundTouches.of(
+            [clip.name for clip in clips],
+            self.home,
+            self.path,
+            said,
+            per_frame={
+                name: column_types.lists_of(column.take(taken), counts)
+                for name, column in self.per_frame.items()
+            },
+            problems=problems,
+            part=self.part,
+            start=[self.first + clip.start for clip in clips],
+            size=counts * self.frame_bytes,
+            frames=counts,
+            contact=[clip.contact for clip in clips],
+            time_s=times,
+        )
+
+    def images(self) -> FoundTouches:
+        """Return each picture as a touch; what is said of a picture is said of the touch."""
+        stem, count = self.name.replace("/", "-"), self.frames
+        said = {**self._said(self.name, count), **self.per_frame}
+        if self.time_s is not None and TIME_S not in self.per_frame:
+            said[TIME_S] = pa.array(self.time_s)
+        return FoundTouches.of(
+            [f"{stem}_{frame:06d}.png" for frame in range(count)],
+            self.home,
+            self.path,
+            said,
+            part=self.part,
+            start=np.arange(count) + self.first,
+            size=self.frame_bytes,
+        )
+
+    def _said(self, round_id: str, count: int) -> dict[str, pa.Array]:
+        """Return what is said of the whole as columns of some touches."""
+        values = {_ROUND: round_id, **self.values}
+        return {name: column_types.repeated(value, count) for name, value in values.items()}
 
 
-def touches_of(recording: Recording, cut: str) -> Iterator[FoundTouch]:
+def touches_of(recording: Recording, cut: str) -> FoundTouches:
     """Cut a recording into its pictures, or take the whole: the first two of :data:`CUTS`."""
     if recording.problem is not None:
-        yield recording.unusable(recording.problem)
-    elif cut == "frames":
-        yield from recording.images()
-    else:
-        yield recording.bounded(0, recording.frames, recording.name, recording.contact)
+        return recording.clips([recording.unusable(recording.problem)])
+    if cut == "frames":
+        return recording.images()
+    return recording.clips([Clip(0, recording.frames, recording.name, recording.contact)])

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import times_s
-from realtouch.importing.found_touches import column_table
-from realtouch.touch_options import ImportColumns
+from realtouch.importing.source_files import column_table
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS, ColumnTable
@@ -23,7 +22,6 @@ TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "st
 """Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
 
 _JOINTS = "._"  # between the name of a recording and that of a stream
-_INSTANTS = (pa.timestamp("ns", "UTC"), pa.timestamp("ns"), pa.float64())
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -100,21 +98,16 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     return found[0] if found else ""
 
 
-def _seconds(values: pa.ChunkedArray, column: str, given: str | None, place: str) -> Float64:
+def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Float64:
     """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
     what, stated = f"{place!r}: the times {column!r}", stated_unit(column)
-    if pa.types.is_string(values.type):
-        for kind in _INSTANTS:
-            with suppress(pa.ArrowException):
-                values = values.cast(kind)
-                break
     if pa.types.is_integer(values.type) and not (stated or given):
         raise InputError(
             f"{what} are integers, whose unit is not known",
             next=f"add --time-unit {', '.join(PER_SECOND)}, or end the name of the column in the unit",
         )
     try:
-        found = times_s(values.to_numpy(), ImportColumns(time=column, time_unit=None if stated else given))
+        found = times_s(values, ImportColumns(time=column, time_unit=None if stated else given))
     except ItemError as error:
         raise InputError(f"{what}: {error.what}") from error
     back = np.flatnonzero(np.diff(found) < 0)

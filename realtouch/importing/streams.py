@@ -1,21 +1,27 @@
-"""Streams of other rates, such as poses and forces, aligned to the times of the pictures of a recording."""
+"""Streams of other rates, such as poses and forces, aligned to the times of the pictures of recordings."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import replace
+from functools import cache
+from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 
 from realtouch.alignment_options import Alignment
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.fields import times_s
+from realtouch.importing.found_touches import one_chunk
 from realtouch.importing.recordings import Recording
-from realtouch.importing.stream_tables import Stream
-from realtouch.touch_options import ImportColumns
+from realtouch.importing.source_files import source_of
+from realtouch.importing.stream_tables import Stream, open_stream, tables_by_stem
+from tactile_toolkit import column_types, store
 from tactile_toolkit.alignment import Neighbours
-from tactile_toolkit.array_types import AnyArray, Float64
-from tactile_toolkit.errors import InputError
+from tactile_toolkit.array_types import Float64
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.units import PER_RADIAN, TURN, stated_unit
 
 StreamReport = tuple[str, ...]
 """How a stream fits to a recording, a row below :data:`STREAM_HEADER`."""
@@ -24,6 +30,99 @@ _PER_MS = 1e-3
 _QUATERNION = 4
 _WITH_QUATERNION = (4, 7)  # numbers of a rotation, and of a pose, that end in a quaternion
 _NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row for each picture
+_NO_STREAM = "; if the table is no stream of this recording, give it another name"
+_FLOATS = (pa.float64(), pa.list_(pa.float64()))
+_NUMBERS = (pa.float64(), pa.int64())
+
+
+class Aligner:
+    """Aligns the streams of a source with its recordings: those that are named, and tables beside them.
+
+    Parameters
+    ----------
+    named : sequence of str
+        Paths of tables that are streams of every recording.
+    how : Alignment or None
+        None stands for the defaults.
+    columns : ImportColumns
+        Its column of times is that of the recordings and streams that have it. Its pose is not interpolated
+        as other numbers are.
+    no_streams : collection of str
+        Paths of tables that are used in another way, though they may lie beside a recording.
+
+    Attributes
+    ----------
+    reports : list of StreamReport
+        How the streams fit, in the order of recordings; complete when all were aligned.
+    times : set of str
+        Columns of times that were used.
+
+    Raises
+    ------
+    InputError
+        A table that was named cannot be read.
+    """
+
+    def __init__(
+        self,
+        named: Sequence[str],
+        how: Alignment | None,
+        columns: ImportColumns,
+        no_streams: Collection[str] = (),
+    ) -> None:
+        self.reports: list[StreamReport] = []
+        self._how, self._columns = how or Alignment(), columns
+        self._named = [open_stream(*source_of(path), columns) for path in named]
+        self.times = {stream.time_column for stream in self._named}
+        self._no_streams = {_address(path) for path in (*named, *no_streams)}
+        self._beside = cache(_tables_in)
+
+    def aligned(self, recording: Recording) -> Recording:
+        """Return a recording with the columns of its streams, and with the times that a column states.
+
+        Tables beside it that do not fit are its problem. InputError: a stream that was named does not fit.
+        """
+        if recording.problem is not None:
+            return recording
+        try:
+            recording = self._timed(recording)
+            beside = self._streams_beside(recording)
+            self.times |= {stream.time_column for stream in beside}
+            found, reports = with_streams(recording, beside, self._how, self._columns)
+        except ItemError as error:
+            return replace(recording, problem=error)
+        except InputError as error:
+            return replace(recording, problem=ItemError("stream", f"{error.message}{_NO_STREAM}"))
+        found, of_named = with_streams(found, self._named, self._how, self._columns)
+        self.reports += [*reports, *of_named]
+        return found
+
+    def _timed(self, recording: Recording) -> Recording:
+        time = self._columns.time
+        if not time or time not in recording.per_frame:
+            return recording
+        return replace(recording, time_s=times_s(recording.per_frame[time], self._columns))
+
+    def _streams_beside(self, recording: Recording) -> list[Stream]:
+        path = PurePosixPath(recording.path)
+        folder = "" if str(path.parent) == "." else str(path.parent)
+        home = store.open_folder(recording.home)
+        tables = self._beside(recording.home, folder).get(path.stem, ())
+        names = (f"{folder}/{name}".lstrip("/") for name in tables)
+        return [
+            open_stream(home, name, self._columns, path.stem)
+            for name in names
+            if name != recording.path and _address(home.address(name)) not in self._no_streams
+        ]
+
+
+def _address(path: str) -> str:
+    home, name = source_of(path)
+    return home.address(name)
+
+
+def _tables_in(home: str, folder: str) -> dict[str, list[str]]:
+    return tables_by_stem(store.open_folder(home).entries(folder))
 
 
 def with_streams(
@@ -69,7 +168,7 @@ def with_streams(
     return recording, reports
 
 
-def _by_row(recording: Recording, stream: Stream) -> dict[str, AnyArray]:
+def _by_row(recording: Recording, stream: Stream) -> dict[str, pa.Array]:
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
@@ -78,7 +177,7 @@ def _by_row(recording: Recording, stream: Stream) -> dict[str, AnyArray]:
             f"{recording.frames:,} pictures; expected as many, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
         )
-    return _arrays(stream.table.rows(np.arange(stream.rows)), stream)
+    return _columns(stream.table.rows(np.arange(stream.rows)), stream)
 
 
 def _by_time(
@@ -88,7 +187,7 @@ def _by_time(
     sample_s: Float64,
     how: Alignment,
     columns: ImportColumns,
-) -> tuple[dict[str, AnyArray], StreamReport]:
+) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
         raise InputError(
@@ -106,76 +205,64 @@ def _by_time(
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
     used = np.unique([around.before, around.after])
-    around, samples = Neighbours.of(time_s, sample_s[used], max_gap_s), stream.table.rows(used)
-    found = _arrays(samples.take(pa.array(around.nearest, mask=around.missing)), stream)
+    around = Neighbours.of(time_s, sample_s[used], max_gap_s)
+    samples = _columns(stream.table.rows(used), stream)
+    nearest = pa.array(around.nearest, mask=around.missing)
+    found = {name: column.take(nearest) for name, column in samples.items()}
     if how.method == "linear":
         pose = columns.found_in({*found, *recording.per_frame, *recording.values}).pose or ()
-        found |= _between(_arrays(samples, stream), around, pose)
+        found |= _between(samples, around, pose)
     clocks = (1 / step_s, sample_s[0] - time_s[0], sample_s[-1] - time_s[-1], steps.max(initial=0.0))
     counts = (f"{np.sum(steps == 0):,}", f"{around.missing.sum():,}")
     return found, (*counts, *(f"{number:.4g}" for number in clocks))
 
 
-def _between(samples: Mapping[str, AnyArray], around: Neighbours, pose: Sequence[str]) -> dict[str, AnyArray]:
-    """Return columns of floats on a line between samples, and a pose with its quaternion on the turn."""
-    found = {
-        name: around.interpolated(values)
-        for name, values in samples.items()
-        if values.dtype.kind == "f" and name not in pose
-    }
-    if pose and samples.keys() >= {*pose}:
-        whole = np.column_stack([samples[name] for name in pose])
-        if whole.shape[1] in _WITH_QUATERNION and whole.dtype.kind in "fiu":
-            numbers = around.interpolated(whole)
-            numbers[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:].astype(np.float64))
-            found |= zip(pose, [numbers] if len(pose) == 1 else numbers.T, strict=True)
-    for values in found.values():
-        values[around.missing] = np.nan
-    return found
+def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
+    """Return columns of floats on a line between samples, and a pose with its quaternion on the turn.
 
-
-def _arrays(table: pa.Table, stream: Stream) -> dict[str, AnyArray]:
-    """Return the columns of a stream as numpy has them, without its times; see :func:`_array`."""
-    names = [name for name in table.column_names if name != stream.time_column]
-    return {name: _array(table.column(name), f"{stream.place!r}: the column {name!r}") for name in names}
-
-
-def _array(column: pa.ChunkedArray, what: str) -> AnyArray:
-    """Return a column as an array; InputError, which begins with ``what``, for bytes and objects.
-
-    Numbers and switches keep their type; times and days become text; lists of one length become vectors. A
-    missing value is NaN, or None if it is not a float.
+    Angles, by the unit in their name, are on the shorter way around the circle.
     """
-    kind = column.type
-    if pa.types.is_list(kind) or pa.types.is_fixed_size_list(kind) or pa.types.is_large_list(kind):
-        return _vectors(column, what)
-    if pa.types.is_nested(kind) or pa.types.is_binary(kind) or pa.types.is_large_binary(kind):
-        raise InputError(
-            f"{what} holds values of the type {kind}; expected numbers, text or lists of numbers"
-        )
-    if pa.types.is_decimal(kind) or pa.types.is_null(kind):
-        column = column.cast(pa.float64())
-    elif pa.types.is_temporal(kind):
-        column = column.cast(pa.string())
-    if column.null_count and not pa.types.is_floating(column.type):
-        return np.array(column.to_pylist(), object)
-    found: AnyArray = column.to_numpy()
+    numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
+    found = {}
+    for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
+        unit = stated_unit(name)
+        found[name] = around.interpolated(numbers[name])
+        if unit in PER_RADIAN:
+            found[name] = around.on_circle(numbers[name], TURN * PER_RADIAN[unit])
+    if pose and numbers.keys() >= {*pose}:
+        whole = np.column_stack([numbers[name] for name in pose])
+        if whole.shape[1] in _WITH_QUATERNION:
+            between = around.interpolated(whole)
+            between[:, -_QUATERNION:] = around.turned(whole[:, -_QUATERNION:])
+            found |= zip(pose, [between] if len(pose) == 1 else between.T, strict=True)
+    return {name: _with_gaps(values, around) for name, values in found.items()}
+
+
+def _is_number(column: pa.Array) -> bool:
+    kind = column.type.value_type if pa.types.is_list(column.type) else column.type
+    return kind in _NUMBERS and (kind is column.type or bool(column_types.lengths_of(column)))
+
+
+def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
+    """Return interpolated values, null where there are none."""
+    column = column_types.from_numpy(np.ascontiguousarray(values))
+    numbers = np.arange(len(values))
+    return column.take(pa.array(numbers, mask=around.missing))
+
+
+def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
+    """Return the columns of a stream without its times; InputError for objects, bytes and uneven lists."""
+    found = {}
+    for name in table.column_names:
+        if name == stream.time_column:
+            continue
+        column = one_chunk(table[name])
+        lengths = column_types.lengths_of(column)
+        if column.type == column_types.UNTYPED or len(lengths) > 1:
+            what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
+            raise InputError(
+                f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
+                "lists of one number of numbers"
+            )
+        found[name] = column
     return found
-
-
-def _vectors(column: pa.ChunkedArray, what: str) -> AnyArray:
-    """Return lists of numbers as an array, (m, k)."""
-    present = column.drop_null()
-    lengths = pc.list_value_length(present).unique().sort().to_pylist()
-    inside: AnyArray = pc.list_flatten(present).to_numpy()
-    if len(lengths) != 1 or inside.dtype.kind not in "iufb":
-        found = f"lists of {', '.join(map(str, lengths[:8]))} values of the type {column.type.value_type}"
-        raise InputError(f"{what} holds {found}; expected lists of one number of numbers")
-    rows = inside.reshape(-1, *lengths)
-    if not column.null_count:
-        return rows
-    vectors: AnyArray = np.full(
-        (len(column), *lengths), None, rows.dtype if rows.dtype.kind == "f" else object
-    )
-    vectors[column.is_valid().to_numpy()] = rows
-    return vectors

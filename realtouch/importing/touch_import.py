@@ -3,22 +3,32 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
-from collections.abc import Mapping, Sequence
+import unicodedata
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 from typing import Any, Unpack
 
+import numpy as np
+import pyarrow.compute as pc
+
 from realtouch.alignment_options import Alignment
 from realtouch.convert.conversion import write_changed
-from realtouch.importing.fields import NUMBERED, UNKNOWN, integer_text, shown, text_of
-from realtouch.importing.found_touches import IMPORTS, FoundTouch, common_size
-from realtouch.importing.import_shards import ImportTouches, NamedTouch, touch_schema
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.fields import UNKNOWN, integer_text, shown
+from realtouch.importing.formats import IMPORTS
+from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk, ranges_of, texts_in
+from realtouch.importing.import_shards import ImportTouches
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
+from realtouch.importing.imported_rows import touch_schema
+from realtouch.importing.source_files import NUMBERED, ReadContents
 from realtouch.kind import KIND
+from realtouch.stored_images import require_intact
 from realtouch.touch_card import write_card
-from realtouch.touch_options import LEFT_OUT, STREAMS, ImportColumns
+from realtouch.touch_options import LEFT_OUT, STREAMS
 from tactile_toolkit import catalog, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
@@ -41,7 +51,8 @@ _SPLIT = re.compile(r"\w+")
 _OUR_TAR = re.compile(r"^(\w+)-[0-9]{6}\.tar\Z")
 _DECIMAL = re.compile(r"\d+")
 _INTEGER = re.compile(r"0|[1-9][0-9]{0,3}")
-_UNNAMED = re.compile(r"[^A-Za-z0-9_-]")
+_UNNAMED = re.compile(r"[^\w-]")
+_SIZES_SEEN = 32
 _LONGEST_ID = 64  # of the end of a path: exports write ids of 80 letters at most
 _CUTS = "cuts"
 
@@ -109,14 +120,18 @@ def import_touches(
     found = find_source(fspath(source), reading)
     catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
     plan = plan_of(arranged(found, classes, split), found)
+    del found  # there may be many touches; from here on, shards hold them
     return store.build(folder, plan, write_card=write_card, **run)
 
 
 @dataclass(frozen=True, slots=True)
 class Arranged:
-    """The touches of a source in their rounds and splits, and how shards of them are made."""
+    """The touches of a source in their rounds and splits, and how shards of them are made.
 
-    rounds: Mapping[str, Mapping[str, Sequence[FoundTouch]]]
+    ``shards`` hold whole rounds, one after the other, by the name of the split.
+    """
+
+    shards: Mapping[str, Sequence[FoundTouches]]
     work: ImportTouches
 
 
@@ -124,27 +139,39 @@ def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> A
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    items, columns, read = found.items, found.columns, IMPORTS[found.layout]
-    names = tuple(classes) or _class_names(items, columns.label)
+    touches, columns, read = found.touches, found.columns, IMPORTS[found.layout]
+    names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
-    whole = _rounds(items, columns, split)
+    sizes = touches.where["size"].to_pylist()
+    whole = _rounds(touches, columns, split)
     taken = {name for of_split in whole.values() for name in of_split}
-    rounds = {each: _in_pieces(of_split, most_bytes, taken) for each, of_split in whole.items()}
-    size = common_size(items, read.contents, read.is_one_a_file)
-    schema = touch_schema(columns, names, items)
-    return Arranged(rounds, ImportTouches(found.layout, columns, names, size, schema, found.versions))
+    shards = {}
+    for each, of_split in whole.items():
+        rounds = _in_pieces(of_split, sizes, most_bytes, taken)
+        shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
+    size = common_size(touches, read.contents, read.is_one_a_file)
+    schema = touch_schema(columns, names, touches)
+    return Arranged(shards, ImportTouches(found.layout, columns, names, size, schema, found.versions))
+
+
+def _shard(touches: FoundTouches, rounds: Mapping[str, Sequence[int]]) -> FoundTouches:
+    """Return the touches of some rounds, one round after the other."""
+    rows = np.concatenate([np.array(numbers, np.int64) for numbers in rounds.values()])
+    names = [name for name, numbers in rounds.items() for _ in numbers]
+    return touches.take(rows).with_where(round=names)
 
 
 def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
     """Divide rounds into shards."""
-    work, rounds, items = touches.work, touches.rounds, found.items
-    tasks: list[store.ShardTask[NamedTouch]] = []
-    for each, of_split in rounds.items():
-        parts = _divided(of_split)
-        names_of = (store.ShardName(each, index, len(parts)) for index in range(len(parts)))
-        tasks += [store.ShardTask(*pair, work, work.digest) for pair in zip(names_of, parts, strict=True)]
+    every = found.touches
+    work: Any = touches.work  # whose items are touches, of which a task knows that they can be counted
+    tasks: list[store.AnyTask] = []
+    for split, parts in touches.shards.items():
+        for index, part in enumerate(parts):
+            shard = store.ShardName(split, index, len(parts))
+            tasks.append(store.ShardTask(shard, part, work, work.digest))
     spec: dict[str, Any] = {
         "operation": "import",
         "options": {
@@ -154,10 +181,10 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
             "image_size": work.image_size and [work.image_size[1], work.image_size[0]],
         },
         "source": {
-            each: [{"file": "images", "rows": sum(map(len, of_split.values()))}]
-            for each, of_split in rounds.items()
+            split: [{"file": "images", "rows": sum(map(len, parts))}]
+            for split, parts in touches.shards.items()
         },
-        "listing_sha256": _listing_digest(items),
+        "listing_sha256": _listing_digest(every),
     }
     if found.cut:
         spec["options"]["cut"] = found.cut
@@ -165,16 +192,16 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
         spec[STREAMS] = list(found.streams[:_MOST_STREAMS])
     if found.left_out:
         spec[LEFT_OUT] = list(map(printable, found.left_out[:_MOST_LEFT_OUT]))
-    conversion = IMPORTS[found.layout].describe(items)
+    conversion = IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
     return store.BuildPlan(
         KIND.name,
         spec,
-        tuple(rounds),
+        tuple(touches.shards),
         tuple(tasks),
-        _style(items, sum(map(len, rounds.values()))),
+        _style(every, touches.shards),
         extra_dirs=(_CUTS,) if pictures else (),
         libraries=("numpy", "pyarrow"),
         write_files=_WritePictures(pictures),
@@ -192,62 +219,50 @@ class _WritePictures:
         return write_changed(folder, self.pictures)
 
 
-def _listing_digest(items: Sequence[FoundTouch]) -> str:
+def _listing_digest(touches: FoundTouches) -> str:
     """Return the checksum of what is said of all touches."""
     digest = hashlib.sha256()
-    for item in items:
-        of_touch = (item.name, item.start, item.size, item.values)
-        digest.update(json.dumps(of_touch, sort_keys=True, default=str).encode())
-        for name, values in sorted(item.per_frame.items()):
-            digest.update(f"{name} {values.dtype} {values.shape}".encode())
-            digest.update(repr(values.tolist()).encode() if values.dtype == object else values.tobytes())
-        if item.time_s is not None:
-            digest.update(item.time_s.tobytes())
+    where = touches.where.select(["name", "start", "size", "time_s"])
+    for table in (where, touches.said, touches.per_frame):
+        digest.update(f"{len(table)}\n".encode())
+        for name, column in zip(table.column_names, table.columns, strict=True):
+            digest.update(f"{name} {column.type}\n".encode())
+            add_values(digest, one_chunk(column))
     return digest.hexdigest()
 
 
-def _style(items: Sequence[FoundTouch], rounds: int) -> store.ParquetStyle:
+def _style(touches: FoundTouches, shards: Mapping[str, Sequence[FoundTouches]]) -> store.ParquetStyle:
     """Return how many rounds are packed together, and which columns are not compressed."""
-    touch_bytes = sum(item.size for item in items) // len(items) + 1
+    touch_bytes = pc.sum(touches.where["size"]).as_py() // len(touches) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
-    per_round = max(1, len(items) // rounds)
-    column = "sensor_video" if items[0].frames else "sensor_image"
+    rounds = sum(len(part.where["round"].unique()) for parts in shards.values() for part in parts)
+    column = "sensor_video" if touches.has_clips else "sensor_image"
     return store.ParquetStyle(
-        max(1, per_group // per_round),
+        max(1, per_group // max(1, len(touches) // rounds)),
         compression_level=3,
         encodings=((f"{column}.list.element.bytes", "PLAIN"),),
         values_per_page=max(1, _PAGE_BYTES // touch_bytes),
     )
 
 
-def _divided(rounds: Mapping[str, Sequence[FoundTouch]]) -> list[list[NamedTouch]]:
+def _divided(
+    rounds: Mapping[str, Sequence[int]], sizes: Sequence[int], has_clips: bool
+) -> list[dict[str, Sequence[int]]]:
     """Divide rounds into shards that a worker can hold."""
-    most_bytes = _SHARD_BYTES
-    if any(items[0].frames for items in rounds.values()):
-        most_bytes = _CLIP_SHARD_BYTES
-    shards: list[list[NamedTouch]] = [[]]
-    size_bytes = 0
-    for name, items in rounds.items():
-        more_bytes = sum(item.size for item in items)
-        touches = len(shards[-1]) + len(items)
-        is_full = touches > _TOUCHES_PER_SHARD or size_bytes + more_bytes > most_bytes
-        if is_full and shards[-1]:
-            shards.append([])
-            size_bytes = 0
-        shards[-1] += [(name, item) for item in items]
-        size_bytes += more_bytes
-    return shards
+    most_bytes = _CLIP_SHARD_BYTES if has_clips else _SHARD_BYTES
+    # A touch counts as so many bytes at least, so that a shard has not too many.
+    least = most_bytes // _TOUCHES_PER_SHARD
+    of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
+    pairs = list(rounds.items())
+    return [dict(pairs[part]) for part in ranges_of(of_rounds, most_bytes)]
 
 
-def _class_names(items: Sequence[FoundTouch], column: str | None) -> tuple[str, ...]:
+def _class_names(touches: FoundTouches, column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
-    for item in items:
-        number = _DECIMAL.fullmatch(text_of(item.values, NUMBERED))
-        if number is None or column == NUMBERED:
-            numbered.setdefault(text_of(item.values, column), "")
-        else:
-            numbered.setdefault(text_of(item.values, column), number[0])
+    for name, number in dict.fromkeys(zip(touches.texts(column), touches.texts(NUMBERED), strict=True)):
+        is_number = column != NUMBERED and _DECIMAL.fullmatch(number)
+        numbered.setdefault(name, number if is_number else "")
     for unknown in ("", *UNKNOWN):
         numbered.pop(unknown, None)
     if not numbered:  # of a recording without classes
@@ -259,48 +274,54 @@ def _class_names(items: Sequence[FoundTouch], column: str | None) -> tuple[str, 
 
 
 def _rounds(
-    items: Sequence[FoundTouch], columns: ImportColumns, split: str | None
-) -> dict[str, dict[str, list[FoundTouch]]]:
+    touches: FoundTouches, columns: ImportColumns, split: str | None
+) -> dict[str, dict[str, list[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round is a round."""
-    found: dict[str, dict[str, list[FoundTouch]]] = {}
+    found: dict[str, dict[str, list[int]]] = {}
     home: dict[str, str] = {}
-    named = {text_of(item.values, columns.round) for item in items}
-    for item in items:
-        of_tar = _OUR_TAR.findall(item.path.rpartition("/")[2])
-        part = next(filter(None, [text_of(item.values, columns.split), split, *of_tar, "train"]))
+    rounds = touches.texts(columns.round)
+    named = set(rounds)
+    names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
+    splits = _splits(touches.texts(columns.split), texts_in(touches.where["path"]), split)
+    for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
-            raise InputError(f"{item.name!r}: the split {shown(part)!r}; expected letters and digits")
-        name = text_of(item.values, columns.round)
+            raise InputError(f"{names[place]!r}: the split {shown(part)!r}; expected letters and digits")
         if not name:
-            name = _UNNAMED.sub("_", item.name.rpartition(".")[0] or item.name)[-_LONGEST_ID:]
+            # Programs of a Mac write letters and their marks apart.
+            stem = unicodedata.normalize("NFC", names[place].rpartition(".")[0] or names[place])
+            name = _UNNAMED.sub("_", stem)[-_LONGEST_ID:]
             while name in home or name in named:
-                name = f"{name}_{item.number}"
+                name = f"{name}_{numbers[place]}"
         if home.setdefault(name, part) != part:
             raise InputError(
-                f"{item.name!r}: round {shown(name)!r} lies in the splits {home[name]!r} and "
+                f"{names[place]!r}: round {shown(name)!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
-        found.setdefault(part, {}).setdefault(name, []).append(item)
+        found.setdefault(part, {}).setdefault(name, []).append(place)
     return found
 
 
+def _splits(stated: Sequence[str], paths: Sequence[str], split: str | None) -> Iterator[str]:
+    """Yield the split of each touch: as a column states it, as given, as that of a tar, or ``train``."""
+    for each, path in zip(stated, paths, strict=True):
+        if each or split:
+            yield each or split or ""
+        else:
+            of_tar = _OUR_TAR.findall(path.rpartition("/")[2]) if path.endswith(".tar") else ()
+            yield next(iter(of_tar), "train")
+
+
 def _in_pieces(
-    rounds: Mapping[str, list[FoundTouch]], most_bytes: int, taken: set[str]
-) -> dict[str, list[FoundTouch]]:
+    rounds: Mapping[str, list[int]], sizes: Sequence[int], most_bytes: int, taken: set[str]
+) -> dict[str, list[int]]:
     """Divide rounds that memory should not hold at once: ``ID`` becomes ``ID-0``, ``ID-1``.
 
     ``taken`` are names that other rounds have, or get here.
     """
-    found: dict[str, list[FoundTouch]] = {}
-    for name, items in rounds.items():
-        pieces: list[list[FoundTouch]] = [[]]
-        size_bytes = 0
-        for item in items:
-            if pieces[-1] and size_bytes + item.size > most_bytes:
-                pieces.append([])
-                size_bytes = 0
-            pieces[-1].append(item)
-            size_bytes += item.size
+    found: dict[str, list[int]] = {}
+    for name, numbers in rounds.items():
+        parts = ranges_of([sizes[number] for number in numbers], most_bytes)
+        pieces = [numbers[part] for part in parts]
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
             name = f"{name}-"
@@ -308,3 +329,39 @@ def _in_pieces(
         taken.update(names)
         found |= dict(zip(names, pieces, strict=True))
     return found
+
+
+def common_size(
+    touches: FoundTouches, read: ReadContents, is_one_a_file: bool = False
+) -> tuple[int, int] | None:
+    """Return the most frequent height and width of images; None if no image can be read.
+
+    Only the first picture of a file is looked at if the format has one size in each. All are looked at only
+    where some, spread over all, differ: to read each twice takes long.
+    """
+    usable = touches.take(np.flatnonzero(touches.is_usable))
+    places, counts = list[Place](), dict[Place, int]()
+    if is_one_a_file:
+        of_files = usable.where.group_by(["home", "path", "part"])
+        files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
+        for row in files.sort_by("number_min").to_pylist():
+            places.append(touches[row["number_min"]]._replace(frames=0))
+            counts[places[-1]] = max(row["frames_sum"], row["frames_count"])
+    else:
+        places = list(usable)
+    sizes = _sizes(places[:: max(1, len(places) // _SIZES_SEEN)], read, counts)
+    if len(sizes) != 1:
+        sizes = _sizes(places, read, counts)
+    return next((size for size, _ in sizes.most_common(1)), None)
+
+
+def _sizes(
+    places: Sequence[Place], read: ReadContents, counts: Mapping[Place, int]
+) -> Counter[tuple[int, int]]:
+    """Count the sizes of images, each as often as its file; those that are not intact do not count."""
+    sizes = Counter[tuple[int, int]]()
+    for content, place in zip(read(places), places, strict=True):
+        if isinstance(content, bytes):
+            with suppress(ValueError):
+                sizes[require_intact(content)] += counts.get(place, 1)
+    return sizes

@@ -8,9 +8,7 @@ format do not look at.
 from __future__ import annotations
 
 import hashlib
-import io
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
@@ -20,10 +18,10 @@ from typing import Any, Literal
 import numpy as np
 import torch
 
+from tactile_sim import array_files
 from tactile_sim.learned.networks import GeneratorNetwork
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float32
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 
 Direction = Literal["touch", "depth"]
@@ -120,12 +118,7 @@ def read_weights(file: str | Path) -> GeneratorWeights:
     """
     path = store.expanded(file)
     try:
-        with store.open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
-            require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
-            comment = archive.comment
-            stream.seek(0)
-            with np.load(stream, allow_pickle=False) as stored:
-                arrays = dict(stored)
+        arrays, comment = array_files.read_npz(path)
         _require_generator(arrays)
         width, height = PUBLISHED_SIZE_PX
         if comment:
@@ -162,16 +155,10 @@ def _require_generator(arrays: Mapping[str, AnyArray]) -> None:
 
 def weights_bytes(weights: GeneratorWeights) -> bytes:
     """Return the bytes of a file of weights; equal weights give equal bytes."""
-    buffer = io.BytesIO()
-    # Stored, not deflated: floats of a network do not compress, and zlib differs between machines.
-    with zipfile.ZipFile(buffer, "w") as archive:
-        for name, array in weights.arrays.items():
-            entry = zipfile.ZipInfo(f"{name}.npy", (1980, 1, 1, 0, 0, 0))  # the same time in each file
-            with archive.open(entry, "w") as stream:
-                np.lib.format.write_array(stream, np.ascontiguousarray(array), allow_pickle=False)
-        if weights.size_px != PUBLISHED_SIZE_PX:
-            archive.comment = json.dumps({"size_px": list(weights.size_px)}).encode()
-    return buffer.getvalue()
+    comment = b""
+    if weights.size_px != PUBLISHED_SIZE_PX:
+        comment = json.dumps({"size_px": list(weights.size_px)}).encode()
+    return array_files.npz_bytes(weights.arrays, comment)
 
 
 def write_weights(folder: store.DataFolder, name: str, weights: GeneratorWeights) -> None:

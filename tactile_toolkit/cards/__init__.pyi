@@ -5,6 +5,7 @@ from .card import (
     PREVIEW_FOLDER as PREVIEW_FOLDER,
     bibtex as bibtex,
     card_words as card_words,
+    render_card as render_card,
     rows_to_draw as rows_to_draw,
     tiles_png as tiles_png,
     with_repo_name as with_repo_name,
@@ -13,6 +14,13 @@ from .card import (
 from .card_check import (
     check_card as check_card,
     pictures_in as pictures_in,
+)
+from .owner_options import (
+    LICENCES as LICENCES,
+    OwnerWords as OwnerWords,
+)
+from .owner_words import (
+    state_owner as state_owner,
 )
 from .yaml_head import (
     CARD_FILE as CARD_FILE,

@@ -16,6 +16,7 @@ import numpy as np
 from tactile_toolkit import pictures, read, store
 from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown_table, split_table
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
+from tactile_toolkit.cards.owner_words import read_owner, with_owner
 from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head, head_text
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
@@ -136,6 +137,7 @@ class Card:
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
         body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        head, body = with_owner(head, body, read_owner(folder))
         text = head_text(card_head(facts, **head)) + "\n" + body
         _write_changed(folder, CARD_FILE, text.encode())
 

@@ -90,15 +90,21 @@ def head_text(head: dict[str, Any]) -> str:
     return f"{_FENCE}{text}{_FENCE}"
 
 
-def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
-    """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
-    start, text, body = card.split(_FENCE, 2)
+def parsed_head(card: str) -> dict[str, Any]:
+    """Return the head of a card; ValueError for a card without one."""
+    start, text, _ = card.split(_FENCE, 2)
     try:
         head = yaml.safe_load(text)
     except (yaml.YAMLError, RecursionError) as error:
         raise ValueError(str(error)) from error
     if start or not isinstance(head, dict):
         raise ValueError("the card does not begin with a YAML head")
+    return head
+
+
+def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
+    """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
+    head, body = parsed_head(card), card.split(_FENCE, 2)[2]
     changed = copy.deepcopy(head)
     change(changed)
     return card if changed == head and not note else head_text(changed) + note + body

@@ -3,6 +3,7 @@
 from .copies import (
     divide as divide,
     merge_sets as merge_sets,
+    select_rows as select_rows,
     write_part as write_part,
 )
 from .download import (
@@ -21,6 +22,7 @@ from .upload import (
     PreparedUpload as PreparedUpload,
     UploadResult as UploadResult,
     check_folder as check_folder,
+    prepare_files as prepare_files,
     prepare_upload as prepare_upload,
     run_upload as run_upload,
 )

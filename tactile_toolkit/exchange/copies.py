@@ -18,7 +18,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_changes
 from tactile_toolkit.exchange.merge_changes import RowChanges
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.kind import MERGE, SPLIT, DatasetKind, kinds
+from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
 
@@ -189,6 +189,15 @@ def write_part(
 ) -> store.Manifest:
     """Write rows of a data set as a data set of the same kind; ``options`` are JSON values that name them."""
     return _build(kind, [_open_source(kind, name, SPLIT)], rows, SPLIT, options, out, run)
+
+
+def select_rows(
+    kind: DatasetKind, name: Name | Place, chosen: JsonObject, out: str, **run: Unpack[store.RunKeywords]
+) -> store.Manifest:
+    """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
+    rows, _ = divide(kind, name, (), 0, chosen)
+    given = {each: value for each, value in chosen.items() if value is not None}
+    return _build(kind, [_open_source(kind, name, SELECT)], rows, SELECT, given, out, run)
 
 
 def _build(

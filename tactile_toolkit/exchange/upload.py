@@ -9,17 +9,17 @@ from __future__ import annotations
 import contextlib
 import warnings
 import weakref
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from posixpath import normpath
-from typing import Any
+from typing import Any, TypeAlias
 
 import huggingface_hub
 
 from tactile_toolkit import cards, hub, run, store
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.kind import DatasetKind
@@ -29,6 +29,8 @@ from tactile_toolkit.places import folder_place
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
+
+_State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,19 +114,22 @@ class PreparedUpload:
     ``held`` is the head of the branch, or of ``main``, where a new branch starts; None without a repository.
     ``has_branch`` states whether the branch exists, ``plan`` is the difference. ``left_out`` are files of the
     folder that do not belong to the data set. ``scratch`` holds files that were made for the upload, as long
-    as this object lives. ``ask`` calls a function that asks the Hub, with retries.
+    as this object lives. ``ask`` calls a function that asks the Hub, with retries. ``unasked`` states why a
+    dry run does not know what the Hub holds.
     """
 
     repo_id: str
     options: UploadOptions
     held: hub.HubRepository | None
     has_branch: bool
-    manifest: store.Manifest
+    manifest: store.Manifest | None
     files: tuple[LocalFile, ...]
     plan: UploadPlan
     left_out: tuple[str, ...]
     scratch: Path
     ask: Callable[..., Any] = field(repr=False)
+    what: str
+    unasked: str = ""
 
     @property
     def page(self) -> str:
@@ -171,44 +176,97 @@ def prepare_upload(
 ) -> PreparedUpload:
     """Verify a folder, render its card, and compare it with the repository; changes nothing.
 
-    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs no login for a
-    public repository. Raises InputError (not a finished data set, an unusable option), IntegrityError
-    (damage, a card that does not match the data) or HubError.
+    ``check`` lists the problems of the folder; checksums and card by default. A dry run needs neither an
+    account nor a network: if the Hub cannot be asked, it plans to send all files. Raises InputError (not a
+    finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
+    HubError.
     """
     chosen, place = options or UploadOptions(), store.open_folder(folder)
     manifest = store.read_manifest(place)
-    if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
-        raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
+    ask = _asking(repo_id, on_wait)
     if manifest is None:
         message = place.missing_message(store.MANIFEST_FILE)
         raise InputError(message, next="give the folder of a data set made by this toolkit")
-    ask = partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(store.scratch_folder())
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
-        if not dry_run:
+        unasked = ""
+        if dry_run:
+            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
+        else:
             ask(huggingface_hub.HfApi().whoami)
-        held, tags, has_branch = ask(partial(_state, repo_id, chosen.branch))
-        manifest, files = _files_to_send(place, manifest, repo_id, held, chosen, scratch)
-        plan = compare(files, held, delete=chosen.delete)
-        _refuse_public(repo_id, chosen, held)
-        named = tags.get(chosen.tag or "")
-        if named and not (plan.is_done and held and held.commit == named):
-            raise InputError(
-                f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
-                next="choose another --tag, or delete that one on the Hub",
-            )
+            state = ask(partial(_state, repo_id, chosen.branch))
+        manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
-        options = chosen
-        if named:
-            options = replace(chosen, tag=None)
-        prepared = PreparedUpload(
-            repo_id, options, held, has_branch, manifest, files, plan, left_out, scratch, ask
-        )
+        what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
+        prepared = _prepared(repo_id, chosen, state, files, scratch, ask, what)
+        prepared = replace(prepared, manifest=manifest, left_out=left_out, unasked=unasked)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
+
+
+def prepare_files(
+    files: Mapping[str, bytes],
+    repo_id: str,
+    options: UploadOptions | None = None,
+    *,
+    what: str,
+    dry_run: bool = False,
+    on_wait: Callable[[str], None] = lambda _: None,
+) -> PreparedUpload:
+    """Compare a few files that are no data set, by path, with a repository; changes nothing.
+
+    ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
+    """
+    chosen, ask = options or UploadOptions(), _asking(repo_id, on_wait)
+    with contextlib.ExitStack() as stack:
+        scratch = stack.enter_context(store.scratch_folder())
+        for path, content in files.items():
+            (scratch / path).write_bytes(content)
+        unasked = ""
+        if dry_run:
+            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
+        else:
+            ask(huggingface_hub.HfApi().whoami)
+            state = ask(partial(_state, repo_id, chosen.branch))
+        local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
+        prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
+        weakref.finalize(prepared, stack.pop_all().close)
+    return prepared
+
+
+def _asking(repo_id: str, on_wait: Callable[[str], None]) -> Callable[..., Any]:
+    """Return what calls a function that asks the Hub for a repository; InputError for another name."""
+    if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
+        raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
+    return partial(hub.call_with_retry, repo_id=repo_id, doing="uploading to", on_wait=on_wait)
+
+
+def _prepared(
+    repo_id: str,
+    chosen: UploadOptions,
+    state: tuple[hub.HubRepository | None, dict[str, str], bool],
+    files: tuple[LocalFile, ...],
+    scratch: Path,
+    ask: Callable[..., Any],
+    what: str,
+) -> PreparedUpload:
+    """Compare files with the state of a repository; InputError if it or its tag must not change."""
+    held, tags, has_branch = state
+    plan = compare(files, held, delete=chosen.delete)
+    _refuse_public(repo_id, chosen, held)
+    named = tags.get(chosen.tag or "")
+    if named and not (plan.is_done and held and held.commit == named):
+        raise InputError(
+            f"tag {chosen.tag!r} of {repo_id!r} names commit {named[:12]} already; nothing was sent",
+            next="choose another --tag, or delete that one on the Hub",
+        )
+    options = chosen
+    if named:
+        options = replace(chosen, tag=None)
+    return PreparedUpload(repo_id, options, held, has_branch, None, files, plan, (), scratch, ask, what)
 
 
 def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository | None) -> None:
@@ -220,7 +278,15 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state(repo_id: str, branch: str) -> tuple[hub.HubRepository | None, dict[str, str], bool]:
+def _state_if_known(ask: Callable[..., Any], repo_id: str, branch: str) -> tuple[_State, str]:
+    """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
+    try:
+        return ask(partial(_state, repo_id, branch), waits_s=()), ""
+    except HubError as error:
+        return (None, {}, False), error.what
+
+
+def _state(repo_id: str, branch: str) -> _State:
     """Return the head of a branch, the commits of the tags, and whether the branch exists.
 
     A missing repository is not an error.
@@ -341,13 +407,13 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
     files; and it takes all files from one folder, while the card is in another.
     """
-    options, manifest = prepared.options, prepared.manifest
+    options = prepared.options
     held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile
     plan = compare(prepared.files, held, delete=options.delete)
     if plan.is_done and held is not None:
         return held.commit, None
-    message = f"Upload {manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
+    message = f"Upload {prepared.what}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # those of the client, that users cannot act on
         made = huggingface_hub.HfApi().create_commit(

@@ -1,5 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .base_plate import on_base_plate as on_base_plate
 from .files import (
     FORMATS as FORMATS,
     file_content as file_content,
@@ -26,6 +27,11 @@ from .mesh import (
 from .nearness import (
     connected as connected,
 )
+from .print_cures import (
+    WARNINGS_PAGE as WARNINGS_PAGE,
+    explained as explained,
+    print_advice as print_advice,
+)
 from .print_profile import (
     PrintProfile as PrintProfile,
 )
@@ -48,6 +54,7 @@ from .mesh_columns import (
     FACES as FACES,
     MeshRow as MeshRow,
     VERTICES as VERTICES,
+    mesh_metadata as mesh_metadata,
     mesh_schema as mesh_schema,
     require_mesh_columns as require_mesh_columns,
 )

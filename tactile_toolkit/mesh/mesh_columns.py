@@ -64,8 +64,13 @@ class MeshRow:
 def mesh_schema(row_type: type[MeshRow], class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of rows with a mesh; its metadata describe the columns to `datasets`."""
     schema = plain_schema(row_type)
+    return schema.with_metadata(mesh_metadata(schema, class_names))
+
+
+def mesh_metadata(schema: pa.Schema, class_names: tuple[str, ...]) -> Any:
+    """Return the metadata of a schema, which describe its columns to `datasets`."""
     features = {field.name: _feature(field.type) for field in schema}
-    return schema.with_metadata(read.feature_metadata({**features, "label": read.label_feature(class_names)}))
+    return read.feature_metadata({**features, "label": read.label_feature(class_names)})
 
 
 def _feature(data_type: pa.DataType) -> Any:

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 
 from tactile_toolkit.checked_fields import check_fields, real
 
+# Slicers fill a wall with one line on each side.
+_LINES_OF_WALL = 2
+
 
 @dataclass(frozen=True, slots=True)
 class PrintProfile:
@@ -14,7 +17,7 @@ class PrintProfile:
     Attributes
     ----------
     nozzle_mm : float
-        Line width; a wall needs two lines.
+        Line width.
     layer_height_mm : float
         Thickness of a printed layer.
     plate_mm : tuple of float
@@ -22,7 +25,7 @@ class PrintProfile:
     max_height_mm : float
         Largest height of a print.
     min_wall_mm : float
-        Thinner walls give a warning.
+        Thinner walls give a warning; two lines if it is not given.
     overhang_deg : float
         Slopes that lean out by more than this from the vertical need support.
     max_overhang_share : float
@@ -40,7 +43,7 @@ class PrintProfile:
     layer_height_mm: float = real(0.2, above=0)
     plate_mm: tuple[float, float] = real((256.0, 256.0), above=0, many=2)
     max_height_mm: float = real(256.0, above=0)
-    min_wall_mm: float = real(0.8, above=0)
+    min_wall_mm: float = real(None, above=0, optional=True)
     overhang_deg: float = real(45.0, above=0, below=90)
     max_overhang_share: float = real(0.72, above=0)
     min_contact_mm2: float = real(10.0, above=0)
@@ -49,3 +52,6 @@ class PrintProfile:
     def __post_init__(self) -> None:
         """Raise InputError for impossible values."""
         check_fields(self, "the print profile")
+        given: float | None = self.min_wall_mm
+        if given is None:
+            object.__setattr__(self, "min_wall_mm", _LINES_OF_WALL * self.nozzle_mm)

@@ -1,11 +1,23 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
+from .calibration_plate import (
+    export_calibration_plate as export_calibration_plate,
+    make_plate as make_plate,
+)
 from .file_export import (
     FailedExport as FailedExport,
+    FileExport as FileExport,
+    Made as Made,
+    Product as Product,
+    Progress as Progress,
+    require_same_solid as require_same_solid,
+    write_products as write_products,
 )
 from .objects import (
     PrintObject as PrintObject,
     choose as choose,
+    on_plates as on_plates,
+    place_on_plate as place_on_plate,
 )
 from .packing import (
     arrange as arrange,

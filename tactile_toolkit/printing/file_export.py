@@ -155,7 +155,7 @@ def _remove(paths: Iterable[Path]) -> None:
             path.unlink(missing_ok=True)
 
 
-def export(
+def write_products(
     products: Sequence[Product[R]],
     out: str,
     *,

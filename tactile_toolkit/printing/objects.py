@@ -7,7 +7,7 @@ import re
 import unicodedata
 from collections import Counter
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -16,7 +16,7 @@ import numpy as np
 from tactile_toolkit import catalog, read
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, merge_equal_vertices
+from tactile_toolkit.mesh import Mesh, merge_equal_vertices, on_base_plate
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
@@ -56,6 +56,20 @@ def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     if len(vertices_m):
         vertices_m[:, 2] -= vertices_m[:, 2].min()
     return Mesh(vertices_m, faces)
+
+
+def on_plates(objects: Iterable[PrintObject], base_mm: float | None) -> list[PrintObject]:
+    """Put the upper half of each object on a plate of a thickness; None changes nothing.
+
+    See :func:`tactile_toolkit.mesh.on_base_plate`.
+    """
+    if base_mm is None:
+        return list(objects)
+    return [replace(item, load=partial(_on_plate, item.load, base_mm)) for item in objects]
+
+
+def _on_plate(load: Callable[[], Mesh | SolidRecord], base_mm: float) -> Mesh:
+    return on_base_plate(place_on_plate(load()), base_mm)
 
 
 def choose(

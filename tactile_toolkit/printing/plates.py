@@ -25,8 +25,8 @@ from tactile_toolkit.printing.file_export import (
     Product,
     Progress,
     content_of,
-    export,
     require_same_solid,
+    write_products,
 )
 from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlateLayout
@@ -92,17 +92,17 @@ def write_plates(
     """
     unknown = _unknown_files(layout, store.local_folder_path(out))
     # The table first, because it shows whether the folder holds another export.
-    export([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
+    write_products([_table_product(tuple(_rows(layout)), unknown)], out, overwrite=overwrite, dry_run=True)
     plates = [
         Product(solid, (solid, picture), partial(_made, layout, number))
         for number, (solid, picture) in enumerate(_names(layout), 1)
     ]
-    made = export(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
+    made = write_products(plates, out, overwrite=overwrite, dry_run=dry_run, on_progress=on_progress)
     written = {plate.file for plate in made.files}
     rows = tuple(row for row in _rows(layout) if row["file"] in written)
     if not dry_run:
         # Last, so that it lists only files that exist and were checked.
-        export([_table_product(rows, unknown)], out, overwrite=True)
+        write_products([_table_product(rows, unknown)], out, overwrite=True)
     return PlateExport(made.files, (*layout.failures, *made.failed), rows, unknown)
 
 

@@ -15,8 +15,8 @@ from tactile_toolkit.printing.file_export import (
     Made,
     Product,
     Progress,
-    export,
     require_same_solid,
+    write_products,
 )
 from tactile_toolkit.printing.objects import PrintObject, place_on_plate, require_scale
 from tactile_toolkit.printing.physics import MODELS, Physics
@@ -112,6 +112,6 @@ def export_files(
         )
         for item in objects
     ]
-    return export(
+    return write_products(
         products, out, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )

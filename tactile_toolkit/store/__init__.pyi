@@ -39,6 +39,7 @@ from .files import (
 )
 from .foreign_files import (
     open_inside as open_inside,
+    read_inside as read_inside,
     size_inside as size_inside,
 )
 from .fsspec_folder import (

@@ -126,7 +126,7 @@ def inspect_job(folder: DataFolder, plan: BuildPlan, options: RunOptions | None 
     found, wanted = (
         {"kind": each.kind, **each.spec, "toolkit_version": each.toolkit_version} for each in (manifest, new)
     )
-    _refuse_difference(folder, found, wanted)
+    _refuse_difference(folder, found, wanted, plan.other_next)
     _reject_unexpected_files(folder, plan)
     intact = _intact_records(folder, plan, manifest, {task.shard: task for task in tasks}, check)
     job = BuildJob(folder, plan, replace(manifest, trees=plan.extra_dirs), tasks, tuple(intact.values()))
@@ -238,7 +238,7 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
         )
 
 
-def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> None:
+def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_step: str = "") -> None:
     lines = _differences(found, wanted)
     if lines:
         more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] if len(lines) > _DIFFERENCES_SHOWN else []
@@ -246,7 +246,8 @@ def _refuse_difference(folder: DataFolder, found: object, wanted: object) -> Non
         raise SpecMismatchError(
             f"{differing}: {folder.address()!r} holds a data set of another "
             "specification, or was begun with other versions, which write other bytes; nothing was changed",
-            next="choose another folder (--out or OUT), or start again there with --overwrite (without "
+            next=next_step
+            or "choose another folder (--out or OUT), or start again there with --overwrite (without "
             "--part and in no object store; there, remove it first), or install those versions",
         )
 

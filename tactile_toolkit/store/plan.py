@@ -46,6 +46,8 @@ class BuildPlan:
     write_files : callable
         Writes files that follow from all rows, such as an index, after all shards; takes the folder and the
         manifest, and returns the checksum of each file by path.
+    other_next : str
+        Next step if the folder holds a data set of another specification, in place of the usual one.
     """
 
     kind: str
@@ -62,6 +64,7 @@ class BuildPlan:
     write_files: Callable[[DataFolder, Manifest], Mapping[str, str]] = field(
         default=lambda _folder, _manifest: {}, repr=False
     )
+    other_next: str = ""
 
     def __post_init__(self) -> None:
         # Stored as in a manifest: in JSON, tuples are lists.

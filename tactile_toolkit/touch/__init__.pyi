@@ -18,7 +18,6 @@ from .jpeg import (
     decode_small as decode_small,
     encode_image as encode_image,
     image_size as image_size,
-    has_application_data as has_application_data,
     is_jpeg as is_jpeg,
     require_bounded_jpeg as require_bounded_jpeg,
     resized as resized,

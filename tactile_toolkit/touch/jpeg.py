@@ -38,10 +38,6 @@ ImageFormat = Literal["jpeg", "png"]
 IMAGE_SUFFIX: dict[ImageFormat, str] = {"jpeg": "jpg", "png": "png"}
 """File name suffix of each format."""
 
-_SCAN, _EXIF = 0xDA, 0xE1
-_SEGMENTS = frozenset(
-    {*range(0xC0, 0xD0), *range(0xDA, 0xFF)}
-)  # markers that the length of a segment follows
 _SCAN_START = re.compile(b"\xff\xda")
 _JPEG_START = b"\xff\xd8\xff"
 # Pillow modes whose values are clipped at 255 on conversion to RGB.
@@ -77,22 +73,6 @@ def image_size(data: memoryview | bytes) -> tuple[int, int]:
     if height * width > MAX_IMAGE_PIXELS:
         raise ValueError(f"an image of {width} x {height} pixels; the limit is {MAX_IMAGE_PIXELS:,} pixels")
     return height, width
-
-
-def has_application_data(data: memoryview | bytes) -> bool:
-    """Return whether a JPEG has a segment APP1 before its first scan, which holds Exif or XMP data.
-
-    True also where its segments do not follow one another as they should.
-    """
-    place = 2
-    while place + 4 <= len(data) and data[place] == 0xFF:
-        marker = data[place + 1]
-        if marker == _SCAN:
-            return False
-        if marker == _EXIF or marker not in _SEGMENTS:
-            return True
-        place += 2 + (data[place + 2] << 8 | data[place + 3])
-    return True
 
 
 def require_bounded_jpeg(data: memoryview | bytes) -> None:

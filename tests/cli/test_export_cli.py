@@ -274,3 +274,40 @@ def test_scenes_keep_what_stands_where(tmp_path: Path) -> None:
     tables = ("--format", "flat", "--out", tmp_path / "wrenches", "-q")
     assert command_line.call("env-assets", "export", wrench, *tables) == 0
     assert command_line.call("env-assets", "verify", tmp_path / "wrenches") == 0
+
+
+def test_the_plate_for_calibration_is_one_solid_whose_shapes_have_their_stated_sizes(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    options = ("--split", "printed_test", "--calibration-plate", "--out", tmp_path / "plate")
+    assert call("export", folder, *options, "--format", "3mf", "--json") == 0
+    (made,) = json.loads(capsys.readouterr().out)["files"]
+    names = {"calibration-plate.3mf", "calibration-plate.png", "press-here.md"}
+    assert {path.name for path in (tmp_path / "plate").iterdir()} == names == set(made["files"])
+    mesh = read_mesh(tmp_path / "plate" / "calibration-plate.3mf")
+    verdict = check_manifold(mesh)
+    assert verdict.problem is None
+    assert verdict.bodies == 1
+    assert np.ptp(mesh.bounds_m, axis=0)[:2] * 1e3 == pytest.approx([116, 100], abs=1e-3)
+    shape = trimesh.Trimesh(mesh.vertices_m * 1e3, mesh.faces)
+
+    def heights_mm(points: list[tuple[float, float]]) -> list[float]:
+        rays = np.column_stack([points, np.full(len(points), 50.0)])
+        found, ray, _ = shape.ray.intersects_location(rays, np.tile([0.0, 0, -1], (len(points), 1)))
+        return [found[ray == number, 2].max() for number in range(len(points))]
+
+    # A ball of 4 mm on the left; treads of 0.8 mm on the right; flanks of 30 and 60 degrees; the base.
+    assert heights_mm([(-42, -34), (-40, -34)]) == pytest.approx([12, 8 + np.sqrt(12)], abs=0.01)
+    assert np.diff(heights_mm([(38, -34), (42, -34), (46, -34)])) == pytest.approx(0.8, abs=1e-3)
+    left, higher, right, lower = heights_mm([(10, -33), (12, -33), (18, -33), (18.5, -33)])
+    assert (higher - left) / 2 == pytest.approx(np.tan(np.radians(30)), abs=1e-3)
+    assert (right - lower) / 0.5 == pytest.approx(np.tan(np.radians(60)), abs=2e-3)
+    assert heights_mm([(0, -10)]) == pytest.approx([4], abs=1e-3)
+    sheet = (tmp_path / "plate" / "press-here.md").read_text()
+    assert sheet.count("\n| 20 | ") == 1
+    # What is there stays, and options that it does not have are refused.
+    before = folder_bytes(tmp_path / "plate")
+    assert call("export", folder, *options, "-q") == 0
+    assert folder_bytes(tmp_path / "plate") == before
+    for wrong in (("--format", "flat"), ("--plate", "256x256"), ("--scale", "2"), ("--limit", "1")):
+        assert call("export", folder, *options, *wrong) == 2

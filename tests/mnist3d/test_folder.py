@@ -243,7 +243,7 @@ class TestUnreadable:
 
     def test_too_large_to_be_a_digit(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
         save(tmp_path / "7" / "a.png")
-        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 200_000)
+        monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 100_000)
         assert "it has too many pixels" in item_refusal(tmp_path, "unreadable")
 
     def test_not_finite(self, tmp_path: Path) -> None:
@@ -271,17 +271,21 @@ class TestRefusals:
         (tmp_path / folder).mkdir(exist_ok=True)
         (tmp_path / folder / "notes.txt").touch()
         message = refusal(FolderSource(str(tmp_path)))
-        assert f"{tmp_path}: found no picture, expected {tmp_path}/<digit>/*.png" in message
+        assert f"{tmp_path}: found no picture, expected {tmp_path}/<class>/*.png" in message
 
-    def test_folders_that_are_no_digits(self, tmp_path: Path) -> None:
-        for name in ("0/a.png", "ten/a.png", "10/a.png"):
+    def test_pictures_beside_the_folders_of_classes_that_are_no_digits(self, tmp_path: Path) -> None:
+        for name in ("0/a.png", "ten/a.png", "a_label1.png"):
             save(tmp_path / name)
         message = refusal(FolderSource(str(tmp_path)))
-        assert f"{tmp_path}: found '10', expected pictures in folders named 0 to 9" in message
+        assert f"{tmp_path}: found 'a_label1.png', expected pictures in a folder for each class" in message
+
+    def test_a_class_whose_name_is_not_text(self, tmp_path: Path) -> None:
+        save(tmp_path / "a\u202eb" / "a.png")
+        assert "expected the name of a class as plain text" in refusal(FolderSource(str(tmp_path)))
 
     def test_folders_inside_folders(self, tmp_path: Path) -> None:
         save(tmp_path / "0" / "more" / "a.png")
-        assert f"{tmp_path}: found '0/more', expected pictures in folders" in refusal(
+        assert f"{tmp_path}: found '0/more', expected pictures in a folder" in refusal(
             FolderSource(str(tmp_path))
         )
 
@@ -289,7 +293,7 @@ class TestRefusals:
         for number in range(7):
             save(tmp_path / f"p{number}_label1{number}.png")
         message = refusal(FolderSource(str(tmp_path)))
-        assert "found 'p0_label10.png', expected pictures in folders" in message
+        assert "found 'p0_label10.png', expected pictures in a folder" in message
 
     def test_unknown_ink(self, tmp_path: Path) -> None:
         save(tmp_path / "0" / "a.png")
@@ -298,13 +302,16 @@ class TestRefusals:
 
 
 @pytest.mark.thorough
-def test_a_picture_that_takes_long_or_much_memory_is_left_out(tmp_path: Path) -> None:
+def test_a_picture_that_takes_long_or_much_memory_is_left_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "100")
     (tmp_path / "1").mkdir()
     (tmp_path / "1" / "slow.jpg").write_bytes(jpeg_of_scans(101))
     assert "a JPEG of 101 scans" in item_refusal(tmp_path, "unreadable")
     (tmp_path / "1" / "slow.jpg").unlink()
     Image.new("LA", (6_000, 6_000)).save(tmp_path / "1" / "large.png")
-    assert "6000 x 6000 pixels unpacks to 864,000,000 bytes" in item_refusal(tmp_path, "unreadable")
+    assert "6000 x 6000 pixels unpacks to 144,000,000 bytes" in item_refusal(tmp_path, "unreadable")
 
 
 def test_fingerprint_knows_content_names_and_no_path(tmp_path: Path) -> None:

@@ -6,8 +6,10 @@ import re
 import shutil
 import subprocess
 import zipfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -19,6 +21,8 @@ from tactile_toolkit.mesh import Mesh, write_mesh
 from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, write_plates
 from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlacedObject
+from tests.command_line import call
+from tests.mnist3d.test_picture_prints import child, word
 from tests.processes import PATIENCE_S
 
 SLICER = shutil.which("prusa-slicer") or ""
@@ -96,8 +100,8 @@ def slice_file(path: Path, work: Path, *options: str) -> Sliced:
     target = work / f"{path.stem}.gcode"
     told = slicer("--export-gcode", *PRINT, *options, "-o", target, path)
     assert "Slicing result exported" in told
-    for word in ("repair", "warning", "error", "open edges", "not manifold"):
-        assert word not in told.lower(), told
+    for complaint in ("repair", "warning", "error", "open edges", "not manifold"):
+        assert complaint not in told.lower(), told
     return _followed(target.read_text())
 
 
@@ -178,6 +182,24 @@ def test_a_plate_loads_with_every_name_in_its_place(digits: mnist3d.DigitDataset
     repairs = repairs_in(path, tmp_path)
     assert set(repairs) == {placed.item.name for placed in plate}
     assert {count for counts in repairs.values() for count in counts} == {0}
+
+
+@pytest.mark.thorough
+@pytest.mark.parametrize(
+    "shape", [(), ("--base-mm", 2), ("--bridge-mm", 3)], ids=["plain", "base", "bridges"]
+)
+@pytest.mark.parametrize("draw", [word, child])
+def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any, tmp_path: Path) -> None:
+    draw().save(tmp_path / "drawing.jpg")
+    out = tmp_path / "drawing.3mf"
+    assert call("mnist3d", "solidify", tmp_path / "drawing.jpg", "--out", out, "--height-mm", 60, *shape) == 0
+    (seen,) = seen_in(out)
+    assert seen.complaints == ()
+    assert seen.size_mm[1] == pytest.approx(60 + 6 * ("--base-mm" in shape), abs=0.3)
+    (top_mm,) = slice_file(out, tmp_path).top_mm.values()
+    assert top_mm == pytest.approx(seen.size_mm[2], abs=LAYER_MM)
+    (counts,) = repairs_in(out, tmp_path).values()
+    assert set(counts) == {0}
 
 
 @pytest.mark.thorough

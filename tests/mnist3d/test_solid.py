@@ -158,11 +158,11 @@ def test_light_ink_floats_and_bool_make_the_same_solid() -> None:
 def test_a_small_image_is_resampled_or_refused_with_the_way_out() -> None:
     small = 255 - six().reshape(20, 25, 20, 25).mean(axis=(1, 3)).astype(np.uint8)
     with pytest.raises(
-        ItemError, match=r"20 x 20 px, so that the solid would be 4 mm long.*resample=True"
+        ItemError, match=r"20 x 20 px, so that the solid would be 4 mm long.*leave pixel_mm out"
     ) as refused:
-        solidify(small)
+        solidify(small, pixel_mm=0.2)
     assert refused.value.reason == "too-small"
-    report = inspect(solidify(small, resample=True))
+    report = inspect(solidify(small))
     assert (report.problem, report.bodies) == (None, 1)
     assert report.size_mm == pytest.approx(size_mm(solidify(six())), rel=0.1)
 
@@ -224,7 +224,7 @@ def test_ink_at_the_border_is_closed() -> None:
 def test_the_size_of_the_image_moves_only_the_origin() -> None:
     small = six()[50:450, 100:400]
     whole = solidify(six(), SolidSpec())
-    part = solidify(small, SolidSpec())
+    part = solidify(small, SolidSpec(), pixel_mm=0.2)
     assert np.array_equal(whole.faces, part.faces)
     shift = whole.vertices_m.mean(axis=0) - part.vertices_m.mean(axis=0)
     assert shift == pytest.approx([0.0, 0.0, 0.0], abs=1e-5)
@@ -239,7 +239,10 @@ def test_the_size_of_the_image_moves_only_the_origin() -> None:
 def test_the_fast_way_keeps_necks_as_wide_as_the_literal_one(width_mm: float, angle_deg: float) -> None:
     spec = SolidSpec()
     pixels = dumbbell(width_mm, angle_deg)
-    fast, literal = solidify(pixels, spec), literal_solid(binarise(pixels, spec), spec, decimated=False)
+    fast, literal = (
+        solidify(pixels, spec, pixel_mm=0.2),
+        literal_solid(binarise(pixels, spec), spec, decimated=False),
+    )
     assert neck_mm(fast, angle_deg) == pytest.approx(neck_mm(literal, angle_deg), abs=0.1)
     assert inspect(fast).is_solid
 
@@ -355,7 +358,7 @@ def test_any_ink_gives_a_solid_or_a_named_refusal(
     )
     reason = None
     try:
-        mesh = solidify(pixels, spec)
+        mesh = solidify(pixels, spec, pixel_mm=spec.pixel_pitch_mm)
     except ItemError as refusal:
         reason = refusal.reason
     if reason is not None:
@@ -414,6 +417,6 @@ def test_unknown_methods_are_refused() -> None:
 )
 def test_the_mesh_of_a_digit_never_changes(draw: Callable[[], np.ndarray], expected: str) -> None:
     # It changes when the solid does: then data sets made before are others.
-    mesh = solidify(draw(), SolidSpec())
+    mesh = solidify(draw(), SolidSpec(), pixel_mm=0.2)
     digest = hashlib.sha256(mesh.vertices_m.astype("<f4").tobytes() + mesh.faces.astype("<i4").tobytes())
     assert digest.hexdigest()[:16] == expected

@@ -154,7 +154,7 @@ def listed_plan(source: DigitCatalog, seed: int) -> dict[str, list[int]]:
     for label in range(10):
         pairs = zip(source.ids.tolist(), source.labels.tolist(), strict=True)
         members = ordered([each for each, its in pairs if its == label], 0)
-        sizes = splits._published_sizes(len(members))
+        sizes = splits._usual_sizes(len(members), splits.PUBLISHED_SIZES)
         for split in SPLITS:
             rows[split] += members[: sizes[split]]
             members = members[sizes[split] :]

@@ -50,6 +50,10 @@ def imported(home: Path, tmp_path: Path, **options: Any) -> dict[str, Any]:
             {"test": [("test_2", None)], "train": [("train_1", None)]},
         ),
         (("b.png", "a.png"), {"train": [("a", None), ("b", None)]}),
+        (
+            ("Glas/1.png", "Müsli/1.png", "mu\u0308de/ß.png"),  # letters and marks apart, as of a Mac
+            {"train": [("Glas_1", "Glas"), ("Müsli_1", "Müsli"), ("müde_ß", "mu\u0308de")]},
+        ),
         (("in/1.png", "in/deep/2.png"), {"train": [("in_1", None), ("in_deep_2", None)]}),
         (("train/1.png", "mug/2.png"), {"train": [("mug_2", "mug"), ("train_1", "train")]}),
     ],
@@ -94,6 +98,14 @@ def test_tables_that_cannot_be_read_are_named(name: str, content: bytes, words: 
     with pytest.raises(Exception, match=words) as caught:
         realtouch.import_touches(home, home.parent / "out", "folder")
     assert isinstance(caught.value, InputError) or name == "t.parquet"
+
+
+def test_images_whose_names_cannot_be_used_are_listed(tmp_path: Path) -> None:
+    home = images(tmp_path / "home", "a.png", "b\nc.png")
+    (home / "d\udcff.png").write_bytes(picture(9))
+    manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
+    assert [each.reason for each in manifest.shards[0].skipped] == ["name"] * 2
+    assert len(realtouch.load(tmp_path / "out", "train")) == 1
 
 
 def test_images_may_not_be_counted_without_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -16,23 +16,24 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from realtouch import ImportColumns
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.contact_picture import best_of
 from realtouch.importing.contact_cuts import MIN_MARGIN
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.found_touches import FoundTouch
 from realtouch.importing.recordings import Recording
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import decode_image
+from tests.realtouch.found import Found, columns, cut_by
 from tests.realtouch.made_recordings import MadeRecording
 
 
-def cut(recordings: Sequence[Recording], how: str, made: MadeRecording | None = None) -> list[FoundTouch]:
+def cut(recordings: Sequence[Recording], how: str, made: MadeRecording | None = None) -> list[Found]:
     made = made or MadeRecording(1, [])
-    return list(Cutter(how, made.contents).touches(recordings))
+    return cut_by(Cutter(how, made.contents), recordings)
 
 
-def contacts(touches: Sequence[FoundTouch]) -> list[tuple[int, int]]:
+def contacts(touches: Sequence[Found]) -> list[tuple[int, int]]:
     return [(each.start + each.contact[0], each.start + each.contact[1]) for each in touches if each.contact]
 
 
@@ -48,7 +49,7 @@ CONTACTS = [(20, 34), (60, 99), (150, 155), (300, 330), (440, 470)]
 def test_contacts_are_found_at_the_frames_of_the_truth(dimmed: float, noise: float) -> None:
     made = MadeRecording(500, CONTACTS, dimmed, noise)
     cutter = Cutter("contact", made.contents)
-    touches = list(cutter.touches([made.recording(values={"label": "mug"})]))
+    touches = cut_by(cutter, [made.recording(values={"label": "mug"})])
     found = contacts(touches)
     assert len(found) == len(CONTACTS)
     assert np.abs(np.subtract(found, CONTACTS)).max() <= 1  # the first and the last are faint
@@ -62,7 +63,7 @@ def test_contacts_are_found_at_the_frames_of_the_truth(dimmed: float, noise: flo
         assert each.start + each.frames - 1 <= min(499, last + margin)
         np.testing.assert_array_equal(each.time_s, np.arange(each.start, each.start + each.frames) / 25)
         # The rule that loaders apply to the clip alone finds the same contact.
-        clip = np.stack([decode_image(content) for content in made.contents([each])])  # type: ignore[arg-type]
+        clip = np.stack([decode_image(content) for content in made.contents([each.place])])  # type: ignore[arg-type]
         assert first <= each.start + best_of(clip)[0] <= last
     picture = Image.open(io.BytesIO(cutter.pictures["take1"]))
     assert picture.size[0] < 1300
@@ -83,7 +84,7 @@ def test_flicker_is_joined_and_what_is_short_is_dropped_and_counted() -> None:
         (None, [(50, 80), (200, 220), (232, 240)]),
     ):
         cutter = Cutter("contact", made.contents)
-        touches = list(cutter.touches([made.recording(fps=fps)]))
+        touches = cut_by(cutter, [made.recording(fps=fps)])
         assert np.abs(np.subtract(contacts(touches), expected)).max() <= 1
         assert cutter.too_short == 1
     # At more pictures a second, the same gap is shorter.
@@ -102,7 +103,7 @@ def test_damaged_pictures_are_passed_over() -> None:
 def test_a_recording_without_contact_is_a_problem_in_words() -> None:
     made = MadeRecording(200, [])
     cutter = Cutter("contact", made.contents)
-    (only,) = cutter.touches([made.recording()])
+    (only,) = cut_by(cutter, [made.recording()])
     assert "no touch in 200 pictures" in str(only.problem)
     assert "--cut whole" in str(only.problem)
     assert not cutter.pictures
@@ -119,7 +120,7 @@ def test_pictures_are_read_a_few_at_a_time_and_the_drawing_stays_small() -> None
     pressed = [(start, start + 5) for start in range(5, 2990, 20)]
     made = MadeRecording(3000, pressed)
     cutter = Cutter("contact", made.contents)
-    assert len(list(cutter.touches([made.recording("a/take1")]))) == len(pressed)
+    assert len(cut_by(cutter, [made.recording("a/take1")])) == len(pressed)
     assert len(made.read) <= 3000 + 48 + 60
     picture = Image.open(io.BytesIO(cutter.pictures["a-take1"]))
     assert max(picture.size) < 2000
@@ -135,10 +136,11 @@ def test_whole_recordings_and_those_that_are_too_long() -> None:
 
 def test_frames_have_what_is_said_of_each_picture() -> None:
     texts = np.array(["a", None, "c"], object)
-    given = plain(3, per_frame={"force": np.array([1.0, np.nan, 3.0]), "note": texts, "xy": np.eye(3)[:, :2]})
+    said = {"force": np.array([1.0, np.nan, 3.0]), "note": texts, "xy": np.eye(3)[:, :2]}
+    given = plain(3, per_frame=columns(said))
     found = cut([given], "frames")
     assert [each.start for each in found] == [0, 1, 2]
-    assert [each.values["note"] for each in found] == ["a", None, "c"]
+    assert [each.values.get("note") for each in found] == ["a", None, "c"]
     assert found[2].values == {"round_id": "take1", "force": 3.0, "note": "c", "xy": [0, 0], "time_s": 0.08}
 
 
@@ -195,7 +197,7 @@ def test_tables_with_types_say_it_too(ending: str, tmp_path: Path) -> None:
     else:
         table(tmp_path, "".join(f"{json.dumps(line)}\n" for line in lines), "cuts.jsonl")
     found = cut([plain()], str(tmp_path / f"cuts.{ending}"))
-    assert [(each.start, each.frames, each.values["label"]) for each in found] == [
+    assert [(each.start, each.frames, each.values.get("label")) for each in found] == [
         (10, 11, 3),
         (15, 16, None),
     ]
@@ -203,7 +205,7 @@ def test_tables_with_types_say_it_too(ending: str, tmp_path: Path) -> None:
 
 def test_the_unit_of_start_and_end_may_be_given(tmp_path: Path) -> None:
     path = table(tmp_path, "start,end\n400,800\n")
-    (only,) = Cutter(path, MadeRecording(1, []).contents, "ms").touches([plain()])
+    (only,) = cut_by(Cutter(path, MadeRecording(1, []).contents, ImportColumns(time_unit="ms")), [plain()])
     assert (only.start, only.frames) == (10, 11)
 
 
@@ -231,8 +233,8 @@ def test_lines_that_cannot_be_cut_are_problems_of_their_touches(tmp_path: Path) 
             "start_s is -1, end_s 1",
             "start_s is 0.5, end_s 0.4",
             "start_s is 0.41, end_s 0.43",
-            "the times ['x', '1'] from number 1 on; expected finite numbers",
-            "the times ['', '1']",
+            "the times ['x', '1.0'] from number 1 on; expected finite numbers",
+            "the times [None, 1.0]",
             "no times; next: state start_frame and end_frame",
             "names it",
             "names 'c'",

@@ -24,6 +24,7 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import RoundTruth
+from tests.realtouch.found import per_frame
 
 FORCE = "observation.force_n"
 
@@ -88,9 +89,9 @@ def test_columns_with_an_entry_per_touch_are_features(single_folder: Path, tmp_p
     np.testing.assert_allclose(episode[f"stats/{FORCE}/min"], np.nanmin(expected[5:10], 0), rtol=1e-12)
     recordings = found(find_lerobot, tmp_path / "out" / "lerobot")
     for number, each in enumerate(recordings):
-        np.testing.assert_array_equal(each.per_frame["force_n"], expected[5 * number : 5 * number + 5])
-        assert each.per_frame["note"].tolist() == ["a", "", "c", "d", "e"]
-        assert each.per_frame["good/bad"].tolist() == is_good[number]
+        np.testing.assert_array_equal(per_frame(each, "force_n"), expected[5 * number : 5 * number + 5])
+        assert per_frame(each, "note").tolist() == ["a", None, "c", "d", "e"]
+        assert per_frame(each, "good/bad").tolist() == is_good[number]
 
 
 def test_columns_with_an_entry_per_frame_are_features(
@@ -114,9 +115,9 @@ def test_columns_with_an_entry_per_frame_are_features(
     np.testing.assert_array_equal(frames["observation.temperature"].to_numpy(), repeated)
     recordings = found(find_lerobot, tmp_path / "out" / "lerobot")
     for each, touch, value in zip(recordings, chain(*force), chain(*warmth), strict=True):
-        np.testing.assert_array_equal(each.per_frame["force_n"], touch)
+        np.testing.assert_array_equal(per_frame(each, "force_n"), touch)
         assert each.values["temperature"] == value
-        assert each.per_frame["state"].tolist() == list(range(each.frames))
+        assert per_frame(each, "state").tolist() == list(range(each.frames))
 
 
 def test_vectors_of_another_length_are_named(single_folder: Path, tmp_path: Path) -> None:
@@ -210,6 +211,6 @@ def test_columns_are_arrays_of_groups(
     realtouch.export(with_extras(seq_folder, tmp_path / "home", columns), tmp_path / "out", layout)
     recordings = found(find, tmp_path / "out" / layout)
     for each, force_n, *both in zip(recordings, chain(*force), chain(*warmth), chain(*note), strict=True):
-        np.testing.assert_array_equal(each.per_frame["force_n"], force_n)
+        np.testing.assert_array_equal(per_frame(each, "force_n"), force_n)
         for name, value in zip(("temperature", "note"), both, strict=True):
-            np.testing.assert_array_equal(each.values[name], value or "")  # of a text that is missing
+            np.testing.assert_array_equal(each.values[name], value)

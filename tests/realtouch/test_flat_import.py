@@ -15,16 +15,18 @@ import pytest
 
 import realtouch
 from realtouch.exchange.flat_import import find_flat, stored_images
-from realtouch.importing.found_touches import FoundTouch
+from realtouch.importing.found_touches import FoundTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError
+from tests.realtouch.found import each_of
 from tests.realtouch.images_of_others import picture, spoiled
 
 JPEGS = [picture(level) for level in range(0, 240, 20)]
 
 
-def found(home: Path, **columns: Any) -> list[FoundTouch]:
-    return list(find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None))
+def found(home: Path, **columns: Any) -> FoundTouches:
+    parts = find_flat(store.open_folder(str(home)), realtouch.ImportColumns(**columns), None)
+    return FoundTouches.joined(list(parts))
 
 
 def write(
@@ -53,25 +55,25 @@ def test_rows_of_others_are_touches(form: str, tmp_path: Path) -> None:
     write(tmp_path, "more/part.parquet", tactile=kinds[form], **others)
     touches = found(tmp_path)
     assert len(touches) == 24
-    for number, touch in enumerate(touches):
+    for number, touch in enumerate(each_of(touches)):
         row = number % 12
         split = {"split": "train"} if number < 12 else {}
-        values = {name: column[row] for name, column in others.items()}
+        values = {name: column[row] for name, column in others.items() if column[row] is not None}
         assert touch.values == {**split, **values}
         assert touch.problem is None
     stem = "data/train-00000-of-00001"
     expected = [f"{stem}_{row:06d}" if form != "struct" or row == 3 else f"{row}.jpg" for row in range(12)]
-    assert [touch.name for touch in touches[:12]] == expected
+    assert touches.where["name"].to_pylist()[:12] == expected
     assert list(stored_images(touches)) == JPEGS * 2
     order = np.random.default_rng(2).permutation(24).tolist()
-    assert list(stored_images([touches[each] for each in order])) == [JPEGS[each % 12] for each in order]
+    assert list(stored_images(touches.take(np.array(order)))) == [JPEGS[each % 12] for each in order]
     (tmp_path / "more" / "part.parquet").rename(tmp_path / "only.parquet")
     assert len(found(tmp_path / "only.parquet")) == 12
 
 
 def test_a_table_of_nothing_but_pictures(tmp_path: Path) -> None:
     write(tmp_path, picture=pa.array(JPEGS))
-    assert [touch.values for touch in found(tmp_path)] == [{"split": "train"}] * 12
+    assert [touch.values for touch in each_of(found(tmp_path))] == [{"split": "train"}] * 12
 
 
 def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
@@ -84,7 +86,7 @@ def test_one_of_several_columns_of_pictures_is_chosen(tmp_path: Path) -> None:
         found(tmp_path, image="rigt")
     touches = found(tmp_path, image="right")
     assert list(stored_images(touches)) == JPEGS[::-1]
-    assert touches[0].values == {"label": "a", "split": "train"}
+    assert each_of(touches)[0].values == {"label": "a", "split": "train"}
     write(tmp_path, label=["a"])
     with pytest.raises(InputError, match="the columns of pictures none among label; expected one"):
         found(tmp_path)

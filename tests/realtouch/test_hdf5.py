@@ -10,11 +10,12 @@ import numpy as np
 import pytest
 
 import realtouch
-from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.mutations import mutated
+from tests.realtouch.found import per_frame
 
 h5py = pytest.importorskip("h5py", reason="needs h5py, of the extra hdf5")
 
@@ -56,7 +57,7 @@ def test_each_group_with_the_pictures_is_an_episode(tmp_path: Path) -> None:
     for each, number in zip(found, (0, 2, 10), strict=True):
         assert each.values == {"env": "bench", "gain": [1.0, 2.5], "label": number}
         assert {*each.per_frame} == {"obs/force_n"}
-        np.testing.assert_array_equal(each.per_frame["obs/force_n"], FORCE + number)
+        np.testing.assert_array_equal(per_frame(each, "obs/force_n"), FORCE + number)
         np.testing.assert_array_equal(each.time_s, TIMES)
         assert each.left_out == ("obs/far (5, 300)",)
     assert recordings(tmp_path)[0].name == "data/demo_0"
@@ -177,7 +178,7 @@ def test_whatever_a_file_holds_ends_in_recordings_or_a_sentence(tmp_path: Path) 
         source.write_bytes(mutated(whole, seed))
         try:
             for found in recordings(source):
-                list(IMPORTS["hdf5"].contents([found.clip(0, found.frames, found.name)]))
+                list(IMPORTS["hdf5"].contents([found.place(0, found.frames)]))
         except ToolkitError:
             refused += 1
     assert 0 < refused < 2000

@@ -17,15 +17,15 @@ from hypothesis import given, settings, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
-from realtouch.importing import found_touches, imported_clips
-from realtouch.importing.extra_columns import extra_arrays, extra_types, value_type
-from realtouch.importing.fields import poses, positions, times_s
-from realtouch.importing.found_touches import FoundTouch, ImportFormat
-from realtouch.importing.recordings import Recording
+from realtouch.importing import fields, formats, imported_clips
+from realtouch.importing.extra_columns import extra_arrays, extra_types
+from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch.importing.recordings import Recording, touches_of
+from tactile_toolkit import column_types
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.command_line import call
-from tests.realtouch import factories
+from tests.realtouch import factories, found
 from tests.realtouch.images_of_others import picture, write_table
 
 NAMES = ("x", "y", "z", "a", "b", "c")
@@ -34,13 +34,21 @@ PLACES = SEED.uniform(-0.1, 0.1, (20, 3))
 TURNS = Rotation.random(20, random_state=7)
 
 
+def poses(said: dict[str, Any], columns: realtouch.ImportColumns) -> np.ndarray:
+    return fields.poses(found.columns(said), columns)
+
+
+def times_s(said: Any, columns: realtouch.ImportColumns) -> np.ndarray:
+    return fields.times_s(found.columns({"t": said})["t"], columns)
+
+
 def columns_of(values: Any, names: Iterable[str]) -> dict[str, list[Any]]:
     return {name: column.tolist() for name, column in zip(names, np.transpose(values), strict=True)}
 
 
-def assert_poses(found: Any, places: Any, turns: Rotation) -> None:
-    np.testing.assert_allclose(found[:, :3], places, rtol=0, atol=1e-12)
-    assert (Rotation.from_quat(found[:, 3:]) * turns.inv()).magnitude().max() < 1e-9
+def assert_poses(made: Any, places: Any, turns: Rotation) -> None:
+    np.testing.assert_allclose(made[:, :3], places, rtol=0, atol=1e-12)
+    assert (Rotation.from_quat(made[:, 3:]) * turns.inv()).magnitude().max() < 1e-9
 
 
 @pytest.mark.parametrize("sequence", ["xyz", "ZYX", "zxz", "XYX", "yxz"])
@@ -50,8 +58,8 @@ def test_euler_angles_are_those_of_scipy(sequence: str, unit: str, scale: float,
     angles = SEED.uniform(-3, 3, (20, 3))
     names = (*NAMES[:3], *(f"{name}_{unit}" if stated else name for name in NAMES[3:]))
     columns = realtouch.ImportColumns(pose=names, euler=sequence, angle_unit=None if stated else unit)  # type: ignore[arg-type]
-    found = poses(columns_of(np.hstack([PLACES, scale * angles]), names), columns)
-    assert_poses(found, PLACES, Rotation.from_euler(sequence, angles))
+    made = poses(columns_of(np.hstack([PLACES, scale * angles]), names), columns)
+    assert_poses(made, PLACES, Rotation.from_euler(sequence, angles))
 
 
 @pytest.mark.parametrize("one", [True, False])
@@ -78,7 +86,7 @@ def test_rotations_of_every_kind(what: str, one: bool) -> None:
         )
         return
     columns = realtouch.ImportColumns(pose=("pose",), **options)
-    forms: list[Any] = [values, values.tolist(), [str(row) for row in values.tolist()], list(values)]
+    forms: list[Any] = [values, values.tolist(), [str(row) for row in values.tolist()]]
     if what in ("3x4", "4x4"):
         nested = matrices[:, : int(what[0])]
         forms += [nested, nested.tolist(), [str(row) for row in nested.tolist()]]
@@ -119,18 +127,18 @@ def test_a_frame_leads_to_the_cell(form: str, tmp_path: Path) -> None:
     base_turns = Rotation.from_matrix(there[:3, :3]) * TURNS
     given: Any = frame if form == "array" else place
     columns = realtouch.ImportColumns(pose=("pose",), frame=given)
-    found = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
-    assert_poses(found, PLACES, TURNS)
+    made = poses({"pose": np.hstack([base_places, base_turns.as_quat()])}, columns)
+    assert_poses(made, PLACES, TURNS)
     with pytest.raises(ItemError, match="--frame another frame"):
         poses({"pose": np.hstack([base_places + 1, base_turns.as_quat()])}, columns)
     with pytest.raises(InputError, match="the frame tilts"):
-        positions({"p": PLACES[:, :2]}, replace(columns, position=("p",)))
+        fields.positions(found.columns({"p": PLACES[:, :2]}), replace(columns, position=("p",)))
     upright = transform()
     upright[:3, :3] = Rotation.from_rotvec([0, 0, 1.0]).as_matrix()
     away = np.linalg.inv(upright)
     xy = (PLACES @ away[:3, :3].T + away[:3, 3])[:, :2]
     turned = realtouch.ImportColumns(position=("p",), frame=upright)  # type: ignore[arg-type]
-    np.testing.assert_allclose(positions({"p": xy}, turned), PLACES[:, :2], atol=1e-12)
+    np.testing.assert_allclose(fields.positions(found.columns({"p": xy}), turned), PLACES[:, :2], atol=1e-12)
 
 
 @pytest.mark.parametrize(
@@ -189,7 +197,7 @@ def test_columns_that_do_not_say_what_they_are(options: dict[str, Any], words: s
         ([0, 0, 0, 0, 0, 90], {"rotvec": True}, "turns more than twice; .*--angle-unit"),
         (np.diag([1, 1, -1, 1]).tolist(), {}, "no rigid transform"),
         ((2 * np.eye(4)).tolist(), {}, "no rigid transform"),
-        (np.zeros((2, 6)).tolist(), {}, "expected 7 finite numbers"),
+        (np.zeros((2, 6)).tolist(), {}, "no rigid transform"),
         (None, {}, "expected 7 finite numbers"),
         ({"x": 1}, {}, "expected 7 finite numbers"),
         ([[]], {}, "expected 7 finite numbers"),
@@ -219,83 +227,10 @@ def test_times_are_read_to_a_microsecond(seconds: list[float], unit: str) -> Non
 def test_times_may_be_points_in_time() -> None:
     stamps = np.array(["2024-05-01T12:00:00.25", "2024-05-01T12:00:01.5"], "datetime64[us]")
     np.testing.assert_allclose(np.diff(times_s(stamps, realtouch.ImportColumns())), [1.25], atol=1e-6)
-    with pytest.raises(ItemError, match="a time is missing"):
+    with pytest.raises(ItemError, match=r"the times \[None\] from number 1"):
         times_s(np.array(["NaT"], "datetime64[us]"), realtouch.ImportColumns())
     with pytest.raises(ItemError, match="expected finite numbers"):
         times_s(["noon"], realtouch.ImportColumns())
-
-
-def test_mapped_names(tmp_path: Path) -> None:
-    lines = tmp_path / "columns.txt"
-    lines.write_text("# of the glove\nround = session \n\nforce_n=Fz\n")
-    found = realtouch.ImportColumns(length_unit="mm").with_mapped(
-        ["label=class", "pose=x, y,z,qx,qy,qz,qw", f"@{lines}", "object=", "a=b=c", "temperature="]
-    )
-    assert (found.label, found.round, found.object_id, found.length_unit) == ("class", "session", "", "mm")
-    assert found.pose == ("x", "y", "z", "qx", "qy", "qz", "qw")
-    assert found.extra == (("force_n", "Fz"), ("a", "b=c"), ("temperature", ""))
-    assert found.names() == ["class", "session", *found.pose, "Fz", "b=c"]
-
-
-@pytest.mark.parametrize(
-    ("pairs", "words"),
-    [
-        (["label"], "--map has 'label'; expected NAME=COLUMN"),
-        (["=x"], "expected NAME=COLUMN"),
-        (["lable=x"], "'lable', which is none of image, .*did you mean 'label'"),
-        (["object_id=x"], "did you mean 'object'"),
-        (["label=x", "label=y"], "names 'label' twice"),
-        (["@nothing.txt"], "cannot be read"),
-        (["a\tb=x"], "that can be printed"),
-        (["pose=x,y,z"], "3 pose columns"),
-    ],
-)
-def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
-    with pytest.raises(InputError, match=words):
-        realtouch.ImportColumns().with_mapped(pairs)
-
-
-@pytest.mark.parametrize(
-    ("values", "data_type"),
-    [
-        ([True, None, False], pa.bool_()),
-        (["true", "", "False"], pa.bool_()),
-        ([1, None, -3], pa.int64()),
-        (["1", " 22", "", "-3"], pa.int64()),
-        (["007", "3"], pa.string()),
-        ([1, 2.5], pa.float64()),
-        (["1", "2.5", "1e-3", "nan"], pa.float64()),
-        (["100000000000000000000", "inf"], pa.string()),
-        (["9007199254740993", "0.5"], pa.string()),
-        ([9007199254740993, 0.5], pa.string()),
-        ([10**400, 0.5], pa.string()),
-        (["9" * 5000, "0.5"], pa.string()),
-        (["1e400", "1"], pa.string()),
-        (["1,5", "2,25"], pa.float64()),
-        ([1 << 63], pa.string()),
-        (["9" * 19], pa.string()),
-        (["1_0"], pa.string()),
-        (["a", "1"], pa.string()),
-        ([1, "a"], pa.string()),
-        ([True, 1], pa.string()),
-        ([np.float32(1), None], pa.float64()),
-        ([[1, 2], [], None], pa.list_(pa.int64())),
-        ([[1, 2.5], (3,)], pa.list_(pa.float64())),
-        ([np.eye(2), [[1, None]]], pa.list_(pa.float64())),
-        ([[[[1]]]], pa.list_(pa.int64())),
-        ([[[1, 2], [3]]], None),
-        ([[[1, 2], 3]], None),
-        ([["a"], [None]], pa.list_(pa.string())),
-        ([None, "", " "], None),
-        ([{"a": 1}], None),
-        ([b"a"], None),
-        ([[1], 2], None),
-        ([["\ud800"]], None),
-        ([[[[[[[1]]]]]]], None),
-    ],
-)
-def test_types_of_extra_columns(values: list[Any], data_type: pa.DataType | None) -> None:
-    assert value_type(values) == data_type
 
 
 def test_extra_columns_of_a_table_are_kept(
@@ -303,19 +238,20 @@ def test_extra_columns_of_a_table_are_kept(
 ) -> None:
     lines = [
         {"file": f"pictures/{number}.jpg", "label": "cat", "Fz": force, "note": note, "ok": "TRUE",
-         "id": number, "t_ms": 1500 * number, "empty": ""}
-        for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0,25", "d")])
+         "id": number, "t_ms": 1500 * number, "empty": "", "mass": "1,234"}
+        for number, (force, note) in enumerate([("1.5", "a"), ("", "b, c"), ("-2", ""), ("0.25", "d")])
     ]  # fmt: skip
     write_table(home, lines)
     words = ("--map", "force_n=Fz", "--map", "time=t_ms", "--out", tmp_path / "out", "-w", 1)
     assert call("realtouch", "import", home, "--format", "folder", *words) == 0
     rows = pq.read_table(tmp_path / "out" / "data")
     assert [name for name in rows.column_names if name.startswith("extra.")] == [
-        "extra.force_n", "extra.note", "extra.ok", "extra.time_s"
+        "extra.force_n", "extra.note", "extra.ok", "extra.mass", "extra.time_s"
     ]  # fmt: skip
     assert rows["extra.force_n"].to_pylist() == [[1.5], [None], [-2.0], [0.25]]
     assert rows["extra.note"].to_pylist() == [["a"], ["b, c"], [None], ["d"]]
     assert rows["extra.ok"].to_pylist() == [[True]] * 4
+    assert rows["extra.mass"].to_pylist() == [["1,234"]] * 4  # which may be a thousand
     assert rows["extra.time_s"].to_pylist() == [[0.0], [1.5], [3.0], [4.5]]
     said = capsys.readouterr().err
     assert "fields that were not imported, with their numbers of touches: id (4)" in said
@@ -348,14 +284,14 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     """Import recordings that are in memory; returns the imported rounds of the split ``train``."""
 
     def make(
-        found: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
+        every: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
     ) -> Any:
-        def encoded(items: Iterable[FoundTouch]) -> Iterator[Any]:
-            for item in items:
-                yield from pictures[item.path][item.start : item.start + max(1, item.frames)]
+        def encoded(places: Iterable[Place]) -> Iterator[Any]:
+            for place in places:
+                yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 
-        layout = ImportFormat(lambda *_: iter(found), encoded, "whole", 1)
-        monkeypatch.setitem(found_touches.IMPORTS, "replay", layout)
+        layout = formats.ImportFormat(lambda *_: iter(every), encoded, "whole", True)
+        monkeypatch.setitem(formats.IMPORTS, "replay", layout)
         (tmp_path / "source").mkdir(exist_ok=True)
         manifest = realtouch.import_touches(
             tmp_path / "source", tmp_path / "out", "replay", columns, **options
@@ -367,6 +303,7 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
 
 
 def recording(name: str, frames: int, **said: Any) -> Recording:
+    said["per_frame"] = found.columns(said.pop("per_frame", {}))
     return Recording(name, "memory", name, "", 0, frames, 700, **said)
 
 
@@ -417,9 +354,8 @@ def test_clips_hold_what_the_recording_said(recordings: Any, tmp_path: Path) -> 
 def test_known_contact_and_times_of_a_column(recordings: Any) -> None:
     pictures = {"a": frames_of(6, range(1, 3))}
     said = recording("a", 6, per_frame={"stamp_ms": np.arange(6) * 40.0 + 7e9})
-    found = said.clip(0, 6, "a", contact=(2, 4))
     columns = realtouch.ImportColumns(time="stamp_ms")
-    (only,), manifest = recordings([found], pictures, columns)
+    (only,), manifest = recordings([replace(said, contact=(2, 4))], pictures, columns)
     assert only.sensor_video[0].contact_window == slice(2, 5)
     assert only.sensor_video[0].fps == 25
     assert "clips" not in manifest.statistics().get("train", {})
@@ -488,7 +424,7 @@ def test_a_format_may_state_rotation_vectors() -> None:
     assert_poses(poses({"wrist": np.hstack([PLACES, TURNS.as_rotvec()])}, columns), PLACES, TURNS)
     stated = realtouch.ImportColumns(pose=("wrist",), euler="xyz", angle_unit="rad").found_in([], rotvec=True)
     assert (stated.euler, stated.rotvec) == ("xyz", False)
-    assert found_touches.IMPORTS["oxt"].rotvec
+    assert formats.IMPORTS["oxt"].rotvec
 
 
 def test_contact_of_a_long_clip_is_found_by_some_of_its_pictures(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -518,28 +454,26 @@ def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
         kind = st.lists(kind, min_size=1, max_size=3)
     values = data.draw(st.lists(st.none() | kind, min_size=1, max_size=6).filter(any_is_known))
     columns = realtouch.ImportColumns(extra=(("new", "x"),))
-    touches = [FoundTouch("a", "", "", 0, 0, {"x": value}) for value in values]
-    assert kept(touches, columns) == ("extra.new", values)
-    pictures = [Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": as_objects(values)})]
-    assert kept([pictures[0].clip(0, len(values), "a")], columns) == ("extra_seq.new", [values])
+    column = column_types.from_values(values)
+    assert kept(touches({"x": column}), columns) == ("extra.new", values)
+    pictures = Recording("a", "", "", "", 0, len(values), 1, per_frame={"x": column})
+    assert kept(touches_of(pictures, "whole"), columns) == ("extra_seq.new", [values])
     if not any(isinstance(value, list) for value in values):
-        words = [FoundTouch("a", "", "", 0, 0, {"x": "" if each is None else str(each)}) for each in values]
-        assert kept(words, columns) == ("extra.new", values)
+        words = pa.array(["" if each is None else str(each) for each in values])
+        assert kept(touches({"x": column_types.from_text(words)}), columns) == ("extra.new", values)
 
 
 def any_is_known(values: list[Any]) -> bool:
     return any(value is not None for value in values)
 
 
-def as_objects(values: list[Any]) -> np.ndarray:
-    made = np.empty(len(values), object)
-    made[:] = values
-    return made
+def touches(said: dict[str, pa.Array]) -> FoundTouches:
+    return FoundTouches.of(["a"] * len(said["x"]), "", "", said)
 
 
-def kept(items: list[FoundTouch], columns: realtouch.ImportColumns) -> tuple[str, Any]:
-    ((name, data_type),) = extra_types(items, columns).items()
-    (array,) = extra_arrays(items, columns, {name: data_type})
+def kept(every: FoundTouches, columns: realtouch.ImportColumns) -> tuple[str, Any]:
+    ((name, data_type),) = extra_types(every, columns).items()
+    (array,) = extra_arrays(every, columns, {name: data_type})
     return name, array.to_pylist()
 
 

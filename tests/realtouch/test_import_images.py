@@ -14,7 +14,8 @@ import pytest
 from PIL import Image, ImageOps
 
 import realtouch
-from realtouch.importing.found_touches import IMPORTS, FoundTouch
+from realtouch.importing.formats import IMPORTS
+from realtouch.importing.found_touches import Place
 from tactile_toolkit.errors import SpecMismatchError
 from tests.realtouch.images_of_others import line, picture, write_table
 from tests.tactile_toolkit.toy import folder_bytes
@@ -33,10 +34,10 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     assert len(set(digests)) == 2
     assert None not in digests
 
-    def noted(items: Iterator[FoundTouch]) -> Iterator[bytes | Exception]:
+    def noted(items: Iterator[Place]) -> Iterator[bytes | Exception]:
         every = list(items)
         for item, content in zip(every, contents(iter(every)), strict=True):
-            read.append(item.name)
+            read.append(item.path)
             yield content
 
     monkeypatch.setitem(IMPORTS, "folder", replace(IMPORTS["folder"], contents=noted))

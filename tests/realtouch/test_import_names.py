@@ -1,4 +1,4 @@
-"""Classes, rounds and splits of imported touches keep their names, whatever those are."""
+"""Classes, rounds and splits of imported touches keep their names, whatever those are; columns are mapped."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
+from tactile_toolkit.errors import InputError
 from tests.command_line import call
 from tests.realtouch.images_of_others import line, picture, write_table, write_tar
 
@@ -112,3 +113,33 @@ def test_stored_text_that_is_not_unicode(
     for command in ("verify", "info", "card"):
         assert call("realtouch", command, tmp_path / "out") == 3, command
         assert "class names among them" in capsys.readouterr().err
+
+
+def test_mapped_names(tmp_path: Path) -> None:
+    lines = tmp_path / "columns.txt"
+    lines.write_text("# of the glove\nround = session \n\nforce_n=Fz\n")
+    found = realtouch.ImportColumns(length_unit="mm").with_mapped(
+        ["label=class", "pose=x, y,z,qx,qy,qz,qw", f"@{lines}", "object=", "a=b=c", "temperature="]
+    )
+    assert (found.label, found.round, found.object_id, found.length_unit) == ("class", "session", "", "mm")
+    assert found.pose == ("x", "y", "z", "qx", "qy", "qz", "qw")
+    assert found.extra == (("force_n", "Fz"), ("a", "b=c"), ("temperature", ""))
+    assert found.names() == ["class", "session", *found.pose, "Fz", "b=c"]
+
+
+@pytest.mark.parametrize(
+    ("pairs", "words"),
+    [
+        (["label"], "--map has 'label'; expected NAME=COLUMN"),
+        (["=x"], "expected NAME=COLUMN"),
+        (["lable=x"], "'lable', which is none of image, .*did you mean 'label'"),
+        (["object_id=x"], "did you mean 'object'"),
+        (["label=x", "label=y"], "names 'label' twice"),
+        (["@nothing.txt"], "cannot be read"),
+        (["a\tb=x"], "that can be printed"),
+        (["pose=x,y,z"], "3 pose columns"),
+    ],
+)
+def test_mapped_names_that_cannot_be_used(pairs: list[str], words: str) -> None:
+    with pytest.raises(InputError, match=words):
+        realtouch.ImportColumns().with_mapped(pairs)

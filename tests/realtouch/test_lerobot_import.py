@@ -16,11 +16,13 @@ import pytest
 
 import realtouch
 from realtouch.exchange.lerobot_import import describe_conversion, encoded_frames, find_lerobot
+from realtouch.importing.found_touches import FoundTouches
 from realtouch.importing.recordings import Recording, touches_of
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
 from tactile_toolkit.touch import decode_image
 from tests.realtouch.factories import FPS
+from tests.realtouch.found import per_frame
 from tests.realtouch.images_of_others import spoiled
 from tests.realtouch.lerobot_sets import CAMERA, TASKS, Truth, write_json, write_lerobot
 
@@ -51,9 +53,8 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
         np.testing.assert_array_equal(recording.time_s, columns["frame_index"] / FPS)
         known = {"timestamp", "frame_index", "episode_index", "index", "task_index"}
         assert recording.per_frame.keys() == columns.keys() - known
-        for name, values in recording.per_frame.items():
-            np.testing.assert_array_equal(values, columns[name], err_msg=name)
-            assert name == "note" or values.dtype == columns[name].dtype
+        for name in recording.per_frame:
+            np.testing.assert_array_equal(per_frame(recording, name), columns[name], err_msg=name)
         if dtype == "image":
             assert pictures(recording) == truth.jpegs[number]
             assert pictures(recording, "frames") == truth.jpegs[number]
@@ -62,7 +63,7 @@ def test_episodes_of_others_are_recordings(version: str, dtype: str, tmp_path: P
         shown = np.stack(list(map(decode_image, pictures(recording)))).astype(int)
         assert shown.shape == truth.pixels[number].shape
         assert np.abs(shown - truth.pixels[number]).mean() < 4  # the bar at another place makes 15 and more
-    items = [item for recording in recordings for item in touches_of(recording, "frames")]
+    items = FoundTouches.joined([touches_of(recording, "frames") for recording in recordings])
     backwards = list(encoded_frames(items[::-1]))
     assert backwards == [each for recording in recordings for each in pictures(recording)][::-1]
     assert bool(describe_conversion(items)) == (dtype == "video")
@@ -98,7 +99,7 @@ def test_several_tasks_in_an_episode_are_those_of_its_frames(tmp_path: Path) -> 
     truth.columns[0]["task_index"][3:] = 1
     write_lerobot(tmp_path, truth=truth)
     first, second, _ = found(tmp_path)
-    assert first.per_frame["task"].tolist() == [*[TASKS[0]] * 3, *[TASKS[1]] * 2]
+    assert first.per_frame["task"].to_pylist() == [*[TASKS[0]] * 3, *[TASKS[1]] * 2]
     assert (first.values.get("task"), second.values["task"]) == (None, TASKS[1])
 
 
@@ -119,10 +120,10 @@ def test_missing_values_stay_missing_and_times_are_as_stated(tmp_path: Path) -> 
     (only,) = found(tmp_path)
     assert only.time_s is not None
     np.testing.assert_array_equal(only.time_s, truth.columns[0]["timestamp"].astype(np.float64))
-    np.testing.assert_array_equal(only.per_frame["count"], [1, np.nan, 3, 4])
-    assert only.per_frame["text"].tolist() == ["a", None, "c", "d"]
-    np.testing.assert_array_equal(only.per_frame["vector"], [[1, 2], [np.nan] * 2, [3, np.nan], [5, 6]])
-    assert only.per_frame["marker"].shape == (4, 2, 2)
+    np.testing.assert_array_equal(per_frame(only, "count"), [1, np.nan, 3, 4])
+    assert per_frame(only, "text").tolist() == ["a", None, "c", "d"]
+    np.testing.assert_array_equal(per_frame(only, "vector"), [[1, 2], [np.nan] * 2, [3, np.nan], [5, 6]])
+    assert per_frame(only, "marker").tolist() == [[1, 2, 3, 4]] * 4
 
 
 def drop_rows(home: Path) -> None:
@@ -170,7 +171,7 @@ def change_column(name: str, values: Callable[[pa.Table], pa.Array]) -> Callable
             change_column("timestamp", lambda rows: pa.array([0.0, None, 1, 2, 3])),
             "seconds as floats",
         ),
-        ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is object"),
+        ("image", change_column("timestamp", lambda rows: pa.array(["0"] * 5)), "'timestamp' is string"),
         ("image", change_column("episode_index", lambda rows: pa.array([0.0] * 5)), "of rising integers"),
         ("image", change_column(CAMERA, lambda rows: pa.array([1] * 5)), "no column of pictures"),
         (
@@ -335,7 +336,9 @@ def test_an_export_of_this_toolkit_comes_back(
             if kind == "single":
                 images = [bytes(record.sensor_image.encoded(touch)) for touch in chosen]
                 pose = record.gel_pose_cell_frame
-                np.testing.assert_array_equal(np.stack([recording.per_frame[name] for name in names], -1), xy)
+                np.testing.assert_array_equal(
+                    np.stack([per_frame(recording, name) for name in names], -1), xy
+                )
             else:
                 clip = record.sensor_video[chosen[0]]
                 images = [bytes(clip.encoded(frame)) for frame in range(len(clip))]
@@ -346,7 +349,7 @@ def test_an_export_of_this_toolkit_comes_back(
             seven = np.hstack([pose.position_m, pose.quaternion]).astype(np.float32)
             names = realtouch.touch_options.POSE_COLUMNS
             assert {*names} <= {*recording.per_frame} | {*realtouch.touch_options.POSITION_COLUMNS}
-            np.testing.assert_array_equal(np.stack([recording.per_frame[name] for name in names], -1), seven)
+            np.testing.assert_array_equal(np.stack([per_frame(recording, name) for name in names], -1), seven)
     assert number == len(recordings)
 
 

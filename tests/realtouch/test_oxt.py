@@ -13,12 +13,13 @@ import pytest
 
 import realtouch
 from realtouch.exchange.oxt_check import oxt_findings
-from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
 from tests.command_line import call
 from tests.mutations import mutated, with_other_numbers
+from tests.realtouch.found import per_frame
 
 zarr = pytest.importorskip("zarr", reason="needs zarr, of the extra dev")
 
@@ -161,9 +162,10 @@ def test_a_set_of_others_becomes_recordings(name: str, tmp_path: Path) -> None:
     }
     assert second.values["sub_task_instruction"] == "wipe"
     for each, part in ((first, slice(0, 4)), (second, slice(4, 7))):
-        for column, values in each.per_frame.items():
-            wanted = np.asarray(data[column][part]).reshape(values.shape)
-            np.testing.assert_array_equal(values, wanted, err_msg=column)
+        for column in each.per_frame:
+            found = per_frame(each, column)
+            wanted = np.asarray(data[column][part]).reshape(found.shape)
+            np.testing.assert_array_equal(found, wanted, err_msg=column)
         np.testing.assert_array_equal(each.time_s, data["timestamps"][part])
     assert {"right_wrist_pose", "left_tactile_data_force", "right_tactile_area_gripper"} <= {*first.per_frame}
     assert first.left_out == ("camera_ego_rgb (7, 20, 20, 3)", "left_tactile_data_tip (7, 1, 12, 16, 3)")
@@ -201,7 +203,7 @@ def test_times_are_taken_where_they_are_seconds_that_rise(tmp_path: Path) -> Non
         source = write(tmp_path / f"{number}.zarr", arrays(timestamps=times))
         first, _ = recordings(source, "right_tactile_data_gripper[0]")
         assert (first.time_s is not None) == is_known
-        np.testing.assert_array_equal(first.per_frame["timestamps"], times[:4])
+        np.testing.assert_array_equal(per_frame(first, "timestamps"), times[:4])
 
 
 def test_text_that_is_none_is_refused(tmp_path: Path) -> None:
@@ -327,7 +329,7 @@ def test_whatever_a_group_holds_ends_in_recordings_or_a_sentence(layout: str, tm
         source = zipped if path == zipped else folder
         try:
             for found in recordings(source, image, layout):
-                list(IMPORTS[layout].contents([found.clip(0, found.frames, found.name)]))
+                list(IMPORTS[layout].contents([found.place(0, found.frames)]))
         except ToolkitError:
             refused += 1
         with suppress(ToolkitError):

@@ -10,7 +10,7 @@ import pytest
 
 import realtouch
 from realtouch.exchange.exporting import ExportLayout
-from realtouch.importing.found_touches import IMPORTS
+from realtouch.importing.formats import IMPORTS
 from realtouch.importing.recognised import recognised
 from realtouch.touch_options import IMPORT_LAYOUTS
 from tactile_toolkit.errors import InputError

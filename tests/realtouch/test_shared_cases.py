@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 import realtouch
-from realtouch.importing.found_touches import path_of
+from realtouch.importing.source_files import path_of
 from tactile_toolkit.errors import InputError
 from tests.real_input import SHARED, needs_shared
 

@@ -17,17 +17,16 @@ import realtouch
 from realtouch import ImportColumns
 from realtouch.alignment_options import Alignment
 from realtouch.avi import write_avi
-from realtouch.importing.aligner import Aligner
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.extra_columns import extra_arrays, extra_types
 from realtouch.importing.recordings import Recording
 from realtouch.importing.stream_tables import Stream, open_stream, tables_by_stem
-from realtouch.importing.streams import with_streams
+from realtouch.importing.streams import Aligner, with_streams
 from realtouch.touch_options import STREAM_HEADER
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import encode_image
 from tests.mutations import mutated, with_other_numbers
+from tests.realtouch.found import columns as columns_of, cut_by, per_frame
 from tests.realtouch.made_recordings import SIZE, MadeRecording
 
 NO_COLUMNS = ImportColumns()
@@ -35,7 +34,12 @@ NO_COLUMNS = ImportColumns()
 
 def recording(time_s: np.ndarray | None, frames: int = 0, **more: Any) -> Recording:
     frames = frames or len(time_s if time_s is not None else ())
+    more["per_frame"] = columns_of(more.pop("per_frame", {}))
     return Recording("take1", "/home", "take1.mp4", "", 0, frames, 1000, time_s=time_s, **more)
+
+
+def said(found: Recording) -> dict[str, np.ndarray]:
+    return {name: per_frame(found, name) for name in found.per_frame}
 
 
 def jittered(count: int, rate: float, seed: int = 0) -> np.ndarray:
@@ -78,17 +82,17 @@ def test_forces_and_poses_get_the_times_of_the_pictures(ending: str, method: str
 
     assert list(found.per_frame) == ["exposure", "fz", "count", "ok", *columns.pose]
     nearest = np.abs(camera_s[:, None] - force_s).argmin(axis=1)
-    np.testing.assert_array_equal(found.per_frame["count"], nearest)
-    np.testing.assert_array_equal(found.per_frame["ok"], nearest > 2000)
+    np.testing.assert_array_equal(said(found)["count"], nearest)
+    np.testing.assert_array_equal(said(found)["ok"], nearest > 2000)
     of_pose = np.abs(camera_s[:, None] - pose_s).argmin(axis=1)
-    quaternion = np.column_stack([found.per_frame[name] for name in columns.pose[3:]])
+    quaternion = np.column_stack([said(found)[name] for name in columns.pose[3:]])
     if method == "nearest":
-        np.testing.assert_allclose(found.per_frame["fz"], force["fz"][nearest], rtol=0, atol=1e-12)
-        np.testing.assert_allclose(found.per_frame["x"], pose["x"][of_pose], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(said(found)["fz"], force["fz"][nearest], rtol=0, atol=1e-12)
+        np.testing.assert_allclose(said(found)["x"], pose["x"][of_pose], rtol=0, atol=1e-12)
         np.testing.assert_allclose(quaternion, turns.as_quat()[of_pose], rtol=0, atol=1e-12)
     else:
-        np.testing.assert_allclose(found.per_frame["fz"], np.sin(3 * camera_s), rtol=0, atol=2e-6)
-        np.testing.assert_allclose(found.per_frame["z"], 1 + camera_s, rtol=0, atol=1e-9)
+        np.testing.assert_allclose(said(found)["fz"], np.sin(3 * camera_s), rtol=0, atol=2e-6)
+        np.testing.assert_allclose(said(found)["z"], 1 + camera_s, rtol=0, atol=1e-9)
         rest = Rotation.from_quat(quaternion) * Slerp(pose_s, turns)(camera_s).inv()
         assert rest.magnitude().max() < 1e-9
     first, second = (dict(zip(STREAM_HEADER, each, strict=True)) for each in reports)
@@ -109,13 +113,13 @@ def test_pictures_in_gaps_have_missing_values(tmp_path: Path) -> None:
     missing = ~np.isin(np.round(time_s, 6), [0.4, *known, 1.4])
     for method in ("nearest", "linear"):
         found, (report,) = with_streams(recording(time_s), [given], Alignment(method=method), NO_COLUMNS)
-        values = found.per_frame
+        values = said(found)
         np.testing.assert_array_equal(np.isnan(values["f"]), missing | np.isin(time_s, [1.2]))
-        assert [each for each in values["n"] if each is not None] == [1, 1, 2, 3, 4]
+        assert values["n"][~np.isnan(values["n"])].tolist() == [1, 1, 2, 3, 4]
         assert [each for each in values["word"] if each is not None] == ["a", *"abcde", "e"]
         assert report[4] == str(missing.sum())
     found, _ = with_streams(recording(time_s), [given], Alignment(max_gap_ms=500.0), NO_COLUMNS)
-    assert found.per_frame["word"].tolist() == [*"aaaaaabcccdddeeeeee", None, None]
+    assert said(found)["word"].tolist() == [*"aaaaaabcccdddeeeeee", None, None]
 
 
 def test_vectors_dates_and_text(tmp_path: Path) -> None:
@@ -129,8 +133,8 @@ def test_vectors_dates_and_text(tmp_path: Path) -> None:
         Alignment(method="linear", max_gap_ms=2000.0),
         ImportColumns(pose=("pose",)),
     )
-    np.testing.assert_allclose(found.per_frame["pose"][:, 1], [0, 1.5, 3], rtol=0, atol=1e-6)
-    np.testing.assert_array_equal(found.per_frame["pose"][:, 3:], [[0, 0, 0, 1]] * 3)
+    np.testing.assert_allclose(said(found)["pose"][:, 1], [0, 1.5, 3], rtol=0, atol=1e-6)
+    np.testing.assert_array_equal(said(found)["pose"][:, 3:], [[0, 0, 0, 1]] * 3)
 
 
 def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) -> None:
@@ -140,14 +144,39 @@ def test_poses_of_other_forms_are_those_of_the_nearest_sample(tmp_path: Path) ->
         given = stream(tmp_path, columns, "take1.jsonl")
         pictures, how = recording(np.array([0.03, 0.08])), Alignment(method="linear")
         found, _ = with_streams(pictures, [given], how, ImportColumns(pose=("pose",)))
-        np.testing.assert_allclose(found.per_frame["f"], [0.3, 0.8])
-        np.testing.assert_array_equal(found.per_frame["pose"], [[0.0] * width, [1.0] * width])
+        np.testing.assert_allclose(said(found)["f"], [0.3, 0.8])
+        np.testing.assert_array_equal(said(found)["pose"], [[0.0] * width, [1.0] * width])
+
+
+@pytest.mark.parametrize(
+    ("name", "samples", "expected"),
+    [
+        ("yaw_deg", [350.0, 10.0, 20.0], [350, 355, 0, 5, 10, 15]),
+        ("yaw_deg", [170.0, -170.0, -160.0], [170, 175, -180, -175, -170, -165]),
+        ("turned_deg", [710.0, 730.0, 750.0], [710, 715, 720, 725, 730, 740]),  # which counts turns
+        ("yaw_rad", [6.2, 0.1], [6.2, None, None, None, 0.1]),
+        ("level", [350.0, 10.0], [350, 265, 180, 95, 10]),
+        ("wrist_deg", [[350.0, 0.0], [10.0, 20.0]], [[350, 0], [355, 5], [0, 10], [5, 15], [10, 20]]),
+    ],
+)
+def test_angles_are_between_samples_on_the_circle(
+    name: str, samples: list[Any], expected: list[Any], tmp_path: Path
+) -> None:
+    given = stream(tmp_path, {"time_s": [0.0, 0.4, 0.8][: len(samples)], name: samples}, "take1.jsonl")
+    times = np.array([0, 0.1, 0.2, 0.3, 0.4, 0.6][: len(expected)])
+    how = Alignment(method="linear", max_gap_ms=500.0)
+    found, _ = with_streams(recording(times), [given], how, NO_COLUMNS)
+    for value, wanted in zip(said(found)[name], expected, strict=True):
+        if wanted is None:  # in steps of a quarter of the way: 0.183 rad
+            assert value >= 6.2 or value < 0.1
+        else:
+            np.testing.assert_allclose(value, wanted, atol=1e-9)
 
 
 def test_a_row_for_each_picture_needs_no_times(tmp_path: Path) -> None:
     given = stream(tmp_path, {"force": [1.0, 2, 3]}, "take1.csv")
     found, (report,) = with_streams(recording(np.arange(3.0)), [given], Alignment(), NO_COLUMNS)
-    np.testing.assert_array_equal(found.per_frame["force"], [1, 2, 3])
+    np.testing.assert_array_equal(said(found)["force"], [1, 2, 3])
     assert report[1:6] == ("take1", "3", "0", "0", "")
     timed = stream(tmp_path, {"time_ms": [0, 40, 40], "force": [1.0, 2, 3]}, "take1.csv")
     found, _ = with_streams(recording(None, 3), [timed], Alignment(time_offset_s=1.0), NO_COLUMNS)
@@ -155,16 +184,16 @@ def test_a_row_for_each_picture_needs_no_times(tmp_path: Path) -> None:
     assert list(found.per_frame) == ["force"]
     unnamed = stream(tmp_path, {"stamp": [0, 40, 80], "force": [1.0, 2, 3]}, "take1.csv", time_unit="ms")
     found, _ = with_streams(recording(np.arange(3) / 25), [unnamed], Alignment(), NO_COLUMNS)
-    assert found.per_frame["force"].tolist() == [1, 2, 3]
+    assert said(found)["force"].tolist() == [1, 2, 3]
     asked = stream(tmp_path, {"time_ms": [5, 6, 7]}, "take1.csv", time="")
     found, _ = with_streams(recording(np.arange(3.0)), [asked], Alignment(), NO_COLUMNS)
-    np.testing.assert_array_equal(found.per_frame["time_ms"], [5, 6, 7])
+    np.testing.assert_array_equal(said(found)["time_ms"], [5, 6, 7])
 
 
 def test_duplicates_keep_the_first_and_are_counted(tmp_path: Path) -> None:
     given = stream(tmp_path, {"t_s": [0.0, 0.1, 0.1, 0.1, 0.2], "f": [0, 1, 2, 3, 4]})
     found, (report,) = with_streams(recording(np.array([0, 0.1, 0.2])), [given], Alignment(), NO_COLUMNS)
-    assert found.per_frame["f"].tolist() == [0, 1, 4]
+    assert said(found)["f"].tolist() == [0, 1, 4]
     assert report[2:4] == ("5", "2")
 
 
@@ -186,7 +215,7 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
     ):
         with_streams(recording(camera_s), [given], Alignment(), NO_COLUMNS)
     found, _ = with_streams(recording(camera_s), [given], Alignment(time_offset_s=-1.7e9), NO_COLUMNS)
-    assert found.per_frame["n"].tolist() == list(range(0, 100, 10))
+    assert said(found)["n"].tolist() == list(range(0, 100, 10))
 
 
 @pytest.mark.parametrize(
@@ -197,7 +226,7 @@ def test_an_offset_of_the_clocks_is_added(tmp_path: Path) -> None:
             {},
             r"from 0\.200000 s in row 2 to 0\.100000 s in row 3",
         ),
-        ({"time_s": [0.0, None], "f": [1, 2]}, {}, "nan.* from number 2 on; expected finite"),
+        ({"time_s": [0.0, None], "f": [1, 2]}, {}, r"\[None\] from number 2 on; expected finite"),
         ({"time": [0, 1], "f": [1, 2]}, {}, "integers, whose unit is not known"),
         ({"time": [0.0], "timestamp": [0.0]}, {}, "several columns of times: time, timestamp"),
         ({"time_s": ["0.5", "b"], "f": [1, 2]}, {}, "'b'.*expected finite"),
@@ -224,7 +253,7 @@ def test_times_that_are_none_are_refused(
         ({"time_s": [0.0, 0.1]}, 3, False, "as the recording has no times"),
         ({"time_s": [0.5, 1.5], "f": [1, 2]}, 3, True, "no picture of 'take1' gets a value"),
         ({"time_s": [0.0, 1.0], "f": [[1], [1, 2]]}, 3, True, "lists of 1, 2 values"),
-        ({"time_s": [0.0, 1.0], "f": [{"a": 1}] * 2}, 3, True, "column 'f' holds values of the type struct"),
+        ({"time_s": [0.0, 1.0], "f": [{"a": 1}] * 2}, 3, True, "column 'f' holds values of no type"),
     ],
 )
 def test_streams_that_do_not_fit_are_refused(
@@ -327,7 +356,7 @@ def test_damaged_tables_end_in_sentences(ending: str, tmp_path: Path) -> None:
         how = Alignment(method=("nearest", "linear")[seed % 2])
         try:
             with_streams(pictures, [open_stream(home, path.name, NO_COLUMNS)], how, NO_COLUMNS)
-            list(Cutter(str(path), lambda _: iter(())).touches([pictures]))
+            cut_by(Cutter(str(path), lambda _: iter(())), [pictures])
             used += 1
         except InputError:
             refused += 1
@@ -353,23 +382,19 @@ def test_a_named_column_of_times_is_that_of_the_streams_that_have_it(
         )
 
 
+def test_a_column_of_times_that_nothing_has_is_refused(takes: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no column 'nope'"):
+        realtouch.import_touches(takes, tmp_path / "out", columns=ImportColumns(time="nope"))
+
+
 def test_recordings_have_the_times_that_a_column_states(tmp_path: Path) -> None:
     aligner = Aligner([], None, ImportColumns(time="clock_ms"))
-    given = recording(None, 3, per_frame={"clock_ms": np.array([0, 40, 80])})
-    given = replace(given, home=str(tmp_path))
-    np.testing.assert_array_equal(aligner.aligned(given).time_s, [0, 0.04, 0.08])
-    broken = replace(given, per_frame={"clock_ms": np.array([0, np.nan, 80])})
+    clock = columns_of({"clock_ms": np.array([0, 40, 80, 120]), "f": np.arange(4.0)})
+    given = replace(recording(None, 4), home=str(tmp_path), per_frame=clock)
+    found = aligner.aligned(given)
+    np.testing.assert_array_equal(found.time_s, [0, 0.04, 0.08, 0.12])
+    frames = cut_by(Cutter("frames", lambda _: iter(())), [found])
+    assert [each.values["time_s"] for each in frames] == [0, 0.04, 0.08, 0.12]
+    broken = replace(given, per_frame=columns_of({"clock_ms": np.array([0, np.nan, 80, 120])}))
     assert "expected finite numbers" in str(aligner.aligned(broken).problem)
     assert aligner.aligned(replace(given, problem=ItemError("video", "cut short"))).time_s is None
-
-
-def test_frames_have_the_times_that_a_column_of_the_recording_states(tmp_path: Path) -> None:
-    aligner = Aligner([], None, ImportColumns(time="clock_ms"))
-    given = recording(None, 4, per_frame={"clock_ms": np.arange(4) * 40, "f": np.arange(4.0)})
-    given = aligner.aligned(replace(given, home=str(tmp_path)))
-    found = list(Cutter("frames", lambda _: iter(())).touches([given]))
-    assert [each.values["time_s"] for each in found] == [0, 0.04, 0.08, 0.12]
-    types = extra_types(found, ImportColumns(time="clock_ms"))
-    assert list(types) == ["extra.f", "extra.time_s"]
-    (times,) = list(extra_arrays(found, ImportColumns(time="clock_ms"), types))[1:]
-    assert times.to_pylist() == [0, 0.04, 0.08, 0.12]

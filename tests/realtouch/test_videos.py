@@ -139,7 +139,7 @@ def test_the_jpegs_of_mjpeg_are_kept(ending: str, tmp_path: Path) -> None:
     if ending == "avi":  # which takes no decoder
         with pytest.MonkeyPatch.context() as patch:
             patch.setitem(sys.modules, "av", None)
-            assert describe_conversion(list(touches_of(recordings(path)[0], "whole"))) == ""
+            assert describe_conversion(touches_of(recordings(path)[0], "whole")) == ""
     assert call("realtouch", "import", path, "--out", tmp_path / "images", "--cut", "frames") == 0
     images = realtouch.load(tmp_path / "images", "train")[0].sensor_image
     assert [bytes(images.encoded(number)) for number in range(len(images))] == packets_of(path)
@@ -370,7 +370,7 @@ def test_what_cannot_be_used_is_refused_in_a_sentence(name: str, tmp_path: Path)
     refused(tmp_path / "a.mp4", words)
     (found,) = recordings(tmp_path)
     assert found.problem is not None
-    assert [touch.problem for touch in touches_of(found, "frames")] == [found.problem]
+    assert touches_of(found, "frames").where["problem"].to_pylist() == [str(found.problem)]
 
 
 def test_references_to_other_files_are_not_followed(tmp_path: Path) -> None:
@@ -423,7 +423,7 @@ def test_a_table_says_something_of_each_video(tmp_path: Path) -> None:
     assert [each.problem and each.problem.reason for each in found] == [
         None, None, "missing", None, "duplicate", "table"
     ]  # fmt: skip
-    assert found[0].values == {"file": "mug\\1.avi", "label": "a", "force": "1.5"}
+    assert found[0].values == {"file": "mug\\1.avi", "label": "a", "force": 1.5}
     assert [each.name for each in found[:3]] == ["mug/1", "fork/2", "5"]
     (tmp_path / "other.csv").write_text("sep=;\nclip;label\n3.avi;z\n;y\n../x.avi;z\n")
     named = recordings(tmp_path, str(tmp_path / "other.csv"), image="clip")
@@ -442,7 +442,7 @@ def test_a_table_that_names_videos_in_another_column_is_not_passed_over(tmp_path
         recordings(tmp_path)
     (tmp_path / "cuts.csv").write_text("recording,start_s,end_s\n1.avi,0,0.1\n")
     (found,) = recordings(tmp_path, image="Datei")
-    assert found.values["Gegenstand"] == "Kügelchen"
+    assert found.values == {"Datei": "1.avi", "Gegenstand": "Kügelchen"}
 
 
 def test_folders_are_classes_where_they_hold_all_videos(tmp_path: Path) -> None:

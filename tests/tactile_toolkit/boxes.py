@@ -37,7 +37,7 @@ class BoxRow(MeshRow):
     width_m: float = column(pa.float64(), "m", "extent along x")
 
 
-def schema():
+def schema(_manifest=None):
     return mesh_schema(BoxRow, ("box",))
 
 

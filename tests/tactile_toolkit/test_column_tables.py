@@ -51,7 +51,7 @@ def test_quoted_lines_empty_names_and_words(monkeypatch: pytest.MonkeyPatch) -> 
     monkeypatch.setattr(column_tables, "_BLOCK_BYTES", 32)
     found = read(table(',note,code\n0,"two\nlines, a comma",007\n1,NA,1e3\n2,,x\n'))
     assert found["column_1"] == [0, 1, 2]
-    assert found["note"] == ["two\nlines, a comma", "NA", ""]
+    assert found["note"] == ["two\nlines, a comma", "NA", None]
     assert found["code"] == ["007", "1e3", "x"]
 
 

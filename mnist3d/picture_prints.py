@@ -1,0 +1,231 @@
+"""Files for printers, made from pictures."""
+
+from __future__ import annotations
+
+import glob
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mnist3d import solid
+from mnist3d.solid.step_pictures import CLAY
+from mnist3d.sources.picture_files import is_picture_name, pages_of
+from tactile_toolkit import mesh, pictures, printing, store
+from tactile_toolkit.array_types import Bool, UInt8
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.parsed_text import natural_key
+
+_VIEW_PX = (760, 560)
+_PREVIEW = "-preview.png"
+
+
+@dataclass(frozen=True)
+class PrintSpec:
+    """How pictures become solids to print.
+
+    Attributes
+    ----------
+    changes : mapping
+        Parameters of :class:`~mnist3d.SolidSpec` in place of those for pictures.
+    size : SolidSize
+        Size of each solid.
+    base_mm : float, optional
+        Thickness of the plate below each solid.
+    ink, threshold : str
+        As for :func:`mnist3d.solidify`.
+    profile : PrintProfile
+        Printer and material of the report.
+    ending : str
+        Format of the files, one of :data:`tactile_toolkit.mesh.FORMATS`.
+    preview : bool
+        Write a picture of each solid beside its file, ``NAME-preview.png``.
+    """
+
+    changes: Mapping[str, Any] = field(default_factory=dict)
+    size: solid.SolidSize = field(default_factory=solid.SolidSize)
+    base_mm: float | None = None
+    ink: str = "auto"
+    threshold: str = "auto"
+    profile: mesh.PrintProfile = field(default_factory=mesh.PrintProfile)
+    ending: str = ".stl"
+    preview: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class PrintedPicture:
+    """A file that was made from a picture: its names, the report about the solid, and notes on the picture.
+
+    ``state`` is as in :class:`tactile_toolkit.printing.Made`.
+    """
+
+    picture: str
+    file: str
+    report: mesh.PrintReport
+    notes: tuple[str, ...]
+    bytes: int
+    state: str
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values."""
+        named = {"picture": self.picture, "file": self.file, "bytes": self.bytes, "state": self.state}
+        return {**named, **self.report.to_row(), "notes": list(self.notes)}
+
+
+def print_pictures(
+    names: Sequence[str],
+    out: str,
+    spec: PrintSpec,
+    *,
+    overwrite: bool = False,
+    dry_run: bool = False,
+    workers: int = 1,
+    on_progress: printing.Progress = lambda _done, _total: None,
+) -> printing.FileExport[PrintedPicture]:
+    """Make a file of each picture, named after it; each page of a TIFF or GIF is a picture.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Pictures, and folders of pictures.
+    out : str
+        A file, whose ending is then the format, for one picture; else a folder.
+    spec : PrintSpec
+        How pictures become solids.
+    overwrite, dry_run, workers, on_progress
+        As for :func:`tactile_toolkit.printing.export_files`.
+
+    Returns
+    -------
+    FileExport
+        Files, and pictures that could not be used with the reason.
+
+    Raises
+    ------
+    InputError
+        A name is no picture or folder, two pictures have the same name, or a file is in the way.
+    """
+    found = [page for name in names for page in _pages_of(store.expanded(name))]
+    folder, ending, stems = _file_names(found, out, spec.ending)
+    endings = [ending, _PREVIEW] if spec.preview else [ending]
+    _refuse_pictures(
+        [path for path, _ in found], Path(folder), [stem + each for stem in stems for each in endings]
+    )
+    products = [
+        printing.Product(
+            stem,
+            tuple(glob.escape(stem) + each for each in endings),
+            partial(_made, path, page, stem, ending, spec),
+        )
+        for stem, (path, page) in zip(stems, found, strict=True)
+    ]
+    return printing.write_products(
+        products, folder, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
+    )
+
+
+def _refuse_pictures(pictures: Sequence[Path], folder: Path, names: Sequence[str]) -> None:
+    """Refuse to replace a picture by a file that is made of it."""
+    targets = {(folder / name).resolve() for name in names}
+    hit = next((path for path in pictures if path.resolve() in targets), None)
+    if hit is not None:
+        raise InputError(f"{str(hit)!r} is a picture and would be replaced", next="choose another --out")
+
+
+def _pages_of(path: Path) -> Iterator[tuple[Path, int]]:
+    files = [path]
+    if path.is_dir():
+        visible = (each for each in path.iterdir() if not store.is_hidden(each.name) and each.is_file())
+        files = sorted(visible, key=lambda each: (natural_key(each.name.casefold()), each.name))
+        others = [each.name for each in files if not is_picture_name(each.name)]
+        if others or not files:
+            what = f"it holds {others[0]!r}" if others else "it is empty"
+            raise InputError(
+                f"{path}: {what}; expected pictures only", next="name the pictures, or move other files away"
+            )
+    elif not path.is_file():
+        raise InputError(f"{path}: there is no such file; expected a picture", next="check the path")
+    for file in files:
+        for page in _readable_pages(file):
+            yield file, page
+
+
+def _readable_pages(file: Path) -> tuple[int, ...]:
+    try:
+        return pages_of(file)
+    except ItemError:
+        return (0,)  # the reason is stated when it is read
+
+
+def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tuple[str, str, Sequence[str]]:
+    """Return folder, ending and names of the files without it."""
+    place = store.expanded(out)
+    if place.suffix.lower() in mesh.FORMATS:
+        if len(found) != 1:
+            raise InputError(
+                f"--out is the file {out!r}, but there are {len(found):,} pictures",
+                next="give a folder, and the format by --format",
+            )
+        return str(place.parent), place.suffix.lower(), [place.stem]
+    if place.suffix:
+        raise InputError(
+            f"--out is {out!r}; expected a folder, or a file that ends in {', '.join(mesh.FORMATS)}",
+            next="change its ending",
+        )
+    paged = {path for path, page in found if page}
+    stems = [f"{path.stem}-{page + 1}" if path in paged else path.stem for path, page in found]
+    folded = [stem.casefold() for stem in stems]
+    twice = next((stem for stem, key in zip(stems, folded, strict=True) if folded.count(key) > 1), None)
+    if twice is not None:
+        raise InputError(
+            f"two pictures would make {twice + ending!r}", next="rename one, or make them in two commands"
+        )
+    return str(place), ending, stems
+
+
+def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> printing.Made[PrintedPicture]:
+    """Make the file of a picture, and its preview; ItemError if the picture cannot be used."""
+    sized = solid.sized_ink(
+        str(path), None, spec.size, changes=spec.changes, which=spec.ink, threshold=spec.threshold, page=page
+    )
+    part = printing.place_on_plate(solid.solid_of_ink(sized, spec.base_mm))
+    verdict = mesh.require_solid(part)
+    content = mesh.pack_mesh(part, ending, stem)
+    report, name = mesh.inspect(part, spec.profile), f"{stem}{ending}"
+    files = {name: content}
+    if spec.preview:
+        files = {f"{stem}{_PREVIEW}": _drawn(path.name, sized.mask, part, report), **files}
+    record = partial(PrintedPicture, str(path), name, report, sized.notes, len(content))
+
+    def check() -> None:
+        printing.require_same_solid(mesh.unpack_mesh(content, ending), part, verdict)
+
+    return printing.Made(files, record, check)
+
+
+def _drawn(name: str, mask: Bool, part: mesh.Mesh, report: mesh.PrintReport) -> bytes:
+    """Draw the ink as it was found, and the solid, as PNG."""
+    sides_m = np.ptp(part.vertices_m, axis=0)
+    px_per_m = 0.9 * min(_VIEW_PX[0] / (sides_m[0] + sides_m[2]), _VIEW_PX[1] / (sides_m[1] + sides_m[2]))
+    view = pictures.draw_bodies((pictures.DrawnBody(part, CLAY),), _VIEW_PX, px_per_m)
+    width, depth, height = report.size_mm
+    words = f"{width:.1f} x {depth:.1f} x {height:.1f} mm, {report.volume_mm3:,.0f} mm³"
+    drawn = pictures.sheet(
+        (pictures.Tile(_fitted(mask), "ink as it was found"), pictures.Tile(view, "the solid")),
+        2,
+        name,
+        (words,),
+    )
+    return pictures.png_bytes(drawn)
+
+
+def _fitted(mask: Bool) -> UInt8:
+    """Draw a mask as a picture of the height of the view."""
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    cut = mask[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1]
+    step = max(1, -(-max(cut.shape[0] * _VIEW_PX[0] // _VIEW_PX[1], cut.shape[1]) // _VIEW_PX[0]))
+    levels = np.where(cut[::step, ::step], 0, 255).astype(np.uint8)
+    return np.repeat(levels[..., None], 3, axis=2)

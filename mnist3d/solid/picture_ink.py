@@ -1,0 +1,228 @@
+"""The ink of any picture, drawn on a sheet of the size that the solid is to have."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any, NamedTuple, TypeAlias
+
+import numpy as np
+from PIL import Image
+from scipy import ndimage
+
+from mnist3d import ink
+from mnist3d.ink.bridges import thinnest_stroke_px
+from mnist3d.solid.solid_size import SolidSize
+from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
+from mnist3d.sources.picture_files import pages_of, size_of_page, upright_levels
+from mnist3d.sources.picture_levels import picture_levels, read_picture
+from tactile_toolkit import store
+from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
+from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.wording import with_count
+
+PictureLike: TypeAlias = "str | os.PathLike[str] | Image.Image | AnyArray"
+"""A file, an image of Pillow, or an array of shape (H, W), (H, W, 3) or (H, W, 4)."""
+
+THRESHOLDS = ("auto", "local", "global")
+"""Whether the light of a picture is evened out; ``"auto"`` decides for each."""
+
+LARGEST_SHEET_PX = 1000
+"""Longer side of the sheet on which large pictures are drawn again."""
+
+LARGEST_LATTICE_MM = 1.0
+"""Largest distance of the nodes of the lattice of a drawing; digits of a data set have about as much."""
+
+_FINEST_SHEET_PX = 4000
+# Specks of drawings: at least what a nozzle of 0.4 mm prints in two lines, at most those of digits. The dot
+# of an i, as large as the stroke is wide, stays.
+_LEAST_SPECK_MM2, _SPECK_PER_STROKE = 0.64, 0.5
+# Paper around the ink of a drawing that is cut out, as a share of its longer side.
+_AROUND = 0.05
+# Nodes of the lattice across a stroke, so that it is smooth.
+_NODES_PER_STROKE = 4.0
+# Most nodes of the lattice of a drawing; each takes some 20 bytes.
+_MOST_NODES = 3e7
+
+NO_CHANGES: Mapping[str, Any] = MappingProxyType({})
+"""The parameters of a specification as they are."""
+
+
+class SizedInk(NamedTuple):
+    """Clean ink on a sheet, the specification for pixels of the sheet, and what was changed on the way."""
+
+    mask: Bool
+    spec: SolidSpec
+    notes: tuple[str, ...]
+    is_fine: bool = False
+    """Whether the lattice is as fine as the strokes need, so that even parts have too many vertices."""
+
+
+def sized_ink(
+    picture: PictureLike,
+    spec: SolidSpec | None,
+    size: SolidSize,
+    *,
+    changes: Mapping[str, Any] = NO_CHANGES,
+    which: str = "auto",
+    threshold: str = "auto",
+    page: int = 0,
+) -> SizedInk:
+    """Return the ink of a picture on the sheet that becomes the solid; see :func:`mnist3d.solidify`.
+
+    Without a ``spec``, arrays of grey levels get the published one, and other pictures keep smaller specks
+    and get as many vertices as their strokes need. ``changes`` replaces parameters of the specification.
+    """
+    for name, value, known in (("ink", which, ink.INKS), ("threshold", threshold, THRESHOLDS)):
+        if value not in known:
+            raise InputError(f"{name} is {value!r}; expected one of {', '.join(known)}")
+    asked = replace(spec or SolidSpec(), **changes)
+    levels, level, notes = _levels(picture, asked, which, threshold, page)
+    sheet, pitch_mm = _on_sheet(levels, level, asked, size)
+    if sheet is not levels:
+        level = None  # the threshold of the picture does not fit resampled levels
+    quantum_mm = min(asked.vertex_quantum_mm, pitch_mm / 10)
+    fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
+    ink.require_large(sheet, fitted)
+    if spec is not None or _is_grey(picture):
+        return SizedInk(ink.cleaned_ink(sheet, fitted, level), fitted, tuple(notes))
+    before = ink.ink_of_levels(sheet, fitted.threshold)
+    fitted = for_strokes(before, fitted)
+    mask = ink.cleaned_ink(sheet, fitted)
+    is_fine = "target_vertices" not in changes
+    if is_fine:
+        fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
+    drawn = ink.ink_of_levels(levels, fitted.threshold)
+    count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
+    if count > 0:
+        notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
+    return SizedInk(mask, fitted, tuple(notes), is_fine)
+
+
+def _is_grey(picture: PictureLike) -> bool:
+    return isinstance(picture, np.ndarray) and picture.ndim == 2
+
+
+def _levels(
+    picture: PictureLike, spec: SolidSpec, which: str, threshold: str, page: int
+) -> tuple[UInt8, float | None, list[str]]:
+    """Return levels with dark ink, their threshold if it is known, and notes."""
+    if isinstance(picture, (str, os.PathLike)):
+        return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
+    if isinstance(picture, Image.Image):
+        levels = picture_levels(upright_levels(picture), which, threshold, "the picture", whole=True)
+        return levels, None, []
+    array = np.asarray(picture)
+    if array.ndim == 3:
+        image = _image_of(array)
+        return picture_levels(image, which, threshold, "the picture", whole=True), None, []
+    if threshold == "local":
+        return ink.even_out(ink.as_levels(array), which, whole=True), None, []
+    if threshold == "global" and which == "auto":
+        return *ink.dark_on_light(array, which), []
+    levels, otsu = ink.ink_levels(array, spec.threshold, which, whole=True)
+    return levels, otsu, []
+
+
+def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[UInt8, None, list[str]]:
+    pages = pages_of(path)
+    if page not in pages:
+        raise InputError(
+            f"{path} has no page {page}; it has {with_count(len(pages), 'pages')}, counted from 0",
+            next="give the number of one of them",
+        )
+    levels = read_picture(path, which, threshold, page, whole=True)
+    stored, notes = size_of_page(path, page), []
+    if max(stored) > max(levels.shape):
+        height, width = levels.shape
+        notes = [f"the picture of {stored[0]:,} x {stored[1]:,} pixels was reduced to {width:,} x {height:,}"]
+    return levels, None, notes
+
+
+def _image_of(array: AnyArray) -> Image.Image:
+    """Return an array of colours as an image: RGB or RGBA, uint8, or floats from 0 to 1."""
+    if array.shape[2] not in (3, 4) or array.dtype.kind not in "buif":
+        raise ItemError(
+            "bad-shape",
+            f"the picture has shape {array.shape} of {array.dtype}; expected (H, W), (H, W, 3) or (H, W, 4) "
+            "of numbers",
+            next="give grey levels, RGB or RGBA",
+        )
+    flat = ink.as_levels(np.ascontiguousarray(array.reshape(len(array), -1)))
+    return Image.fromarray(flat.reshape(array.shape))
+
+
+def _on_sheet(levels: UInt8, level: float | None, spec: SolidSpec, size: SolidSize) -> tuple[UInt8, float]:
+    """Draw a picture again on a sheet; return it, and the side of its pixels in mm."""
+    longest = max(levels.shape)
+    if size.pixel_mm is not None:
+        return _fitted(levels, longest * size.pixel_mm, spec, smallest=longest)
+    if size.height_mm is None and size.width_mm is None:
+        return _fitted(levels, ink.SIDE_PX * spec.pixel_pitch_mm, spec)
+    # The size is that of the ink, without paper.
+    mask = _without_specks(ink.ink_of_levels(levels, level if spec.threshold is None else spec.threshold))
+    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+    around = 1 + math.ceil(_AROUND * max(np.ptp(rows), np.ptp(columns)))
+    spans = [slice(max(0, line[0] - around), line[-1] + 1 + around) for line in (rows, columns)]
+    cut = levels[spans[0], spans[1]]
+    if size.height_mm is not None:
+        scale_mm = size.height_mm / (np.ptp(rows) + 1)
+    else:
+        scale_mm = float(size.width_mm or 0) / (np.ptp(columns) + 1)
+    return _fitted(cut, max(cut.shape) * scale_mm, spec)
+
+
+def _fitted(
+    levels: UInt8, long_mm: float, spec: SolidSpec, smallest: int = ink.SIDE_PX
+) -> tuple[UInt8, float]:
+    """Fit levels into a sheet whose side is ``long_mm``, with as many pixels as picture and solid need."""
+    half_mm = spec.half_thickness_mm
+    side = min(max(max(levels.shape), smallest), LARGEST_SHEET_PX)
+    # Half the thickness is 1 to 100 pixels.
+    finest, coarsest = int(long_mm / half_mm * LARGEST_HALF_THICKNESS_PX), math.ceil(long_mm / half_mm)
+    side = max(min(side, finest), coarsest)
+    if side > _FINEST_SHEET_PX:
+        raise InputError(
+            f"the solid would be {long_mm:,.0f} mm long and {2 * half_mm:g} mm thick; expected a length of "
+            f"at most {_FINEST_SHEET_PX * half_mm:,.0f} mm at this thickness",
+            next="make it smaller (height_mm, width_mm, pixel_mm) or thicker",
+        )
+    if side == max(levels.shape):
+        return levels, long_mm / side
+    return ink.fit(levels, side), long_mm / side
+
+
+def _without_specks(mask: Bool) -> Bool:
+    """Leave out pieces that are much smaller than the largest, which would change the size of a drawing."""
+    labels = _labels(mask)
+    areas = np.bincount(labels.ravel())
+    areas[0] = 0
+    return np.asarray((areas >= _AROUND**2 * areas.max())[labels])
+
+
+def for_strokes(mask: Bool, spec: SolidSpec) -> SolidSpec:
+    """Keep specks and pinholes that belong to thin strokes."""
+    stroke_mm = spec.pixel_pitch_mm * thinnest_stroke_px(_without_specks(mask))
+    speck_mm2 = min(max((_SPECK_PER_STROKE * stroke_mm) ** 2, _LEAST_SPECK_MM2), spec.min_speck_mm2)
+    share = speck_mm2 / max(spec.min_speck_mm2, _LEAST_SPECK_MM2)
+    return replace(spec, min_speck_mm2=speck_mm2, min_pinhole_mm2=share * spec.min_pinhole_mm2)
+
+
+def _lattice_pitch_mm(mask: Bool, spec: SolidSpec) -> float:
+    """Return the distance of the nodes of a lattice that fits into memory and on which strokes are smooth."""
+    rows, columns = (np.ptp(np.flatnonzero(mask.any(axis=axis))) + 1 for axis in (1, 0))
+    least_px = math.cbrt(rows * columns * spec.half_thickness_px / _MOST_NODES)
+    wanted_px = max(thinnest_stroke_px(mask) / _NODES_PER_STROKE, least_px)
+    return float(min(LARGEST_LATTICE_MM, spec.pixel_pitch_mm * wanted_px))
+
+
+def _labels(mask: Bool) -> Int32:
+    return np.asarray(ndimage.label(mask, np.ones((3, 3)))[0])
+
+
+def _count(mask: Bool) -> int:
+    return int(_labels(mask).max())

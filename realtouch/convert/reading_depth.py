@@ -1,0 +1,148 @@
+"""Depth from the images of a sensor that was calibrated."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from os import PathLike, fspath
+from typing import Any, Protocol, Unpack
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
+from realtouch.convert.shard_tasks import JobOptions, write_conversion
+from realtouch.depth_maps import DEPTH, DEPTH_ERROR, SUFFIX, encode_map
+from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
+from realtouch.sensor_images import SensorImages
+from realtouch.stored_round import StoredRound
+from tactile_toolkit import places, store
+from tactile_toolkit.array_types import AnyArray, Float32, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.kind import lazy
+from tactile_toolkit.touch import MEDIA_TYPE
+
+DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
+"""Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
+
+_BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
+
+_load_sensor = lazy("tactile_sim.sensor_models:SensorModel.load")
+
+
+class DepthAndError(Protocol):
+    """Depth of some images, (N, H, W), float32, metres, and its expected error."""
+
+    depth_m: Float32
+    error_m: Float32
+
+
+class DepthReader(Protocol):
+    """What reads depth from images (N, H, W, 3), uint8, such as :class:`tactile_sim.SensorModel`."""
+
+    def read_depth(self, images: UInt8, *, fast: bool = False) -> DepthAndError:
+        """Return how far each point of the gel is pressed in."""
+        ...
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return JSON values that identify the reader by its content."""
+        ...
+
+
+def add_depth(
+    source: places.Name | places.Place,
+    out: str | PathLike[str],
+    sensor: str | PathLike[str],
+    *,
+    fast: bool = False,
+    **job: Unpack[JobOptions],
+) -> store.Manifest:
+    """Add maps of depth to a data set of images, as a calibrated sensor reads them.
+
+    Each touch gains ``depth_m`` and ``depth_error_m``, maps in metres in the size of its image, stored in
+    whole micrometres; ``extra["depth_max_m"]`` and ``extra["depth_error_m"]`` are its deepest point and the
+    mean of the expected error. Everything else is copied.
+
+    Parameters
+    ----------
+    source, out, split, limit, workers, overwrite, on_progress
+        As for :func:`clips_to_images`; the source holds single images.
+    sensor : str or path
+        Folder that ``tactile-sim calibrate`` wrote.
+    fast : bool
+        Read ten times as fast, with an error about twice as large.
+
+    Returns
+    -------
+    Manifest
+
+    Raises
+    ------
+    InputError
+        The source holds clips, the folder no calibrated sensor, or as :func:`clips_to_images`.
+    IntegrityError, SpecMismatchError, StorageError
+        As :func:`clips_to_images`.
+    """
+    folder = fspath(sensor)
+    reader = _reader(folder)
+
+    def plan(opened: Source, limit: int | None) -> Conversion:
+        if opened.kind != "single":
+            raise InputError(
+                f"{opened.name!r} holds clips; expected a data set of single images",
+                next="run `realtouch clips-to-images` first, which chooses a frame of each clip",
+            )
+        options = {"sensor": reader.to_dict(), "fast": fast, "limit": limit}
+        return Conversion(opened, "depth", options, AddDepth(folder, fast), first_rows(opened, limit))
+
+    return write_conversion(source, out, plan, **job)
+
+
+@lru_cache(maxsize=1)
+def _reader(folder: str) -> DepthReader:
+    found: DepthReader = _load_sensor(folder)
+    return found
+
+
+@dataclass(frozen=True)
+class AddDepth:
+    """Step of ``depth``: the columns of a round, and maps of depth. ``sensor`` is a folder."""
+
+    sensor: str
+    fast: bool
+
+    def schema(self, source: pa.Schema) -> pa.Schema:
+        """Return the schema of the source, with the columns of depth in place of others of their names."""
+        count = getattr(column_type(source, "sensor_image"), "list_size", -1)
+        added = {
+            DEPTH: MEDIA_TYPE,
+            DEPTH_ERROR: MEDIA_TYPE,
+            DEEPEST: pa.float32(),
+            MEAN_ERROR: pa.float32(),
+        }
+        kept = [field for field in source if field.name not in added]
+        return pa.schema([*kept, *(pa.field(name, pa.list_(each, count)) for name, each in added.items())])
+
+    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+        """Read the depth of each image of a row; the images are copied."""
+        flat = flat_row(row)
+        schema = self.schema(flat.schema)
+        images = SensorImages(row)
+        maps: dict[str, list[bytes]] = {DEPTH: [], DEPTH_ERROR: []}
+        numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
+        for start in range(0, len(images), _BATCH):
+            found = _reader(self.sensor).read_depth(
+                images.batch(slice(start, start + _BATCH)), fast=self.fast
+            )
+            for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
+                maps[DEPTH].append(encode_map(depth_m))
+                maps[DEPTH_ERROR].append(encode_map(error_m))
+                numbers[DEEPEST].append(float(depth_m.max()))
+                numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
+        columns: dict[str, Any] = dict(zip(flat.column_names, flat.columns, strict=True))
+        for name, blobs in maps.items():
+            columns[name] = bytes_lists([blobs], SUFFIX, schema.field(name).type)
+        for name, values in numbers.items():
+            column: AnyArray = np.array(values, np.float32)
+            columns[name] = number_lists([column], schema.field(name).type)
+        return pa.table([columns[name] for name in schema.names], schema=schema), {}

@@ -1,0 +1,392 @@
+"""Which columns of the recordings of others mean what, in which units, imported with nothing heavy."""
+
+from __future__ import annotations
+
+import io
+import os
+import re
+from collections.abc import Collection, Iterator, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
+from tactile_toolkit.checked_fields import check_fields, choice, switch, text
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.parsed_text import comma_separated
+from tactile_toolkit.units import ANGLE, LENGTH, PER_METRE, PER_RADIAN, PER_SECOND, stated_unit
+from tactile_toolkit.wording import did_you_mean
+
+# Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
+_OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
+    ("label", "label_name"),
+    ("label", "label"),
+    ("round", "round_id"),
+    ("object_id", "object_id"),
+    ("position", POSITION_COLUMNS),
+    ("pose", POSE_COLUMNS),
+    ("pose", FOTA_POSE_COLUMNS),
+    ("split", "split"),
+)
+MAPPED = {
+    "image": "image",
+    "label": "label",
+    "round": "round",
+    "object": "object_id",
+    "position": "position",
+    "pose": "pose",
+    "split": "split",
+    "time": "time",
+}
+"""What ``--map`` names, and the fields of :class:`ImportColumns` that hold it."""
+
+Matrix = tuple[tuple[float, ...], ...]
+_OUR_IMAGES = "file"
+_LENGTHS = 3  # of these, the first so many are lengths
+_POSITION_AND_TURN = 2  # columns of a pose that are vectors
+_QUATERNION_POSE, _ANGLE_POSE, _MATRIX_POSES = 7, 6, (12, 16)
+# Of positions and poses of so many numbers, which are lengths, and which are angles.
+_PLACES = {
+    2: (range(2), range(0)),
+    _ANGLE_POSE: (range(3), range(3, 6)),
+    _QUATERNION_POSE: (range(3), range(0)),
+    **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
+}
+_EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
+_LONGEST_NAME = 100  # letters
+_CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
+_LARGEST_FILE = 1 << 20  # bytes of a file of mappings, or of a frame
+_NO_NUMBERS = re.compile(r"[\[\](){},;]")
+
+
+def read_frame(place: str | os.PathLike[str]) -> Matrix:
+    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY; InputError for others."""
+    content = _content_of(place)
+    values: Any = ()
+    with suppress(ValueError, EOFError, OSError):
+        if content.startswith(b"\x93NUMPY"):
+            import numpy as np
+
+            values = np.load(io.BytesIO(content), allow_pickle=False)
+        else:
+            words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
+            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
+    return _rigid(values, repr(os.fspath(place)))
+
+
+def _content_of(place: str | os.PathLike[str]) -> bytes:
+    """Return a small file that the user named; InputError if it cannot be read."""
+    try:
+        with Path(place).expanduser().open("rb") as stream:
+            content = stream.read(_LARGEST_FILE + 1)
+    except (OSError, ValueError) as error:
+        raise InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
+    if len(content) > _LARGEST_FILE:
+        raise InputError(f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file")
+    return content
+
+
+def _rigid(values: Any, where: str) -> Matrix:
+    """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
+    import numpy as np  # here: few commands name a frame
+
+    from tactile_toolkit.arithmetic import are_rigid
+
+    try:
+        matrix = np.array(values, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        matrix = np.empty(0)
+    if matrix.shape != (4, 4):
+        raise InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
+    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
+        raise InputError(
+            f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
+            "and the last row 0 0 0 1"
+        )
+    return tuple(map(tuple, matrix.tolist()))
+
+
+@dataclass(frozen=True, slots=True)
+class ImportColumns:
+    """Which columns of a table, fields of JSON files or arrays hold labels, positions and so on; their units.
+
+    What is not named is read from the columns that :func:`realtouch.export` and :func:`realtouch.frames`
+    write, where the source has them: ``label_name`` or ``label``, ``round_id``, ``object_id``, ``split``,
+    ``pos_in_cell_x_m`` and ``_y_m``, ``gel_x_m`` to ``gel_qw``; or the pose from those of FoTa, ``x_mm`` to
+    ``quat_w``. An empty text or tuple stands for no column. Every other column is kept as an extra one.
+
+    A column is in the unit in which its name ends: ``_mm``, ``_cm`` or ``_m``; ``_deg`` or ``_rad``; ``_s``,
+    ``_ms``, ``_us`` or ``_ns``. Else it is in ``length_unit``, ``angle_unit`` or ``time_unit``.
+
+    Attributes
+    ----------
+    image : str or None
+        Path of the image below the folder; for WebDataset, its file extension, or None for the first image of
+        a sample; for a replay buffer, its array of pixels.
+    label : str or None
+        Class: a number, or a name. Without such a column all touches have the label -1 and no class.
+    round : str or None
+        Which touches belong together; without it each is a round of its own.
+    object_id : str or None
+        Number of the touched object, an integer.
+    position : tuple of str or None
+        x and y of the intended position, cell frame; or one field that holds both.
+    pose : tuple of str or None
+        Position and orientation of the gel, cell frame: seven columns with a quaternion; six with Euler
+        angles or a rotation vector; twelve or sixteen with a matrix of 3 x 4 or 4 x 4, row by row; or one
+        field that holds all of these.
+    split : str or None
+        Split of each touch.
+    time : str or None
+        Time of each picture.
+    extra : tuple of (str, str)
+        New names of extra columns, each with the name that the source has for it; an empty one leaves the
+        column out.
+    length_unit : "mm", "cm" or "m", optional
+        Unit of lengths whose columns do not state theirs; metres by default.
+    angle_unit : "deg" or "rad", optional
+        Unit of angles whose columns do not state theirs. Euler angles need one of both; the default of a
+        rotation vector is radians.
+    time_unit : "s", "ms", "us" or "ns", optional
+        Unit of times whose column does not state its own; seconds by default.
+    quaternion_order : "xyzw" or "wxyz", optional
+        Order of the last four of a pose; ``"xyzw"`` by default.
+    euler : str or None
+        Axes of the last three of six, as SciPy has them: ``"xyz"`` about fixed axes (extrinsic), ``"XYZ"``
+        about axes that turn along (intrinsic).
+    rotvec : bool
+        The last three of six are a rotation vector: the axis times the angle.
+    frame : array of shape (4, 4), or path of a file with it; optional
+        Rigid transform from the frame of the source, such as the base of a robot, to the cell frame. Its
+        translation is in ``length_unit``; metres by default. It applies to poses and positions.
+    """
+
+    image: str | None = _OUR_IMAGES
+    label: str | None = None
+    round: str | None = None
+    object_id: str | None = None
+    position: tuple[str, ...] | None = None
+    pose: tuple[str, ...] | None = None
+    split: str | None = None
+    time: str | None = None
+    extra: tuple[tuple[str, str], ...] = ()
+    length_unit: str | None = choice(
+        None,
+        tuple(PER_METRE),
+        optional=True,
+        shown="m",
+        help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
+    )
+    angle_unit: str | None = choice(
+        None,
+        tuple(PER_RADIAN),
+        optional=True,
+        help="Unit of angles whose columns do not end in _deg or _rad.",
+    )
+    time_unit: str | None = choice(
+        None,
+        tuple(PER_SECOND),
+        optional=True,
+        shown="s",
+        help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
+    )
+    quaternion_order: str | None = choice(
+        None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
+    )
+    euler: str | None = text(
+        metavar="SEQ",
+        help="Axes of the last three of six columns of a pose: xyz about fixed axes, XYZ about turning ones.",
+    )
+    rotvec: bool = switch(False, help="The last three of six columns of a pose are a rotation vector.")
+    frame: Matrix | None = text(
+        metavar="FILE",
+        read=read_frame,
+        help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
+    )
+
+    def __post_init__(self) -> None:
+        check_fields(self, "the columns")
+        frame: Any = self.frame
+        if isinstance(frame, str | os.PathLike):
+            frame = read_frame(frame)
+        elif frame is not None:
+            frame = _rigid(frame, "of the columns")
+        for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
+            object.__setattr__(self, name, value)
+        self._check_orientation()
+        for what, names, counts in (
+            ("position", self.position or (), (2,)),
+            ("pose", self.pose or (), self.pose_sizes),
+        ):
+            if len(names) not in (0, 1, 2, *counts):
+                raise InputError(
+                    f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
+                    "one that holds a list of them, or two with the position and the orientation",
+                    next="of six numbers, --euler or --rotvec states what the last three are",
+                )
+            self.divisors(names, max(len(names), min(counts)))
+        order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
+        if sorted(order) == sorted("wxyz") and order != self.order:
+            raise InputError(
+                f"the columns of the quaternion are {', '.join((self.pose or ())[_LENGTHS:])}; expected the "
+                f"order {', '.join(self.order)}",
+                next="name them in that order, or add --quaternion-order wxyz",
+            )
+        self._check_extra()
+
+    def _check_orientation(self) -> None:
+        """Refuse several kinds of orientations, other axes, and angles of an unknown unit."""
+        stated = {
+            "--quaternion-order": self.quaternion_order,
+            "--euler": self.euler,
+            "--rotvec": self.rotvec or None,
+        }
+        given = [option for option, value in stated.items() if value is not None]
+        if len(given) > 1:
+            raise InputError(f"{' and '.join(given)} contradict each other; expected one of them")
+        if self.euler is None:
+            return
+        if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
+            raise InputError(
+                f"the Euler angles are {self.euler!r}; expected three axes such as xyz (fixed) or XYZ "
+                "(turning), neighbours different"
+            )
+        names = self.pose or ()
+        is_stated = len(names) == _ANGLE_POSE and all(map(stated_unit, names[_LENGTHS:]))
+        if names and self.angle_unit is None and not is_stated:
+            raise InputError(
+                "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
+            )
+
+    def _check_extra(self) -> None:
+        """Refuse names of extra columns that cannot be used."""
+        names = [name for name, _ in self.extra]
+        for name in names:
+            if not is_extra_name(name):
+                raise InputError(
+                    f"the extra column {name[:_LONGEST_NAME]!r}; expected a name of 1 to {_LONGEST_NAME} "
+                    "letters that can be printed"
+                )
+            if names.count(name) > 1:
+                raise InputError(f"the extra column {name!r} is named twice; expected different names")
+
+    def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
+        """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.
+
+        Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
+        another form, a name that is given twice, and one that is almost one of ``MAPPED``.
+        """
+        import difflib  # here: it takes 4 ms of every command, and few need it
+
+        found: dict[str, str] = {}
+        for name, column in _pairs(pairs):
+            if name in found:
+                raise InputError(f"--map names {name!r} twice; expected each name once")
+            close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
+            if name not in MAPPED and close:
+                raise InputError(
+                    f"--map names {name!r}, which is none of {', '.join(MAPPED)}{did_you_mean(name, MAPPED)}",
+                    next="correct it; an extra column needs a name that is less like these",
+                )
+            found[name] = column
+        changes: dict[str, Any] = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
+        for several in ("position", "pose"):
+            if several in found:
+                changes[several] = tuple(comma_separated(found[several]))
+        extra = {**dict(self.extra), **{name: found[name] for name in found if name not in MAPPED}}
+        return replace(self, **changes, extra=tuple(extra.items()))
+
+    @property
+    def image_name(self) -> str:
+        """Name that was given for images; empty by default."""
+        if self.image == _OUR_IMAGES:
+            return ""
+        return self.image or ""
+
+    @property
+    def order(self) -> str:
+        """Order of the quaternion: ``"xyzw"`` or ``"wxyz"``."""
+        return self.quaternion_order or "xyzw"
+
+    @property
+    def pose_sizes(self) -> tuple[int, ...]:
+        """How many numbers a pose may have."""
+        if self.euler is not None or self.rotvec:
+            return (_ANGLE_POSE,)
+        if self.quaternion_order is not None:
+            return (_QUATERNION_POSE,)
+        return (_QUATERNION_POSE, *_MATRIX_POSES)
+
+    def divisors(self, names: tuple[str, ...], count: int) -> tuple[float, ...]:
+        """Return what to divide the values of some columns by; InputError for conflicting units.
+
+        ``count`` is the number of values: of positions (2), or of poses.
+        """
+        found = [1.0] * count
+        lengths, angles = _PLACES[count]
+        for quantity, given, places in (
+            (LENGTH, self.length_unit, lengths),
+            (ANGLE, self.angle_unit, angles),
+        ):
+            for place in places:
+                name = ""
+                if len(names) in (1, count):
+                    name = names[place % len(names)]
+                elif len(names) == _POSITION_AND_TURN:
+                    name = names[place >= _LENGTHS]
+                if quantity is ANGLE and len(names) == 1 and stated_unit(name) not in PER_RADIAN:
+                    name = ""  # it states the unit of its lengths
+                found[place] = quantity.divisor(name, given)
+        return tuple(found)
+
+    def found_in(self, known: Collection[str], *, rotvec: bool = False) -> ImportColumns:
+        """Return these columns, completed by those of exports of this toolkit that are known.
+
+        With ``rotvec``, the format states that a pose of six numbers holds a rotation vector.
+        """
+        found: dict[str, Any] = {}
+        for field, columns in _OURS:
+            names = {columns} if isinstance(columns, str) else {*columns}
+            if getattr(self, field) is None and field not in found and names <= {*known}:
+                found[field] = columns
+        is_stated = self.euler is not None or self.quaternion_order is not None
+        return replace(self, **found, rotvec=self.rotvec or (rotvec and bool(self.pose) and not is_stated))
+
+    def names(self) -> list[str]:
+        """Return the columns that must be there."""
+        plain = (self.label, self.round, self.object_id, self.split, self.time)
+        several = (*(self.position or ()), *(self.pose or ()), *(column for _, column in self.extra))
+        return list(dict.fromkeys(filter(None, (*plain, *several))))
+
+
+def is_extra_name(name: str) -> bool:
+    """Return whether an extra column may have a name."""
+    return name.isprintable() and name == name.strip() and 0 < len(name) <= _LONGEST_NAME
+
+
+def expected_counts(counts: Sequence[int]) -> str:
+    """Return numbers as the words of a message: ``7``, or ``7, 12 or 16``."""
+    *most, last = map(str, counts)
+    return f"{', '.join(most)} or {last}" if most else last
+
+
+def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
+    """Yield the names and columns that texts ``NAME=COLUMN`` and files of them state."""
+    for word in texts:
+        lines = [word]
+        where = "--map"
+        if word.startswith("@"):
+            where = f"--map {word}"
+            content = _content_of(word[1:]).decode("utf-8-sig", errors="replace")
+            lines = [
+                line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
+            ]
+        for line in lines:
+            name, equals, column = line.partition("=")
+            if not equals or not name.strip():
+                raise InputError(
+                    f"{where} has {line[:_LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
+                    "pose=x,y,z,qx,qy,qz,qw"
+                )
+            yield name.strip(), column.strip()

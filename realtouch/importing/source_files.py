@@ -1,0 +1,225 @@
+"""Files of a source: their names, tables and pictures; nothing is read from outside of its folder."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import cache, partial
+from itertools import chain, groupby
+from operator import attrgetter
+from typing import IO, Any, NamedTuple
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.import_columns import ImportColumns
+from realtouch.importing.found_touches import FoundTouches, Place
+from tactile_toolkit import column_types, run, store
+from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.text_tables import read_text_table
+from tactile_toolkit.wording import did_you_mean
+
+IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
+
+NUMBERED = "label"
+"""The field of our own exports that numbers the classes."""
+
+# Images that are requested from a store at a time; latency dominates, as images are small.
+_FAR_READERS = 16
+_HERE = re.compile(r"^(?:\./+)+")
+_MOST_LINES = 1 << 21  # of a table of touches
+_DIGITS = re.compile(r"([0-9]{1,18})")
+
+
+def path_of(text: str) -> str:
+    """Return a path of a table or tar with slashes; programs on Windows write backslashes."""
+    path = text.strip().replace("\\", "/")
+    return _HERE.sub("", path) if path.startswith(".") else path
+
+
+def source_of(place: str) -> tuple[store.DataFolder, str]:
+    """Return the folder of a file that the user named, and its name there; it may be a link itself."""
+    if not store.is_remote(place):
+        place = os.path.realpath(place)
+    return store.split_uri(place)
+
+
+def file_or_folder(home: store.DataFolder) -> tuple[store.DataFolder, str]:
+    """Return a folder and no name, or the folder of the file that was named instead, and its name."""
+    is_file = (home.info("") or {}).get("type") == "file"
+    return source_of(home.address()) if is_file else (home, "")
+
+
+def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
+    """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
+    try:
+        return store.open_inside(folder, name)
+    except ItemError as error:
+        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+
+
+def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
+    """Return the names of visible files directly in a folder that end so; case does not matter."""
+    return [name for name in home.sizes() if name.lower().endswith(endings) and not store.is_hidden(name)]
+
+
+def natural_order(path: str) -> list[tuple[int, str]]:
+    """Return a key by which ``demo_2`` stands before ``demo_10``."""
+    return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
+
+
+def column_table(folder: store.DataFolder, name: str) -> ColumnTable:
+    """Return a table that is read in passes; IntegrityError if it is another one in a later pass."""
+    place, version = folder.address(name), folder.version(name)
+
+    def opened() -> IO[bytes]:
+        if folder.version(name) != version:
+            problem = "was replaced or changed while it was read"
+            raise IntegrityError(f"{place!r} {problem}", next="run the same command again")
+        return open_source(folder, name)
+
+    return ColumnTable(place, opened)
+
+
+class SourceTable(NamedTuple):
+    """A table of touches: a row for each, of which those in ``too_long`` have more values than columns."""
+
+    names: list[str]
+    columns: Mapping[str, pa.Array]
+    rows: int
+    too_long: frozenset[int] = frozenset()
+
+    def problem(self, row: int) -> ItemError | None:
+        """Return what is wrong with a row."""
+        if row not in self.too_long:
+            return None
+        return ItemError("columns", "the line has more values than the table has columns")
+
+    def texts(self, name: str) -> list[str]:
+        """Return a column as text; empty where nothing is said."""
+        found: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
+        return found
+
+    def values(self, row: int) -> dict[str, Any]:
+        """Return what a row says."""
+        return {name: column[row].as_py() for name, column in self.columns.items()}
+
+
+@store.without_collecting()
+def read_table(
+    folder: store.DataFolder, name: str, columns: ImportColumns, names: Iterable[str | None] = ()
+) -> SourceTable:
+    """Read a table; InputError if it cannot be read.
+
+    Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
+    ``names``; other columns have types.
+    """
+    if name.lower().endswith(TYPED_ENDINGS):
+        table = column_table(folder, name)
+        rows, _ = table.scan()
+        if rows > _MOST_LINES:
+            raise InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
+        found = table.rows(np.arange(rows)) if rows else pa.table({})
+        typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
+        return SourceTable(table.names, typed, rows)
+    with open_source(folder, name) as stream:
+        text = read_text_table(stream.read(), folder.address(name))
+    known, commas = columns.found_in(text.names), text.separator != ","
+    kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
+    numbers = {*(known.position or ()), *(known.pose or ()), known.time}
+    made = {}
+    for each, values in zip(text.names, text.columns(), strict=True):
+        column = column_types.without_blanks(pa.array(values, pa.string()))
+        if each not in kept:
+            column = column_types.from_text(column, decimal_commas=commas)
+        if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
+            column = column_types.words_of(column, decimal_commas=commas)
+        made[each] = column
+    return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
+
+
+def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
+    """Raise InputError for missing or duplicate columns."""
+    for name in wanted:
+        count = known.count(name)
+        if count != 1:
+            found = f"{count} columns {name!r}; expected one"
+            if not count:
+                found = f"no column {name!r}{did_you_mean(name, known)}"
+            raise InputError(
+                f"{where!r} has {found}; found {', '.join(known) or 'none'}",
+                next="name the column with --map, such as --map image=COLUMN for the pictures",
+            )
+
+
+def image_files(
+    home: store.DataFolder,
+    paths: Sequence[str],
+    said: Mapping[str, pa.Array],
+    problems: Mapping[int, ItemError] | None = None,
+) -> FoundTouches:
+    """Return a touch for each path of an image; a missing file is the touch's problem.
+
+    Folders are listed once: an image is opened, and checked, when it is imported.
+    """
+    found, sizes, wrong = cache(home.entries), [0] * len(paths), dict(problems or {})
+    for number, path in enumerate(paths):
+        parent, _, base = path.rpartition("/")
+        named = store.problem_of_name(path)
+        if named:
+            wrong[number] = ItemError("name", f"the name {named}; expected a path below the folder")
+            continue
+        try:
+            size = found(parent).get(base, -1)
+        except InputError:  # of a folder that may not be listed
+            size = 0
+        if size == -1:
+            wrong[number] = ItemError("missing", "the file does not exist")
+        else:
+            sizes[number] = size or 0  # of what is no file; it says so where it is read
+    # A name that is not Unicode is a problem already; here it is shown.
+    shown = [path.encode(errors="backslashreplace").decode() for path in paths]
+    return FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
+
+
+ReadContents = Callable[[Iterable[Place]], Iterator[bytes | ItemError]]
+"""Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
+
+
+def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+    """Yield the bytes of each image, in order, or why it cannot be read.
+
+    A tar is opened once for all that follow each other in it.
+    """
+    groups = (tuple(group) for _, group in groupby(places, key=attrgetter("file")))
+    first = next(groups, None)
+    if first is None:
+        return
+    threads = _FAR_READERS if store.is_remote(first[0].home) else 1
+    read = partial(_contents, cache(lambda home: (store.open_folder(home), set())))
+    for found in run.in_threads(read, chain([first], groups), threads):
+        yield from found
+
+
+def _contents(
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], places: Sequence[Place]
+) -> list[bytes | ItemError]:
+    found: list[Any] = []
+    try:
+        folder, known = open_folder(places[0].home)
+        if len(places) == 1 and not places[0].start:
+            return [store.read_inside(folder, places[0].path, places[0].size, known)]
+        with store.open_inside(folder, places[0].path, known) as stream:
+            at = 0
+            for place in places:
+                if place.start != at:
+                    stream.seek(place.start)
+                found.append(stream.read(place.size))
+                at = place.start + len(found[-1])
+    except ItemError as error:
+        found += [error] * (len(places) - len(found))
+    except (OSError, InputError):  # what they say differs between systems
+        found += [ItemError("image", "the file cannot be read")] * (len(places) - len(found))
+    return found

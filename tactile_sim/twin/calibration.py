@@ -1,0 +1,123 @@
+"""From touches of known solids to the twin of a sensor."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from functools import partial
+
+import numpy as np
+
+from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.twin import rounds_of_fit
+from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.matching import matched_places
+from tactile_sim.twin.mistakes import LEAST_TOUCHES, find_mistakes
+from tactile_sim.twin.reader import read_depth, train_reader
+from tactile_sim.twin.recordings import Recordings
+from tactile_sim.twin.twin import Twin, TwinOptics
+from tactile_toolkit.errors import InputError
+
+Progress = Callable[[int, int], None]
+
+
+def calibrate(
+    recordings: Recordings,
+    *,
+    name: str = "my-sensor",
+    start: SensorModel = GELSIGHT_MINI,
+    on_progress: Progress | None = None,
+) -> SensorModel:
+    """Make the twin of a sensor from touches of known solids.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        At least 6 touches, better 20, of solids with slopes in all directions.
+    name : str
+        Name of the sensor in manifests and cards.
+    start : SensorModel
+        First guess of its geometry, which is fitted: within a sixth of the size of a pixel, and a millimetre
+        of the thickness of the gel.
+    on_progress : callable, optional
+        Called with the steps done, and their number.
+
+    Returns
+    -------
+    SensorModel
+        With ``optics``, ``read_depth_m`` and ``report``; ``save`` writes it into a folder.
+
+    Raises
+    ------
+    InputError
+        The recordings are wrong in a way that :func:`find_mistakes` names, or agree with none of the solids.
+
+    Notes
+    -----
+    Sums of the fit and networks of the reader are computed by BLAS: on another processor, the twin may differ
+    in the last bits. A twin renders the same bytes everywhere.
+    """
+    mistakes = find_mistakes(recordings, start)
+    fatal = [each for each in mistakes if each.is_fatal]
+    if fatal:
+        raise InputError(
+            f"the recordings cannot be fitted ({fatal[0].kind}): {fatal[0].detail}", next="correct them"
+        )
+    kept = np.arange(len(recordings))
+    for each in mistakes:
+        if each.kind == "gel-changed":  # of two gels, that with more touches
+            second = np.array(each.touches)
+            first = np.setdiff1d(kept, second)
+            kept = max(first, second, key=len)
+    places, level_m, likely = _first_poses(recordings, start)
+    if likely.sum() < LEAST_TOUCHES:
+        raise InputError(
+            f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
+            f"expected at least {LEAST_TOUCHES}",
+            next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
+        )
+    fit = rounds_of_fit.start_fit(recordings, places, level_m, start)
+    fit.likely = likely
+    fit.used = likely & np.isin(np.arange(len(recordings)), kept)
+    rounds_of_fit.run_fit(fit, on_progress)
+    report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
+    shape = fit.shape.copy()
+    half_m = fit.half_m(shape)
+    shape[: Shape.LENS] = 0.0
+    twin = Twin(shape, half_m, fit.coefficients.astype(np.float32), fit.background, {}, report)
+    twin = replace(twin, reader=train_reader(twin, fit))
+    report["residual_levels"] = _residual_levels(twin, fit)
+    return model_of(twin, name)
+
+
+def model_of(twin: Twin, name: str) -> SensorModel:
+    """Return a sensor with its twin."""
+    width_mm, height_mm = (2e3 * twin.half_m).tolist()
+    width, height = twin.size_px
+    gel_mm = 1e3 * float(twin.shape[Shape.GEL])
+    return SensorModel(name, width_mm, height_mm, width, height, gel_mm, "tactile-sim calibrate", twin)
+
+
+def _first_poses(
+    recordings: Recordings, start: SensorModel
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
+    """Return points under the sensor with turns (N, 3), heights (N,) if known, and which are likely (N,)."""
+    places = recordings.places()
+    if places is not None:
+        assert recordings.sensor_m is not None, "places follow from it"
+        return places, recordings.sensor_m[:, 2], np.ones(len(recordings), bool)
+    places, likely = matched_places(recordings, start)
+    return places, None, likely
+
+
+def _residual_levels(twin: Twin, fit: Fit) -> float:
+    """Return what the depth that is read leaves of an image, levels: the median over touches."""
+    render = partial(TwinOptics(twin, lens=False).response)
+    left = []
+    for touch in np.flatnonzero(fit.used):
+        image = fit.recordings.images[touch]
+        depth_m = read_depth(twin, image[None]).depth_m[0]
+        shown = np.clip(twin.background + render(depth_m.astype(np.float64)), 0, 255)
+        left.append(float(np.sqrt(np.mean((image - shown) ** 2))))
+    return float(np.median(left))

@@ -1,0 +1,328 @@
+"""Fits geometry, response and poses of a twin to touches of known solids.
+
+For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
+Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
+left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
+touch by touch, so memory does not grow with their number. The blur of the camera is left out of the
+derivatives by the coefficients alone, and is in everything else.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin.gel import Shape
+
+if TYPE_CHECKING:
+    from tactile_sim.twin.recordings import Recordings
+    from tactile_sim.twin.relief import Relief
+    from tactile_toolkit.array_types import Bool, Float32, Float64
+
+COEFFICIENTS = gel_kernels.ENTRIES * gel_kernels.PLACES
+_SHARED, _OWN = len(Shape), 4
+# Steps of the differences by which derivatives are taken, and how far from the guess values are expected.
+_SHAPE_STEP = np.array([0.004, 0.004, 0.01, 3e-5, 5e-5, 1.5e-5, 0.03, 2e-5])
+_SHAPE_SPREAD = np.array([0.15, 0.15, 0.05, 2e-3, 4e-4, 4e-5, 0.15, 5e-5])
+_POSE_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
+_SQUARE = 0.001  # how much the shape of a pixel is expected to differ from that of the guess
+_HUBER = 3.0  # residuals beyond so many noise levels weigh less: dust, layer lines, shadows
+_FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
+_DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
+# Curvature of the table, and how much its terms of the place are held back.
+_PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
+_ENTRY_COST, _DEPTH_COST, _REST_COST = 1e-3, 1e-2, 1e7
+ALIKE_PX = 200.0
+"""Pixels whose residuals are alike, so that they count as one."""
+
+RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
+
+
+def _penalty() -> Float64:
+    """Return the matrix that holds back curvature of the table; the gel at rest does not respond at all."""
+    nodes = gel_kernels.NODES
+    curves = []
+    for row, column in np.ndindex(nodes, nodes):
+        for down, across in ((0, 1), (1, 0)):
+            if down <= row < nodes - down and across <= column < nodes - across:
+                curve = np.zeros(gel_kernels.ENTRIES)
+                at, step = row * nodes + column, down * nodes + across
+                curve[[at - step, at, at + step]] = 1.0, -2.0, 1.0
+                curves.append(curve)
+    stacked = np.array(curves)
+    cost = stacked.T @ stacked + _ENTRY_COST * np.eye(gel_kernels.ENTRIES)
+    cost[gel_kernels.DEPTHS :, gel_kernels.DEPTHS :] += _DEPTH_COST * np.eye(2)
+    rest = (nodes // 2) * (nodes + 1)
+    cost[rest, rest] += _REST_COST
+    return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
+
+
+@dataclass(eq=False)
+class Fit:
+    """State of a fit: geometry, poses (N, 4: x, y, turn, what is added to the press depth) and response.
+
+    ``guess_m`` are half of the sides of the image as guessed, ``level_m`` the height of the sensor at each
+    touch; ``spread`` states how far the poses are expected to be off.
+    """
+
+    recordings: Recordings
+    reliefs: dict[int, Relief] = field(repr=False)
+    guess_m: Float64
+    shape: Float64
+    poses: Float64
+    level_m: Float64
+    spread: Float64
+    background: Float32 = field(repr=False)
+    ridge: float = 1e-4
+    coefficients: Float64 = field(
+        default_factory=lambda: np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3)), repr=False
+    )
+    likely: Bool = field(init=False)
+    used: Bool = field(init=False)
+    rms: Float64 = field(init=False)
+    shrink: int = field(init=False, default=1)
+
+    def __post_init__(self) -> None:
+        count = len(self.recordings)
+        self.likely, self.used = np.ones(count, bool), np.ones(count, bool)
+        self.rms = np.full(count, np.nan)
+        self.typical = np.zeros(count)
+        self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
+        self.information = np.zeros((count, _OWN, _OWN))
+        self.penalty = _penalty()
+        self.look(1)
+
+    def look(self, shrink: int) -> None:
+        """Continue with images that are smaller by a factor."""
+        self.shrink = shrink
+        width, height = (side // shrink for side in self.recordings.size_px)
+        self.size = (height, width)
+        self.behind = shrunk(self.background, shrink)
+        self.noise = _FIRST_NOISE
+
+    def image(self, touch: int) -> tuple[Float32, Bool]:
+        """Return an image in the present size, levels, and where it is not saturated."""
+        image = self.recordings.images[touch]
+        dull = ((image > _DARK) & (image < _BRIGHT)).all(axis=-1)
+        return shrunk(image.astype(np.float32), self.shrink), shrunk(
+            dull.astype(np.float32), self.shrink
+        ) > 0.99
+
+    def half_m(self, shape: Float64) -> Float64:
+        """Return half of width and height of the image, metres."""
+        return np.asarray(self.guess_m * np.exp(shape[: Shape.LENS]))
+
+    def pitch_m(self, shape: Float64) -> Float64:
+        """Return the size of a pixel in the present size, metres."""
+        return 2 * self.half_m(shape) / self.size[::-1]
+
+    def indentation(self, touch: int, pose: Float64, shape: Float64, margin: int = 0) -> Float64:
+        """Return how far the solid reaches into the gel at rest, metres, in the present size.
+
+        As it is seen through the lens; with a margin, as it is on the gel.
+        """
+        half, relief = self.half_m(shape), self.reliefs[int(self.recordings.object_ids[touch])]
+        cosine, sine = np.cos(pose[2]), np.sin(pose[2])
+        affine = np.array(
+            [[cosine * half[0], sine * half[1], pose[0]], [-sine * half[0], cosine * half[1], pose[1]]]
+        )
+        out = np.empty(tuple(side + 2 * margin for side in self.size))
+        span = np.array(out.shape[::-1]) / self.size[::-1]
+        level_m = self.level_m[touch] - shape[Shape.GEL] - pose[3]
+        gel_kernels.sample_relief(
+            out, relief.heights_m, relief.corner, affine, span, 0.0 if margin else shape[Shape.LENS], level_m
+        )
+        return out
+
+    def seen(self, touch: int, pose: Float64, shape: Float64) -> gel.Seen:
+        """Return which entries of the response each pixel of a touch takes part in."""
+        pitch_m = self.pitch_m(shape)
+        margin = gel.margin_px(self.size[1])
+        soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
+        return gel.seen_features(soft, pitch_m, shape[Shape.LENS])
+
+    def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
+        """Return how the image of a touch differs from the background, levels."""
+        blur_px = shape[Shape.BLUR] / self.pitch_m(shape)
+        seen = seen or self.seen(touch, pose, shape)
+        return gel.response(seen, self.size, self.coefficients, blur_px, np.ones(2))
+
+    def residual(self, touch: int, seen: gel.Seen | None = None) -> tuple[Float64, Float64, Float32]:
+        """Return what is rendered, what is left of the image (H, W, 3), and the weights (H, W)."""
+        base = self.rendered(touch, self.poses[touch], self.shape, seen)
+        image, dull = self.image(touch)
+        left = image - self.behind - base
+        largest = np.abs(left).max(axis=-1)
+        # Saturated also where the twin goes beyond what an image can hold.
+        weights = np.where(dull, 1 / np.maximum(1, largest / (_HUBER * self.noise)), 0).astype(np.float32)
+        self.rms[touch] = np.sqrt(np.mean(left[dull] ** 2)) if dull.any() else np.nan
+        self.typical[touch] = 1.4826 * float(np.median(np.abs(left)))
+        return base, left, weights
+
+    def step(self, moving: tuple[Shape, ...] = ()) -> float:
+        """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
+        sums = _Sums(len(self.poses))
+        for touch in np.flatnonzero(self.used):
+            self._add(sums, int(touch), moving)
+        self.noise = max(float(np.median(self.typical[self.used])), _LEAST_NOISE)
+        moved = sums.solve(self, moving)
+        shift = moved[:_SHARED] / _SHAPE_SPREAD
+        self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)
+        self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
+        # A press that is deeper in all touches is a thicker gel.
+        common_m = float(self.poses[self.used, 3].mean())
+        self.shape[Shape.GEL] += common_m
+        self.poses[:, 3] -= common_m
+        return float(np.abs(shift).max())
+
+    def _add(self, sums: _Sums, touch: int, moving: tuple[Shape, ...]) -> None:
+        """Add a touch to the sums of a step."""
+        seen = self.seen(touch, self.poses[touch], self.shape)
+        base, left, weights = self.residual(touch, seen)
+        columns, places = [left], []
+        if moving:
+            for each in moving:
+                shape = self.shape.copy()
+                shape[each] += _SHAPE_STEP[each]
+                columns.append((self.rendered(touch, self.poses[touch], shape) - base) / _SHAPE_STEP[each])
+                places.append(int(each))
+            for own in range(_OWN):
+                pose = self.poses[touch].copy()
+                pose[own] += _POSE_STEP[own]
+                columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
+                places.append(_SHARED + _OWN * touch + own)
+        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places)
+
+    def refresh_background(self) -> None:
+        """Average what touches show of the background, in full size, with the images without contact."""
+        assert self.shrink == 1, "the background has the size of the images"
+        held = self.recordings.backgrounds
+        total = np.zeros((*self.size, 3))
+        share = np.full((*self.size, 1), 1e-6)
+        if held.size:
+            total += held.sum(axis=0, dtype=np.float64)
+            share += len(held)
+        else:
+            total += 1e-6 * self.background
+        for touch in np.flatnonzero(self.used):
+            base = self.rendered(int(touch), self.poses[touch], self.shape)
+            image, dull = self.image(int(touch))
+            # A response is known to about a twelfth.
+            far = 0.08 * np.abs(base).max(axis=-1, keepdims=True) / self.noise
+            weight = dull[..., None] / (1 + far * far)
+            total += weight * (image - base)
+            share += weight
+        self.background = (total / share).astype(np.float32)
+        self.behind = self.background
+
+    def choose_ridge(self) -> None:
+        """Choose the ridge that serves every fifth touch best when it is fitted to the others."""
+        from scipy import linalg  # takes a quarter of a second to import
+
+        parts = [_Sums(len(self.poses)), _Sums(len(self.poses))]
+        for number, touch in enumerate(np.flatnonzero(self.used)):
+            self._add(parts[number % 5 == 4], int(touch), ())
+        train, held = parts
+        if not (train.weight and held.weight):
+            return
+        before = self.coefficients.reshape(COEFFICIENTS, 3)
+        errors = []
+        for ridge in RIDGES:
+            cost = ridge * train.scale * self.penalty
+            factor = linalg.cho_factor(train.full() + cost, lower=True, check_finite=False)
+            change = linalg.cho_solve(factor, train.products[:, 0] - cost @ before, check_finite=False)
+            errors.append(np.sum(change * (held.full() @ change)) - 2 * np.sum(change * held.products[:, 0]))
+        self.ridge = RIDGES[int(np.argmin(errors))]
+
+
+class _Sums:
+    """Sums of a step over touches: normal matrices of coefficients, of geometry with poses, and between."""
+
+    def __init__(self, count: int) -> None:
+        many = _SHARED + _OWN * count
+        self.normal = np.zeros((COEFFICIENTS, COEFFICIENTS))
+        self.products = np.zeros((COEFFICIENTS, 1 + many, 3))
+        self.moves = np.zeros((many, many))
+        self.slope = np.zeros(many)
+        self.weight = 0.0
+
+    @property
+    def scale(self) -> float:
+        """Pixels for each entry of the table."""
+        return self.weight / gel_kernels.NODES**2
+
+    def full(self) -> Float64:
+        """Return both halves of the normal matrix of the coefficients."""
+        return np.asarray(self.normal + np.tril(self.normal, -1).T)
+
+    def add(self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int]) -> None:
+        """Add a touch: ``columns`` (H, W, 1 + m, 3) are what is left and derivatives, of ``places``."""
+        height, width, many, _ = columns.shape
+        gel_kernels.add_normal(self.normal, *seen, weights)
+        found = np.zeros((COEFFICIENTS, many * 3))
+        gel_kernels.add_products(found, *seen, weights, columns.reshape(height, width, -1))
+        at = np.array([0, *(1 + place for place in places)])
+        self.products[:, at] += found.reshape(COEFFICIENTS, many, 3)
+        self.weight += float(weights.sum())
+        if places:
+            flat = columns.reshape(-1, many, 3).transpose(1, 0, 2).reshape(many, -1)
+            square = (flat * np.repeat(weights.ravel(), 3)) @ flat.T
+            self.moves[np.ix_(places, places)] += square[1:, 1:]
+            self.slope[places] += square[1:, 0]
+
+    def solve(self, fit: Fit, moving: tuple[Shape, ...]) -> Float64:
+        """Change the response of a fit, and return how its geometry and poses move."""
+        from scipy import linalg  # takes a quarter of a second to import
+
+        penalty = fit.ridge * self.scale * fit.penalty
+        before = fit.coefficients.reshape(COEFFICIENTS, 3)
+        factor = linalg.cho_factor(self.full() + penalty, lower=True, check_finite=False)
+        right = self.products
+        right[:, 0] -= penalty @ before
+        solved = linalg.cho_solve(factor, right.reshape(COEFFICIENTS, -1), check_finite=False).reshape(
+            right.shape
+        )
+        moved = np.zeros(len(self.slope))
+        if moving:
+            flat = right[:, 1:].transpose(1, 0, 2).reshape(len(moved), -1)
+            answer = solved.transpose(1, 0, 2).reshape(1 + len(moved), -1)
+            matrix = self.moves - flat @ answer[1:].T
+            slope = self.slope - flat @ answer[0]
+            moved = self._moved(fit, matrix, slope, moving)
+        change = solved[:, 0] - np.einsum("cmk,m->ck", solved[:, 1:], moved)
+        fit.coefficients = (before + change).reshape(fit.coefficients.shape)
+        return moved
+
+    def _moved(self, fit: Fit, matrix: Float64, slope: Float64, moving: tuple[Shape, ...]) -> Float64:
+        # What is left is alike over patches: slopes that the table does not hold, shadows, blocks of JPEG.
+        variance = ALIKE_PX * fit.noise**2
+        own = [
+            _SHARED + _OWN * int(touch) + each for touch in np.flatnonzero(fit.used) for each in range(_OWN)
+        ]
+        for touch in np.flatnonzero(fit.used):
+            at = slice(_SHARED + _OWN * int(touch), _SHARED + _OWN * int(touch) + _OWN)
+            fit.information[touch] = matrix[at, at] / variance
+        expected = np.concatenate([_SHAPE_SPREAD, fit.spread.ravel()])
+        away = np.concatenate([fit.shape - fit.shape_guess, (fit.poses - fit.pose_guess).ravel()])
+        matrix = matrix + np.diag(variance / expected**2)
+        slope = slope - variance / expected**2 * away
+        square = np.zeros(len(slope))
+        square[[Shape.WIDE, Shape.HIGH]] = 1.0, -1.0
+        matrix += variance / _SQUARE**2 * np.outer(square, square)
+        slope -= variance / _SQUARE**2 * (square @ away) * square
+        active = np.array([*map(int, moving), *own])
+        moved = np.zeros(len(slope))
+        moved[active] = np.linalg.solve(matrix[np.ix_(active, active)], slope[active])
+        return moved
+
+
+def shrunk(image: Float32, factor: int) -> Float32:
+    """Return an image (H, W) or (H, W, k), smaller by a factor: means of squares."""
+    if factor == 1:
+        return image
+    height, width = (side // factor for side in image.shape[:2])
+    squares = image[: height * factor, : width * factor].reshape(height, factor, width, factor, -1)
+    return np.asarray(squares.mean(axis=(1, 3)), np.float32).reshape(height, width, *image.shape[2:])

@@ -1,0 +1,388 @@
+"""Kernels of the twin, in numba: reliefs seen by the sensor, its response to slopes, and normal equations.
+
+The response of a colour is a table over the slope of the gel, whose entries are quadratic in the place in the
+image, and the same for the depth of the gel. A pixel lies between four entries of the table, which share it
+bilinearly. All kernels lie in this one file, because numba's cache looks at the file of a kernel only.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from tactile_toolkit.array_types import Float32, Float64, Int64
+from tactile_toolkit.compiled import compiled
+
+NODES = 15
+"""Entries of the table along each of the two slopes."""
+
+STEEPEST = 0.6
+"""Tangent of half of the angle of the steepest slope in the table: 62 degrees."""
+
+_CROWDED = 1.0  # entries lie three times as close where the gel is level, which most of it is
+
+_RUN = 3  # pixels over which the slope at an edge is taken
+
+PLACES = 6
+"""Terms of an entry: 1, x, y, x^2, x y, y^2, where x and y go from -1 to 1 across the image."""
+
+DEPTHS = NODES * NODES
+"""Number of entries for slopes, after which those for the depth follow."""
+
+ENTRIES = NODES * NODES + 2
+"""Entries in all: slopes, depth in mm, and its square."""
+
+ACTIVE = 6
+"""Entries that a pixel takes part in."""
+
+
+@compiled
+def sample_relief(
+    out: Float64, relief: Float32, corner: Float64, affine: Float64, span: Float64, lens: float, level: float
+) -> None:
+    """Write how far a relief rises above a level, 0 where it does not.
+
+    ``out``, shape (H, W), first row at the greatest y; ``relief``, shape (rows, columns), heights in metres,
+    first row at the least y, continued by its edge; ``corner`` x and y of its first point and the distances
+    of its points along x and y, metres. Pixels lie at -1 to 1 across the image, times ``span``, which is less
+    than 1 for a part of it, with y upwards. ``lens`` is the radial term of the camera: at the corners of the
+    image, positions are farther out by this share. ``affine``, shape (2, 3), maps a position to x and y.
+    """
+    rows, columns = out.shape
+    high, wide = relief.shape
+    per_x, per_y = 1.0 / corner[2], 1.0 / corner[3]
+    across = affine[0, 0] * affine[0, 0] + affine[1, 0] * affine[1, 0]
+    down = affine[0, 1] * affine[0, 1] + affine[1, 1] * affine[1, 1]
+    across, down = across / (across + down), down / (across + down)
+    for row in range(rows):
+        v0 = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for column in range(columns):
+            u0 = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            bend = 1.0 + lens * (across * u0 * u0 + down * v0 * v0)
+            u, v = u0 * bend, v0 * bend
+            x = (affine[0, 0] * u + affine[0, 1] * v + affine[0, 2] - corner[0]) * per_x
+            y = (affine[1, 0] * u + affine[1, 1] * v + affine[1, 2] - corner[1]) * per_y
+            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
+            i, j = min(int(x), wide - 2), min(int(y), high - 2)
+            fx, fy = x - i, y - j
+            height = (1.0 - fy) * ((1.0 - fx) * relief[j, i] + fx * relief[j, i + 1]) + fy * (
+                (1.0 - fx) * relief[j + 1, i] + fx * relief[j + 1, i + 1]
+            )
+            out[row, column] = height - level if height > level else 0.0
+
+
+@compiled
+def _slope(soft: Float64, row: int, column: int, per_x: float, per_y: float) -> tuple[float, float]:
+    """Return the slopes along x and y (upwards)."""
+    rows, columns = soft.shape
+    left, right = max(column - 1, 0), min(column + 1, columns - 1)
+    above, below = max(row - 1, 0), min(row + 1, rows - 1)
+    x = (soft[row, right] - soft[row, left]) * (per_x / (right - left))
+    y = (soft[above, column] - soft[below, column]) * (per_y / (below - above))
+    return x, y
+
+
+@compiled
+def _straight(x: float, y: float, u: float, v: float, lens: float, across: float) -> tuple[float, float]:
+    """Return the slopes on the gel of those that are seen through the lens at a position."""
+    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
+    bend = 1.0 + lens * (across * u * u + down * v * v)
+    xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
+    xy = 2.0 * lens * both * u * v
+    per_area = 1.0 / (xx * yy - xy * xy)
+    return (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
+
+
+@compiled
+def bend_surface(
+    out: Float64, surface: Float64, span: Float64, margin: int, lens: float, across: float
+) -> None:
+    """Write a surface as it is seen through the lens, bilinear; it has ``margin`` pixels more on each side.
+
+    ``across`` is the share of the width in the square of the diagonal.
+    """
+    rows, columns = out.shape
+    high, wide = surface.shape
+    for row in range(rows):
+        v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+        for column in range(columns):
+            u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+            bend = lens * (across * u * u + (1.0 - across) * v * v)
+            x = column + margin + bend * (column + 0.5 - 0.5 * columns)
+            y = row + margin + bend * (row + 0.5 - 0.5 * rows)
+            x, y = min(max(x, 0.0), wide - 1.0), min(max(y, 0.0), high - 1.0)
+            i, j = min(int(x), wide - 2), min(int(y), high - 2)
+            fx, fy = x - i, y - j
+            out[row, column] = (1.0 - fy) * ((1.0 - fx) * surface[j, i] + fx * surface[j, i + 1]) + fy * (
+                (1.0 - fx) * surface[j + 1, i] + fx * surface[j + 1, i + 1]
+            )
+
+
+@compiled
+def _place(slope: float) -> tuple[int, float]:
+    far = 4.0 * _CROWDED * (1.0 + _CROWDED) * abs(slope) / STEEPEST
+    far = (math.sqrt(1.0 + far) - 1.0) / (2.0 * _CROWDED)
+    at = (1.0 + (far if slope > 0.0 else -far)) * (0.5 * (NODES - 1))
+    at = min(max(at, 0.0), NODES - 1.000001)
+    node = int(at)
+    return node, at - node
+
+
+@compiled
+def features(soft: Float64, pitch: Float64, lens: float, entries: Int64, shares: Float32) -> None:
+    """Write the entries that each pixel takes part in, and their shares.
+
+    ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
+    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera. ``entries`` and
+    ``shares`` have the shape (H W, ACTIVE).
+    """
+    rows, columns = soft.shape
+    wide, high = columns * pitch[0], rows * pitch[1]
+    across = wide * wide / (wide * wide + high * high)
+    for row in range(rows):
+        v = 1.0 - (2.0 * row + 1.0) / rows
+        for column in range(columns):
+            u = (2.0 * column + 1.0) / columns - 1.0
+            x, y = _slope(soft, row, column, 1.0 / pitch[0], 1.0 / pitch[1])
+            x, y = _straight(x, y, u, v, lens, across)
+            scale = 1.0 / (1.0 + math.sqrt(1.0 + x * x + y * y))
+            x, y = x * scale, y * scale
+            (i, fx), (j, fy) = _place(x), _place(y)
+            at = row * columns + column
+            node = j * NODES + i
+            entries[at, 0], shares[at, 0] = node, (1.0 - fx) * (1.0 - fy)
+            entries[at, 1], shares[at, 1] = node + 1, fx * (1.0 - fy)
+            entries[at, 2], shares[at, 2] = node + NODES, (1.0 - fx) * fy
+            entries[at, 3], shares[at, 3] = node + NODES + 1, fx * fy
+            deep = -1e3 * soft[row, column]
+            entries[at, 4], shares[at, 4] = DEPTHS, deep
+            entries[at, 5], shares[at, 5] = DEPTHS + 1, deep * deep
+
+
+@compiled
+def _terms(terms: Float64, at: int, rows: int, columns: int, span: Float64) -> None:
+    x = span[0] * ((2.0 * (at % columns) + 1.0) / columns - 1.0)
+    y = span[1] * (1.0 - (2.0 * (at // columns) + 1.0) / rows)
+    terms[0], terms[1], terms[2], terms[3], terms[4], terms[5] = 1.0, x, y, x * x, x * y, y * y
+
+
+@compiled
+def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64, span: Float64) -> None:
+    """Write the response (H, W, 3), levels; ``coefficients`` have the shape (ENTRIES, PLACES, 3)."""
+    rows, columns = out.shape[:2]
+    terms = np.empty(PLACES)
+    for at in range(rows * columns):
+        _terms(terms, at, rows, columns, span)
+        for colour in range(3):
+            total = 0.0
+            for k in range(ACTIVE):
+                entry = coefficients[entries[at, k]]
+                value = 0.0
+                for place in range(PLACES):
+                    value += entry[place, colour] * terms[place]
+                total += shares[at, k] * value
+            out[at // columns, at % columns, colour] = total
+
+
+@compiled
+def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float32) -> None:
+    """Add the weighted products of coefficients to the normal matrix ; each pair once."""
+    rows, columns = weights.shape
+    terms, count, span = np.empty(PLACES), ACTIVE * PLACES, np.ones(2)
+    values, places = np.empty(count), np.empty(count, np.int64)
+    for at in range(len(entries)):
+        weight = weights[at // columns, at % columns]
+        if weight <= 0.0:
+            continue
+        _terms(terms, at, rows, columns, span)
+        for k in range(ACTIVE):
+            for place in range(PLACES):
+                values[k * PLACES + place] = shares[at, k] * terms[place]
+                places[k * PLACES + place] = entries[at, k] * PLACES + place
+        for one in range(count):
+            weighed, line = values[one] * weight, normal[places[one]]
+            for other in range(one + 1):
+                line[places[other]] += weighed * values[other]
+
+
+@compiled
+def add_products(
+    out: Float64,
+    entries: Int64,
+    shares: Float32,
+    weights: Float32,
+    given: Float32,
+) -> None:
+    """Add the weighted products of coefficients and given columns (H, W, m) to ``out`` (coefficients, m)."""
+    rows, columns, many = given.shape
+    terms, span = np.empty(PLACES), np.ones(2)
+    for at in range(len(entries)):
+        weight, line = weights[at // columns, at % columns], given[at // columns, at % columns]
+        if weight <= 0.0:
+            continue
+        _terms(terms, at, rows, columns, span)
+        for k in range(ACTIVE):
+            for place in range(PLACES):
+                weighed, total = weight * shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
+                for column in range(many):
+                    total[column] += weighed * line[column]
+
+
+@compiled
+def _row_places(
+    at_x: Float64,
+    at_y: Float64,
+    soft: Float64,
+    row: int,
+    pitch: Float64,
+    span: Float64,
+    lens: float,
+    across: float,
+) -> None:
+    """Write where in the table the slopes of a row lie, in loops that LLVM does for several pixels."""
+    rows, columns = soft.shape
+    above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
+    per_y = 1.0 / (pitch[1] * (min(row + 1, rows - 1) - max(row - 1, 0)))
+    per_x = 0.5 / pitch[0]
+    for column in range(1, columns - 1):
+        at_x[column] = (line[column + 1] - line[column - 1]) * per_x
+    at_x[0] = (line[1] - line[0]) / pitch[0]
+    at_x[columns - 1] = (line[columns - 1] - line[columns - 2]) / pitch[0]
+    room, per_crowd = 0.5 * (NODES - 1), 1.0 / (2.0 * _CROWDED)
+    crowd = 4.0 * _CROWDED * (1.0 + _CROWDED) / STEEPEST
+    v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
+    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
+    for column in range(columns):
+        x, y = at_x[column], (above[column] - below[column]) * per_y
+        # As `_straight` does.
+        u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+        bend = 1.0 + lens * (across * u * u + down * v * v)
+        xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
+        xy = 2.0 * lens * both * u * v
+        per_area = 1.0 / (xx * yy - xy * xy)
+        x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
+        scale = crowd / (1.0 + math.sqrt(1.0 + x * x + y * y))
+        far_x = (math.sqrt(1.0 + scale * abs(x)) - 1.0) * per_crowd
+        far_y = (math.sqrt(1.0 + scale * abs(y)) - 1.0) * per_crowd
+        far_x, far_y = min(far_x, 0.9999999), min(far_y, 0.9999999)
+        at_x[column] = (1.0 + (far_x if x > 0.0 else -far_x)) * room
+        at_y[column] = (1.0 + (far_y if y > 0.0 else -far_y)) * room
+
+
+@compiled
+def render_response(
+    out: Float64,
+    soft: Float64,
+    pitch: Float64,
+    coefficients: Float32,
+    span: Float64,
+    lens: float,
+    across: float,
+) -> None:
+    """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
+
+    The terms of a row are summed once for the whole row, and pixels where the gel is at rest are passed over.
+    ``coefficients`` have the shape (ENTRIES, PLACES, 4), the last colour 0: vectors have four lanes.
+    """
+    rows, columns = soft.shape
+    line, terms = np.empty(ENTRIES * 12, np.float32), np.empty(12, np.float32)
+    at_x, at_y, one, middle = np.empty(columns), np.empty(columns), np.float32(1.0), 0.5 * (NODES - 1)
+    for row in range(rows):
+        y = np.float32(span[1] * (1.0 - (2.0 * row + 1.0) / rows))
+        for entry in range(ENTRIES):
+            held = coefficients[entry]
+            for colour in range(4):
+                line[entry * 12 + colour] = held[0, colour] + y * (held[2, colour] + y * held[5, colour])
+                line[entry * 12 + 4 + colour] = held[1, colour] + y * held[4, colour]
+                line[entry * 12 + 8 + colour] = held[3, colour]
+        deep_line, square_line = line[DEPTHS * 12 : DEPTHS * 12 + 12], line[DEPTHS * 12 + 12 :]
+        _row_places(at_x, at_y, soft, row, pitch, span, lens, across)
+        for column in range(columns):
+            pixel = out[row, column]
+            if at_x[column] == middle and at_y[column] == middle and soft[row, column] == 0.0:
+                pixel[0], pixel[1], pixel[2] = 0.0, 0.0, 0.0
+                continue
+            x = np.float32(span[0] * ((2.0 * column + 1.0) / columns - 1.0))
+            i, j = int(at_x[column]), int(at_y[column])
+            fx, fy = np.float32(at_x[column] - i), np.float32(at_y[column] - j)
+            deep = np.float32(-1e3 * soft[row, column])
+            square = deep * deep
+            near, far = line[12 * (j * NODES + i) :], line[12 * ((j + 1) * NODES + i) :]
+            wa, wb, wc, wd = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            for m in range(12):
+                value = (wa * near[m] + wb * near[m + 12]) + (wc * far[m] + wd * far[m + 12])
+                terms[m] = value + (deep * deep_line[m] + square * square_line[m])
+            for colour in range(3):
+                pixel[colour] = terms[colour] + x * (terms[colour + 4] + x * terms[colour + 8])
+
+
+@compiled
+def touching(contact: Float64, held: Float64, indentation: Float64, share: float, edge: float) -> None:
+    """Write how much each pixel is in contact, 0 to 1, and the shape that the gel has where it is.
+
+    Contact begins at a share of the greatest indentation, over an edge in metres.
+    """
+    rows, columns = indentation.shape
+    greatest = 0.0
+    for row in range(rows):
+        for column in range(columns):
+            greatest = max(greatest, indentation[row, column])
+    begin, per_edge = share * greatest - 0.5 * edge, 1.0 / edge
+    for row in range(rows):
+        line, target, into = contact[row], held[row], indentation[row]
+        for column in range(columns):
+            value = (into[column] - begin) * per_edge
+            value = value if value > 0.0 else 0.0
+            line[column] = value if value < 1.0 else 1.0
+            target[column] = -into[column]
+
+
+@compiled
+def hold(soft: Float64, held: Float64, contact: Float64) -> None:
+    """Give a surface the shape of the solid to a share, in place."""
+    rows, columns = soft.shape
+    for row in range(rows):
+        line, target, share = soft[row], held[row], contact[row]
+        for column in range(columns):
+            line[column] += share[column] * (target[column] - line[column])
+
+
+@compiled
+def lay_over(out: Float32, response: Float64, behind: Float64) -> None:
+    """Write shades, 0 to 1, (H, W, 3), of a response over a background, levels."""
+    flat, change, below = out.reshape(out.size), response.reshape(out.size), behind.reshape(out.size)
+    for at in range(len(flat)):
+        shade = (change[at] + below[at]) * (1.0 / 255.0)
+        shade = shade if shade > 0.0 else 0.0
+        flat[at] = np.float32(shade if shade < 1.0 else 1.0)
+
+
+@compiled
+def extend(out: Float64, reached: Float64, margin: int) -> None:
+    """Write a map with ``margin`` pixels more on each side, where its slopes at the edge go on.
+
+    Values stay between 0 and the greatest of the map.
+    """
+    rows, columns = reached.shape
+    greatest = 0.0
+    for row in range(rows):
+        line, wide = reached[row], out[row + margin]
+        for column in range(columns):
+            greatest = max(greatest, line[column])
+            wide[column + margin] = line[column]
+        first = (line[_RUN] - line[0]) / _RUN
+        last = (line[columns - 1] - line[columns - 1 - _RUN]) / _RUN
+        for far in range(1, margin + 1):
+            wide[margin - far] = line[0] - far * first
+            wide[margin + columns - 1 + far] = line[columns - 1] + far * last
+    bottom = margin + rows - 1
+    for column in range(columns + 2 * margin):
+        first = (out[margin + _RUN, column] - out[margin, column]) / _RUN
+        last = (out[bottom, column] - out[bottom - _RUN, column]) / _RUN
+        for far in range(1, margin + 1):
+            out[margin - far, column] = out[margin, column] - far * first
+            out[bottom + far, column] = out[bottom, column] + far * last
+    for row in range(len(out)):
+        for column in range(columns + 2 * margin):
+            out[row, column] = min(max(out[row, column], 0.0), greatest)

@@ -1,0 +1,325 @@
+"""What is wrong with recordings, found before anything is fitted.
+
+Colours are compared with those of the gel at rest. Poses and solids are judged by where they say that an
+image must change: at the slopes of the solid. What is stated and what may have been meant (a mirrored axis,
+another solid, another unit) are compared by the correlation of those slopes with the change of the image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+from itertools import permutations
+
+import numpy as np
+
+from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
+from tactile_sim.twin import gel_kernels
+from tactile_sim.twin.recordings import Recordings
+from tactile_sim.twin.relief import Relief
+from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+
+LEAST_TOUCHES = 5
+"""Touches that a fit needs at least; 20 are enough."""
+
+_WIDTH_PX = 80  # of the images that are compared
+_SMOOTH_MM = 0.5
+_FULL, _MOST_FULL = 254, 0.02
+_CHANGED, _LEAST_CHANGED = 12.0, 0.01  # levels; share of an image that a contact changes
+_MARKER_PX, _MARKER_LEVELS, _MOST_MARKERS = 7.0, 8.0, 0.01
+_MOST_DRIFT = 4.0  # levels between parts of a recording; of hidden sensors that did not change, up to 2.8
+_FARTHEST_M = 1.0  # a sensor that is further away from its object is not on a desk
+# Correlation of slopes with the change of an image: of right poses 0.5 to 0.9, of wrong ones about 0.
+_LOW, _GAIN = 0.35, 0.15
+_REACH_PX, _STEP_PX = 6, 2  # of the error of a pose, which correlation overlooks: 1.4 mm
+_UNITS = {"mm": 1e-3, "cm": 1e-2, "in": 0.0254}
+
+
+@dataclass(frozen=True, slots=True)
+class Mistake:
+    """Something that is wrong with recordings.
+
+    Attributes
+    ----------
+    kind : str
+        A stable word: ``"channels"``, ``"mesh"``, ``"units"``, ``"mirrored"``, ``"markers"``,
+        ``"saturated"``, ``"gel-changed"``, ``"too-few"``, ``"flat"``.
+    detail : str
+        A sentence that names it and the figure that shows it.
+    figure : float
+        That figure.
+    touches : tuple of int
+        Touches that show it, by their numbers; empty for all.
+    """
+
+    kind: str
+    detail: str
+    figure: float
+    touches: tuple[int, ...] = ()
+
+    @property
+    def is_fatal(self) -> bool:
+        """Whether nothing can be fitted; of two gels, the one with more touches is."""
+        return self.kind not in ("saturated", "markers", "gel-changed")
+
+    def __str__(self) -> str:
+        return self.detail
+
+
+def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) -> list[Mistake]:
+    """Find what is wrong with recordings; takes a second.
+
+    Parameters
+    ----------
+    recordings : Recordings
+        Touches of known solids.
+    start : SensorModel
+        First guess of the geometry.
+
+    Returns
+    -------
+    list of Mistake
+        Empty if nothing was found.
+    """
+    few = len(recordings) < LEAST_TOUCHES
+    found = [
+        Mistake(
+            "too-few",
+            f"there are {len(recordings)} touches; expected at least {LEAST_TOUCHES}, better 20",
+            float(len(recordings)),
+        )
+    ] * few
+    images = _small(recordings.images)
+    rest = _rest(recordings, images)
+    for look in (_saturated, _channels, _changed_gel):
+        found += look(recordings, images, rest)
+    found += _markers(recordings)
+    change = np.abs(images - rest).max(axis=3)
+    shares = (change > _CHANGED).mean(axis=(1, 2))
+    touching = shares >= _LEAST_CHANGED
+    if not touching.any():
+        detail = f"no image shows a contact: at most {shares.max():.1%} of one differs from the gel at rest"
+        return [*found, Mistake("flat", detail, float(shares.max()))]
+    named = {each.kind for each in found}
+    if recordings.sensor_m is not None and not named & {"channels", "gel-changed", "saturated"}:
+        found += _poses(recordings, change, touching, start)
+    return found
+
+
+def _small(images: UInt8) -> Float64:
+    """Return images as numbers, about :data:`_WIDTH_PX` wide: means of squares."""
+    factor = max(1, images.shape[2] // _WIDTH_PX)
+    rows, columns = images.shape[1] // factor, images.shape[2] // factor
+    cut = images[:, : rows * factor, : columns * factor]
+    squares = cut.reshape(len(images), rows, factor, columns, factor, 3)
+    return np.asarray(squares.mean(axis=(2, 4)), np.float64)
+
+
+def _rest(recordings: Recordings, images: Float64) -> Float64:
+    """Return the gel at rest, (h, w, 3): of images without contact, or what most touches show."""
+    if recordings.backgrounds.size:
+        return np.asarray(_small(recordings.backgrounds).mean(axis=0))
+    return np.asarray(np.median(images, axis=0))
+
+
+def _saturated(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
+    shares = np.array([(each >= _FULL).mean() for each in recordings.images])
+    if np.median(shares) > _MOST_FULL:
+        yield Mistake(
+            "saturated",
+            f"{np.median(shares):.1%} of the levels of an image are at the end of their range; expected at "
+            f"most {_MOST_FULL:.0%}: shorten the exposure",
+            float(np.median(shares)),
+            tuple(np.flatnonzero(shares > _MOST_FULL).tolist()),
+        )
+
+
+def _channels(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
+    """Compare the gel at rest with what most touches show, channel by channel."""
+    usual = images
+    if not recordings.backgrounds.size:
+        usual = images[len(images) // 2 :]
+        rest = np.median(images[: len(images) // 2], axis=0)
+    if not len(usual):
+        return
+    shown = np.median(usual, axis=0)
+    errors = {order: float(np.abs(shown[..., order] - rest).mean()) for order in permutations(range(3))}
+    best = min(errors, key=lambda order: errors[order])
+    stated = errors[0, 1, 2]
+    if best != (0, 1, 2) and errors[best] < 0.5 * stated and stated > _MOST_DRIFT:
+        names = "".join("RGB"[place] for place in best)
+        yield Mistake(
+            "channels",
+            f"the channels are in another order in the touches than in the gel at rest: they differ by "
+            f"{stated:.1f} levels as they are, and by {errors[best]:.1f} as {names}",
+            stated,
+        )
+
+
+def _changed_gel(recordings: Recordings, images: Float64, rest: Float64) -> Iterator[Mistake]:
+    """Find where the gel at rest changes in the order of the touches."""
+    # Parts of fewer touches would show their contacts, which move from touch to touch.
+    least = max(LEAST_TOUCHES, len(images) // 3)
+    drifts = {0: 0.0}
+    for cut in range(least, len(images) - least + 1):
+        before, after = np.median(images[:cut], axis=0), np.median(images[cut:], axis=0)
+        drifts[cut] = float(np.median(np.abs(before - after).mean(axis=2)))
+    cut = max(drifts, key=lambda place: drifts[place])
+    if drifts[cut] > _MOST_DRIFT:
+        yield Mistake(
+            "gel-changed",
+            f"gel or light changed at touch {cut}: most of the gel at rest differs by {drifts[cut]:.1f} "
+            f"levels before and after; expected at most {_MOST_DRIFT:g}",
+            drifts[cut],
+            tuple(range(cut, len(images))),
+        )
+
+
+def _markers(recordings: Recordings) -> Iterator[Mistake]:
+    """Find small dark dots in the gel at rest."""
+    from scipy import ndimage  # takes a tenth of a second to import
+
+    plain = recordings.backgrounds if recordings.backgrounds.size else recordings.images
+    grey = np.median(plain.mean(axis=3), axis=0)
+    scale = plain.shape[2] / 320
+    fine, wide = (ndimage.gaussian_filter(grey, each * scale) for each in (1.0, _MARKER_PX))
+    share = float((fine - wide < -_MARKER_LEVELS).mean())
+    if share > _MOST_MARKERS:
+        yield Mistake(
+            "markers",
+            f"the gel has markers: {share:.1%} of it are small dark dots, expected none; a twin has none",
+            share,
+        )
+
+
+def _poses(recordings: Recordings, change: Float64, touching: Bool, start: SensorModel) -> Iterator[Mistake]:
+    """Compare what was stated of poses and solids with what may have been meant."""
+    compare = _Comparison(recordings, change[touching], np.flatnonzero(touching), start)
+    stated = compare.agreement(recordings)
+    assert recordings.sensor_m is not None, "checked before"
+    assert recordings.object_poses is not None, "set when recordings are made"
+    away_m = float(np.median(np.abs(recordings.sensor_m[:, :2] - recordings.object_poses[:, :2]).max(axis=1)))
+    figure = f"the slopes of the solids and the change of the images agree by {stated:.2f}"
+    if away_m > _FARTHEST_M:
+        agrees = {unit: compare.agreement(_scaled(recordings, metres)) for unit, metres in _UNITS.items()}
+        unit = max(agrees, key=lambda each: agrees[each])
+        words = f"; in {unit}, {figure.rpartition(' ')[0]} {agrees[unit]:.2f}"
+        yield Mistake(
+            "units", f"sensor and solid are {away_m:.3g} m apart: positions are no metres{words}", away_m
+        )
+        return
+    if stated >= _LOW:
+        return
+    meant = [("mirrored", words, compare.agreement(made(recordings))) for words, made in _MIRRORS]
+    meant += [("mirrored", words, compare.agreement(recordings, flip)) for words, flip in _FLIPS]
+    meant.append(("mesh", "with other solids of the set", compare.with_others(recordings)))
+    kind, words, agrees_by = max(meant, key=lambda each: each[2])
+    if agrees_by > max(stated + _GAIN, _LOW):
+        yield Mistake(kind, f"{_WORDS[kind]}: {figure}, and {words} by {agrees_by:.2f}", stated)
+        return
+    yield Mistake("mesh", f"{_WORDS['mesh']}, or their poses: {figure}; expected at least {_LOW:g}", stated)
+
+
+_WORDS = {
+    "mirrored": "an axis of the poses is mirrored",
+    "mesh": "the solids are not those that were touched",
+}
+
+
+class _Comparison:
+    """Compares the slopes of solids, where poses put them, with the change of images (n, h, w)."""
+
+    def __init__(self, recordings: Recordings, change: Float64, touches: Int64, start: SensorModel) -> None:
+        self.touches = touches
+        self.reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
+        self.size = change.shape[1:]
+        self.half_m = np.array([start.width_mm, start.height_mm]) / 2e3
+        self.press_m = start.gel_mm / 1e3 - start.press_m
+        self.sigma_px = _SMOOTH_MM / start.width_mm * self.size[1]
+        self.change = _centred(_blurred(change, self.sigma_px))
+
+    def agreement(self, recordings: Recordings, flip: int | None = None) -> float:
+        """Return the median correlation over the touches; ``flip`` mirrors an axis of the images."""
+        change = self.change
+        if flip is not None:
+            change = np.flip(change, 1 + flip)
+        places = recordings.places()
+        assert places is not None, "poses were stated"
+        ids = recordings.object_ids[self.touches]
+        found = [
+            self._agreement(int(key), place, seen)
+            for key, place, seen in zip(ids, places[self.touches], change, strict=True)
+        ]
+        return float(np.median(found))
+
+    def with_others(self, recordings: Recordings) -> float:
+        """Return the median correlation if each touch names the best of the other solids."""
+        places, found = recordings.places(), []
+        assert places is not None, "poses were stated"
+        for touch, seen in zip(self.touches, self.change, strict=True):
+            others = [key for key in self.reliefs if key != recordings.object_ids[touch]]
+            found.append(max([self._agreement(key, places[touch], seen) for key in others], default=0.0))
+        return float(np.median(found))
+
+    def _agreement(self, key: int, place: Float64, seen: Float64) -> float:
+        """Return the correlation of one touch, the greatest within the error of a pose."""
+        slopes = self._slopes(self.reliefs[key], place)
+        norm = np.sqrt((slopes**2).sum() * (seen**2).sum())
+        if norm == 0:
+            return 0.0
+        best = 0.0
+        for down in range(-_REACH_PX, _REACH_PX + 1, _STEP_PX):
+            for right in range(-_REACH_PX, _REACH_PX + 1, _STEP_PX):
+                moved = np.roll(slopes, (down, right), axis=(0, 1))
+                best = max(best, float((moved * seen).sum() / norm))
+        return best
+
+    def _slopes(self, relief: Relief, place: Float64) -> Float64:
+        cosine, sine = np.cos(place[2]), np.sin(place[2])
+        half = self.half_m
+        affine = np.array(
+            [[cosine * half[0], sine * half[1], place[0]], [-sine * half[0], cosine * half[1], place[1]]]
+        )
+        heights = np.empty(self.size)
+        gel_kernels.sample_relief(heights, relief.heights_m, relief.corner, affine, np.ones(2), 0.0, 0.0)
+        pressed = np.maximum(heights - (heights.max() - self.press_m), 0.0)
+        down, right = np.gradient(_blurred(pressed[None], self.sigma_px)[0])
+        return np.asarray(_centred(np.hypot(down, right)[None])[0])
+
+
+def _blurred(images: Float64, sigma_px: float) -> Float64:
+    from scipy import ndimage  # takes a tenth of a second to import
+
+    found: Float64 = ndimage.gaussian_filter(images, (0, sigma_px, sigma_px))
+    return found
+
+
+def _centred(images: Float64) -> Float64:
+    return np.asarray(images - images.mean(axis=(1, 2), keepdims=True))
+
+
+def _scaled(recordings: Recordings, factor: float) -> Recordings:
+    sensor_m, poses = _poses_of(recordings)
+    return replace(recordings, sensor_m=sensor_m * factor, object_poses=poses * [factor, factor, 1.0])
+
+
+def _with_signs(recordings: Recordings, x: float, y: float, turn: float) -> Recordings:
+    sensor_m, poses = _poses_of(recordings)
+    return replace(recordings, sensor_m=sensor_m * [x, y, 1.0], object_poses=poses * [x, y, turn])
+
+
+def _poses_of(recordings: Recordings) -> tuple[Float64, Float64]:
+    assert recordings.sensor_m is not None, "poses were stated"
+    assert recordings.object_poses is not None, "set when recordings are made"
+    return recordings.sensor_m, recordings.object_poses
+
+
+_MIRRORS: tuple[tuple[str, Callable[[Recordings], Recordings]], ...] = (
+    ("with x mirrored", partial(_with_signs, x=-1.0, y=1.0, turn=1.0)),
+    ("with y mirrored", partial(_with_signs, x=1.0, y=-1.0, turn=1.0)),
+    ("with the turn the other way round", partial(_with_signs, x=1.0, y=1.0, turn=-1.0)),
+    ("with x and the turn mirrored", partial(_with_signs, x=-1.0, y=1.0, turn=-1.0)),
+    ("with y and the turn mirrored", partial(_with_signs, x=1.0, y=-1.0, turn=-1.0)),
+)
+_FLIPS = (("with the images upside down", 0), ("with the images mirrored", 1))

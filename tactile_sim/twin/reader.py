@@ -1,0 +1,291 @@
+"""Reads depth from images of a sensor: colours to slopes, Poisson integration, and a second regression.
+
+The networks are trained on touches that the twin itself renders, of the solids of its calibration in random
+places, sizes and depths and of balls, cones and ridges, with the noise of the sensor, and on the recordings.
+The second one also states how far off it is likely to be.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from tactile_sim.taxim_kernels import blur
+from tactile_sim.twin import gel, network
+from tactile_sim.twin.fitting import Fit, shrunk
+from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.gel_kernels import sample_relief
+from tactile_sim.twin.relief import Relief
+from tactile_sim.twin.twin import Twin, TwinOptics, in_size_of, resized_depth
+from tactile_toolkit.array_types import Float32, Float64, UInt8
+
+_WIDTHS = {"full": 160, "fast": 80}  # pixels of the images that are read
+_TOUCHES = 240
+_PER_TOUCH = 3000  # pixels that the networks see of each
+_SLOPE_STEPS, _DEPTH_STEPS = 500, 1500
+_SLOPE_HIDDEN, _DEPTH_HIDDEN = (24, 24), (48, 48)
+_BLURS = (0.01, 0.03, 0.09)  # of the width
+_DULL_MM = 0.02  # of depth: less is none
+_SMOOTH_MM = 0.01  # below this, the loss is round
+_REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
+_PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DepthReading:
+    """Depth of touches.
+
+    Attributes
+    ----------
+    depth_m : ndarray of float32, shape (N, H, W)
+        How far the solid reaches into the gel at rest, metres; 0 where nothing touches.
+    error_m : ndarray of float32, shape (N, H, W)
+        Expected absolute error of each pixel, metres.
+    """
+
+    depth_m: Float32
+    error_m: Float32
+
+
+def reader_shapes() -> dict[str, tuple[int, ...]]:
+    """Return the shapes of the weights of a reader by name."""
+    shapes: dict[str, tuple[int, ...]] = {}
+    colours = 11
+    for mode in _WIDTHS:
+        nets = (
+            ("slope", colours, _SLOPE_HIDDEN),
+            ("depth", colours + 3 + 6 * len(_BLURS[1:]) + 3, _DEPTH_HIDDEN),
+        )
+        for kind, inputs, hidden in nets:
+            name, sizes = f"{mode}_{kind}", (inputs, *hidden, 2)
+            shapes |= {f"{name}_mean": (inputs,), f"{name}_scale": (inputs,)}
+            for layer, (wide, narrow) in enumerate(pairwise(sizes)):
+                shapes |= {f"{name}_w{layer}": (wide, narrow), f"{name}_b{layer}": (narrow,)}
+    return shapes
+
+
+def read_depth(twin: Twin, images: UInt8, *, fast: bool = False) -> DepthReading:
+    """Read the depth of images (N, H, W, 3) of the sensor."""
+    mode = "fast" if fast else "full"
+    shrink = _shrink(twin, mode)
+    background = shrunk(twin.background, shrink)
+    depths, errors = [], []
+    for image in in_size_of(twin, images):
+        change = shrunk(image.astype(np.float32), shrink) - background
+        depth_mm, error_mm = _read(twin.reader, mode, change)
+        depths.append(depth_mm)
+        errors.append(error_mm)
+    size_px = (images.shape[2], images.shape[1])
+    scale = np.float32(1e-3)
+    return DepthReading(
+        resized_depth(np.stack(depths) * scale, size_px), resized_depth(np.stack(errors) * scale, size_px)
+    )
+
+
+def _shrink(twin: Twin, mode: str) -> int:
+    return max(1, round(twin.size_px[0] / _WIDTHS[mode]))
+
+
+def _read(reader: Mapping[str, Float32], mode: str, change: Float32) -> tuple[Float32, Float32]:
+    rows, columns, _ = change.shape
+    colours = _colours(change)
+    slopes = network.evaluate(reader, f"{mode}_slope", colours).reshape(rows, columns, 2)
+    found = network.evaluate(reader, f"{mode}_depth", _surroundings(colours, slopes))
+    depth_mm = found[:, 0].reshape(rows, columns)
+    error_mm = np.exp(np.clip(found[:, 1], -8, 2)).reshape(rows, columns)
+    return np.where(depth_mm > _DULL_MM, depth_mm, 0), error_mm
+
+
+def _colours(change: Float32) -> Float32:
+    """Return what slopes are read from: changes of colours, sharp and blurred, and the place; (H W, 11)."""
+    rows, columns, _ = change.shape
+    soft = _blurred(change, _BLURS[0] * columns)
+    y, x = np.meshgrid(np.linspace(-1, 1, rows), np.linspace(-1, 1, columns), indexing="ij")
+    place = np.stack([x, y, x * x, x * y, y * y], axis=-1).astype(np.float32)
+    return np.concatenate([change, soft, place], axis=-1).reshape(-1, 11)
+
+
+def _surroundings(colours: Float32, slopes: Float32) -> Float32:
+    """Return what depth is read from: colours, slopes, the integrated surface, and both around a pixel."""
+    rows, columns, _ = slopes.shape
+    surface = integrated(slopes)
+    level = surface - np.float32(np.percentile(surface, 90))
+    change = colours[:, 3:6].reshape(rows, columns, 3)
+    parts = [slopes, level[..., None]]
+    for share in _BLURS[1:]:
+        around = np.concatenate([change, slopes, level[..., None]], axis=-1)
+        parts.append(_blurred(around, share * columns))
+    whole = np.array([level.min(), level.mean(), np.abs(change).max()], np.float32)
+    parts.append(np.broadcast_to(whole, (rows, columns, 3)))
+    return np.concatenate([colours, np.concatenate(parts, axis=-1).reshape(rows * columns, -1)], axis=1)
+
+
+def _blurred(image: Float32, sigma_px: float) -> Float32:
+    rows, columns, many = image.shape
+    plane = image.reshape(rows, columns * many).astype(np.float64)
+    across, down = gel.half_kernel(sigma_px, columns), gel.half_kernel(sigma_px, rows)
+    blur(plane, across, down, many, np.zeros(plane.shape, np.bool_), plane)
+    return plane.reshape(image.shape).astype(np.float32)
+
+
+def integrated(slopes: Float32) -> Float32:
+    """Return the surface (H, W) whose slopes (H, W, 2), per pixel along x and y upwards, fit best.
+
+    Poisson's equation with free edges, by the cosine transform (Agrawal, Raskar and Chellappa, ECCV 2006).
+    """
+    from scipy import fft  # takes a tenth of a second to import
+
+    rows, columns, _ = slopes.shape
+    along_x, along_y = slopes[..., 0], -slopes[..., 1]
+    middle_x = (along_x[:, 1:] + along_x[:, :-1]) / 2
+    middle_y = (along_y[1:] + along_y[:-1]) / 2
+    bend = np.zeros((rows, columns), np.float32)
+    bend[:, :-1] += middle_x
+    bend[:, 1:] -= middle_x
+    bend[:-1] += middle_y
+    bend[1:] -= middle_y
+    waves = (
+        2 * np.cos(np.pi * np.arange(columns) / columns) + 2 * np.cos(np.pi * np.arange(rows) / rows)[:, None]
+    )
+    waves = (waves - 4).astype(np.float32)
+    waves[0, 0] = 1
+    turned = fft.dctn(bend, norm="ortho") / waves
+    turned[0, 0] = 0
+    return np.asarray(fft.idctn(turned, norm="ortho"), np.float32)
+
+
+def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
+    """Return the weights of the networks of a twin."""
+    rng = np.random.default_rng(seed)
+    samples = _samples(twin, fit, rng)
+    reader: dict[str, Float32] = {}
+    for mode in _WIDTHS:
+        shrink = _shrink(twin, mode)
+        background = shrunk(twin.background, shrink)
+        held = []
+        for image, depth_mm, repeated in samples:
+            change = shrunk(image, shrink) - background
+            depth = shrunk(depth_mm, shrink)
+            held.append((_colours(change), _true_slopes(depth, twin, shrink), depth.reshape(-1, 1), repeated))
+        reader |= _trained(mode, held, rng)
+    return reader
+
+
+def _trained(
+    mode: str, held: list[tuple[Float32, Float32, Float32, int]], rng: np.random.Generator
+) -> dict[str, Float32]:
+    """Train both networks of a mode: slopes first, then depth from what the first one finds."""
+    per = min(_PER_TOUCH, len(held[0][0]))
+    chosen = [rng.permutation(len(each[0]))[: per * each[3]] for each in held]
+    inputs = np.concatenate([each[0][rows] for each, rows in zip(held, chosen, strict=True)])
+    targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
+    name = f"{mode}_slope"
+    reader = network.train(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
+    parts, targets = [], np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
+    for (colours, slopes, _, _), rows in zip(held, chosen, strict=True):
+        read = network.evaluate(reader, name, colours).reshape(slopes.shape)
+        parts.append(_surroundings(colours, read)[rows])
+    inputs = np.concatenate(parts)
+    name = f"{mode}_depth"
+    return reader | network.train(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
+
+
+def _plain_slope(found: Float32, targets: Float32) -> Float32:
+    left = found - targets
+    return np.asarray(left / np.sqrt(left * left + np.float32(1e-4)))
+
+
+def _depth_slope(found: Float32, targets: Float32) -> Float32:
+    """Return derivatives of the absolute error, and of the likelihood of a Laplace distribution's width."""
+    left = found[:, :1] - targets
+    width = np.clip(found[:, 1:], -8, 2)
+    sharp = left / np.sqrt(left * left + np.float32(_SMOOTH_MM**2))
+    return np.concatenate([sharp, np.float32(0.1) * (1 - np.abs(left) * np.exp(-width))], axis=1)
+
+
+def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
+    """Return the slopes of the gel, mm per pixel along x and y upwards, shape (H, W, 2)."""
+    rows, columns = depth_mm.shape
+    pitch_m = 2 * twin.half_m / [columns, rows]
+    shape = twin.shape.copy()
+    shape[Shape.LENS] = 0.0  # depth is as it is seen
+    soft = 1e3 * gel.gel_surface(depth_mm.astype(np.float64) / 1e3, pitch_m, shape)
+    down, across = np.gradient(soft)
+    return np.stack([across, -down], axis=-1).astype(np.float32)
+
+
+def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float32, Float32, int]]:
+    """Return images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
+    samples: list[tuple[Float32, Float32, int]] = []
+    touches = np.flatnonzero(fit.used)
+    presses = []
+    left = []
+    for touch in touches:
+        depth_m = fit.indentation(int(touch), fit.poses[touch], fit.shape)
+        presses.append(float(depth_m.max()))
+        image = fit.recordings.images[touch].astype(np.float32)
+        samples.append((image, (1e3 * depth_m).astype(np.float32), _REPEATED))
+        left.append(image - fit.background - fit.rendered(int(touch), fit.poses[touch], fit.shape))
+    optics, reliefs = TwinOptics(twin), list(fit.reliefs.values())
+    for number in range(_TOUCHES):
+        relief = reliefs[rng.integers(len(reliefs))]
+        if rng.random() < _PRIMITIVE:
+            relief = _primitive(rng)
+        margin = gel.margin_px(twin.size_px[0])
+        reach_m = _pressed(twin, relief, rng, presses, margin)
+        clean = twin.background + optics.response(reach_m, margin=margin)
+        reach_m = gel.seen_through(reach_m, twin.pitch_m, float(twin.shape[Shape.LENS]), margin)
+        # What the fit leaves of real images: their noise, and what the twin does not render.
+        noise = left[number % len(left)]
+        image = np.clip(np.rint(clean + noise[:: rng.choice([1, -1]), :: rng.choice([1, -1])]), 0, 255)
+        samples.append((image.astype(np.float32), (1e3 * reach_m).astype(np.float32), 1))
+    return samples
+
+
+def _pressed(
+    twin: Twin, relief: Relief, rng: np.random.Generator, presses: list[float], margin: int
+) -> Float64:
+    """Return how far a relief reaches into the gel, metres, at a random place near its top, with a margin."""
+    rows, columns = np.nonzero(relief.heights_m > relief.top_m - 0.0015)
+    chosen = rng.integers(len(rows))
+    corner = relief.corner
+    middle_m = corner[:2] + [columns[chosen], rows[chosen]] * corner[2:] + rng.normal(0, 2e-3, 2)
+    turn, scale = rng.uniform(0, 2 * np.pi), rng.uniform(0.75, 1.3, 2) * [rng.choice([-1, 1]), 1]
+    cosine, sine = np.cos(turn), np.sin(turn)
+    half = twin.half_m * scale
+    affine = np.array(
+        [[cosine * half[0], -sine * half[1], middle_m[0]], [sine * half[0], cosine * half[1], middle_m[1]]]
+    )
+    size = np.array(twin.size_px)
+    out = np.empty(tuple((size + 2 * margin)[::-1]))
+    span = (size + 2 * margin) / size
+    sample_relief(out, relief.heights_m, corner, affine, span, 0.0, 0.0)
+    press_m = rng.uniform(0.7 * min(presses), 1.15 * max(presses))
+    return np.asarray(np.maximum(out - (out[margin:-margin, margin:-margin].max() - press_m), 0))
+
+
+def _primitive(rng: np.random.Generator) -> Relief:
+    """Return a ball, a cone, a ridge, or several of them, 7 mm high, on 16 x 16 mm."""
+    side, pitch = 320, 5e-5
+    y, x = np.mgrid[-1:1:320j, -1:1:320j] * (side * pitch / 2)
+    height = np.zeros((side, side))
+    for _ in range(int(rng.integers(1, 4))):
+        at = rng.uniform(-4e-3, 4e-3, 2)
+        turn = rng.uniform(0, np.pi)
+        far = np.hypot(x - at[0], y - at[1])
+        across = np.abs(np.cos(turn) * (x - at[0]) + np.sin(turn) * (y - at[1]))
+        radius, slope = rng.uniform(1.5e-3, 8e-3), rng.uniform(0.15, 1.2)
+        top = 7e-3 - rng.uniform(0, 6e-4)
+        kind = rng.integers(4)
+        place = (far, far, across, across)[kind]
+        if kind % 2:
+            flat = rng.uniform(0, 2e-3)
+            body = top - slope * np.maximum(place - flat, 0)
+        else:
+            body = top - radius + np.sqrt(np.maximum(radius**2 - place**2, 0))
+        height = np.maximum(height, body)
+    corner = np.array([x[0, 0], y[0, 0], pitch, pitch])
+    return Relief(np.maximum(height, 0).astype(np.float32), corner)

@@ -1,0 +1,136 @@
+"""Touches of known solids by one sensor, from which its twin is made."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+
+_LEAST_PX = 32  # kernels of the gel need some room
+_MOST_BYTES = 1 << 30
+_NO_BACKGROUND: UInt8 = np.empty((0, 0, 0, 3), np.uint8)
+
+
+@dataclass(frozen=True, eq=False)
+class Recordings:
+    """Touches of known solids.
+
+    Attributes
+    ----------
+    images : ndarray of uint8, shape (N, H, W, 3)
+        One image of each touch, red, green and blue.
+    object_ids : ndarray of int64, shape (N,)
+        Which solid was touched.
+    solids : mapping of int to mesh
+        Closed meshes, metres, by their numbers.
+    backgrounds : ndarray of uint8, shape (B, H, W, 3)
+        Images without contact; without them, the background is found from the touches.
+    sensor_m : ndarray of float64, shape (N, 3), optional
+        Where the sensor was, metres, cell frame: x, y, and the height z at which it stopped, NaN where it is
+        unknown. Without it, touches are found by matching.
+    object_poses : ndarray of float64, shape (N, 3), optional
+        x and y of the origin of the mesh, metres, cell frame, and its turn about z as seen by the sensor,
+        radians; zeros by default.
+    names : tuple of str
+        Names of the touches in messages; numbers by default.
+
+    Raises
+    ------
+    InputError
+        Arrays of other types, shapes or lengths, numbers that are not finite, unknown solids.
+    """
+
+    images: UInt8
+    object_ids: Int64
+    solids: Mapping[int, MeshLike] = field(repr=False)
+    backgrounds: UInt8 = field(default_factory=lambda: _NO_BACKGROUND)
+    sensor_m: Float64 | None = None
+    object_poses: Float64 | None = None
+    names: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        _require_images(self.images, "images")
+        count = len(self.images)
+        if self.backgrounds.size:
+            _require_images(self.backgrounds, "backgrounds")
+            if self.backgrounds.shape[1:] != self.images.shape[1:]:
+                raise InputError(
+                    f"backgrounds have the shape {self.backgrounds.shape[1:]}, and images "
+                    f"{self.images.shape[1:]}; expected images of one size"
+                )
+        ids = np.asarray(self.object_ids)
+        if ids.shape != (count,) or ids.dtype.kind not in "iu":
+            raise InputError(f"object_ids have the shape {ids.shape}; expected an integer for each touch")
+        unknown = sorted(set(ids.tolist()) - set(self.solids))
+        if unknown:
+            raise InputError(
+                f"solids {', '.join(map(str, unknown[:5]))} were touched and are not among the "
+                f"{len(self.solids)} solids",
+                next="give the set of solids that were printed",
+            )
+        for name, allows_nan in (("sensor_m", (2,)), ("object_poses", ())):
+            values = getattr(self, name)
+            if values is not None:
+                object.__setattr__(self, name, _checked_poses(values, count, name, allows_nan))
+        if self.object_poses is None:
+            object.__setattr__(self, "object_poses", np.zeros((count, 3)))
+        object.__setattr__(self, "object_ids", ids.astype(np.int64))
+        meshes = {int(key): as_mesh(self.solids[key]) for key in sorted(set(ids.tolist()))}
+        object.__setattr__(self, "solids", meshes)
+        names = self.names or tuple(map(str, range(count)))
+        if len(names) != count:
+            raise InputError(f"{len(names)} names for {count} touches")
+        object.__setattr__(self, "names", names)
+
+    def __len__(self) -> int:
+        """Return the number of touches."""
+        return len(self.images)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        return self.images.shape[2], self.images.shape[1]
+
+    def mesh(self, object_id: int) -> Mesh:
+        """Return a solid."""
+        return as_mesh(self.solids[object_id])
+
+    def places(self) -> Float64 | None:
+        """Return the point of each solid under the sensor, x and y, metres, and its turn, radians; (N, 3)."""
+        if self.sensor_m is None:
+            return None
+        assert self.object_poses is not None, "set when the recordings are made"
+        x_m, y_m = (self.sensor_m[:, :2] - self.object_poses[:, :2]).T
+        turn = self.object_poses[:, 2]
+        cosine, sine = np.cos(turn), np.sin(turn)
+        return np.stack([cosine * x_m + sine * y_m, cosine * y_m - sine * x_m, turn], axis=1)
+
+
+def _require_images(images: AnyArray, name: str) -> None:
+    shape = images.shape
+    if images.dtype != np.uint8 or images.ndim != 4 or shape[3] != 3 or not len(images):
+        raise InputError(
+            f"{name} are {images.dtype} of the shape {shape}; expected uint8 (n, height, width, 3)"
+        )
+    if min(shape[1:3]) < _LEAST_PX or shape[1] * shape[2] > MAX_IMAGE_PIXELS or images.nbytes > _MOST_BYTES:
+        raise InputError(
+            f"{name} are {shape[0]} of {shape[2]} x {shape[1]} pixels; expected at least {_LEAST_PX} pixels "
+            f"a side and at most {_MOST_BYTES >> 20} MiB in all",
+            next="scale the images, or take fewer",
+        )
+
+
+def _checked_poses(values: AnyArray, count: int, name: str, allows_nan: tuple[int, ...]) -> Float64:
+    found = np.asarray(values, np.float64)
+    if found.shape != (count, 3):
+        raise InputError(f"{name} has the shape {found.shape}; expected ({count}, 3)")
+    checked = np.delete(found, allows_nan, axis=1)
+    if not np.isfinite(checked).all() or np.isinf(found).any():
+        raise InputError(f"{name} holds values that are not finite")
+    return found

@@ -1,0 +1,175 @@
+"""The course of a fit: from coarse to fine, with the touches that fit badly left out, and what it found."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from tactile_sim.sensor_models import SensorModel
+from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.recordings import Recordings
+from tactile_sim.twin.relief import Relief
+from tactile_toolkit.array_types import Float32, Float64, Int64
+
+# First guesses: as Taxim's calibration of the GelSight Mini has them.
+_WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
+# How far poses are expected to be off: metres, metres, radians, metres.
+_SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
+_UNKNOWN_PRESS_M = 5e-4
+_MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
+_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
+_COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
+_STEPS = (16, 10)
+_SETTLED = 0.01
+_PASSES = 3
+_MISFIT = 3.0  # times the median error
+
+
+def start_fit(recordings: Recordings, places: Float64, level_m: Float64 | None, start: SensorModel) -> Fit:
+    """Return a fit that begins with a geometry, and with given points under the sensor and turns (N, 3)."""
+    reliefs = {key: Relief.of(recordings.mesh(key)) for key in recordings.solids}
+    shape = np.array([0.0, 0.0, 0.0, start.gel_mm / 1e3, _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M])
+    guess_m = np.array([start.width_mm, start.height_mm]) / 2e3
+    count = len(recordings)
+    poses = np.column_stack([places, np.zeros(count)])
+    spread = np.tile(_SPREAD, (count, 1))
+    known = np.zeros(count)
+    if level_m is not None:
+        known = level_m.copy()
+    fit = Fit(recordings, reliefs, guess_m, shape, poses, known, spread, first_background(recordings))
+    missing = np.isnan(known) if level_m is not None else np.ones(count, bool)
+    spread[missing, 3] = _UNKNOWN_PRESS_M
+    if level_m is None:  # places were found by matching
+        spread[:, :3] = _MATCHED_SPREAD
+    set_levels(fit, np.flatnonzero(missing), start)
+    return fit
+
+
+def set_levels(fit: Fit, touches: Int64, start: SensorModel) -> None:
+    """Set the heights of the sensor at some touches so that half of the gel is pressed in."""
+    for touch in touches:
+        # Nothing lies below this level, so heights come back as they are.
+        fit.level_m[touch] = fit.shape[Shape.GEL] + fit.poses[touch, 3]
+        highest_m = fit.indentation(int(touch), fit.poses[touch], fit.shape).max()
+        fit.level_m[touch] = highest_m - (start.gel_mm / 1e3 - start.press_m) + fit.shape[Shape.GEL]
+
+
+def first_background(recordings: Recordings) -> Float32:
+    """Return the mean of the images without contact, or the median of the touches."""
+    if recordings.backgrounds.size:
+        return np.asarray(recordings.backgrounds.mean(axis=0), np.float32)
+    # A row at a time: a copy of all images would double the memory.
+    rows = [np.median(recordings.images[:, row], axis=0) for row in range(recordings.images.shape[1])]
+    return np.asarray(rows, np.float32)
+
+
+def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
+    """Fit from coarse to fine."""
+    width = fit.recordings.size_px[0]
+    done, total = 0, sum(_STEPS) + _PASSES + 2
+
+    def advance(to: int) -> None:
+        if on_progress is not None:
+            on_progress(to, total)
+
+    for level, (wide, steps) in enumerate(zip((_COARSEST_PX, _COARSE_PX), _STEPS, strict=True)):
+        fit.look(max(1, round(width / wide)))
+        moving = _COARSE if level == 0 else tuple(Shape)
+        fit.step()
+        for number in range(steps):
+            moved = fit.step(moving)
+            advance(done + number)
+            if moved < _SETTLED:
+                break
+        done += steps
+        leave_out_misfits(fit)
+    fit.choose_ridge()
+    advance(done + 1)
+    fit.look(1)
+    for number in range(_PASSES):
+        fit.step()
+        fit.refresh_background()
+        advance(done + 2 + number)
+
+
+def leave_out_misfits(fit: Fit) -> None:
+    """Leave out touches whose error is far above that of the others."""
+    for touch in range(len(fit.poses)):
+        fit.residual(touch)
+    bound = _MISFIT * np.median(fit.rms[fit.used])
+    fit.used = fit.used & (fit.rms <= bound)
+
+
+def found(fit: Fit) -> dict[str, Any]:
+    """Return what a fit found: JSON values."""
+    half_m = fit.half_m(fit.shape)
+    width, height = fit.recordings.size_px
+    pitch_mm = 2e3 * half_m / [width, height]
+    shape = {each.name.lower(): float(fit.shape[each]) for each in Shape}
+    return {
+        "mm_per_px": float(np.sqrt(pitch_mm[0] * pitch_mm[1])),
+        "mm_per_px_x": float(pitch_mm[0]),
+        "mm_per_px_y": float(pitch_mm[1]),
+        "lens_k1": shape["lens"],
+        "gel_mm": 1e3 * shape["gel"],
+        "gel_blur_mm": 1e3 * shape["width"],
+        "contact": shape["contact"],
+        "camera_blur_px": float(fit.shape[Shape.BLUR] / np.sqrt(pitch_mm[0] * pitch_mm[1] / 1e6)),
+        "ridge": fit.ridge,
+        "noise_levels": fit.noise,
+        "image_error_levels": float(np.median(fit.rms[fit.used])),
+        "touches": [_touch(fit, touch) for touch in range(len(fit.poses))],
+    }
+
+
+def _touch(fit: Fit, touch: int) -> dict[str, Any]:
+    x_m, y_m, turn_rad, _ = (float(value) for value in fit.poses[touch])
+    indentation_m = fit.indentation(touch, fit.poses[touch], fit.shape)
+    values: dict[str, Any] = {
+        "name": fit.recordings.names[touch],
+        "object_id": int(fit.recordings.object_ids[touch]),
+        "x_m": x_m,
+        "y_m": y_m,
+        "turn_rad": turn_rad,
+        "press_m": float(indentation_m.max()),
+        "error_levels": float(fit.rms[touch]),
+        "used": bool(fit.used[touch]),
+    }
+    if not fit.likely[touch]:
+        return {**values, "reason": "no place on the solid stands out against the others"}
+    if not fit.used[touch]:
+        return {
+            **values,
+            "reason": f"its error is {fit.rms[touch]:.1f} levels, that of the others "
+            f"{np.median(fit.rms[fit.used]):.1f}",
+        }
+    return {**values, **spread_of(fit, touch)}
+
+
+_LOOSE_M, _LOOSE_RAD = 1e-4, np.deg2rad(0.5)
+
+
+def spread_of(fit: Fit, touch: int) -> dict[str, Any]:
+    """Return the standard deviations of a pose, and the direction in which it is not determined."""
+    noise = (fit.rms[touch] / fit.noise) ** 2
+    floor = np.diag(1e-6 / np.square(_SPREAD))
+    covariance = noise * np.linalg.inv(fit.information[touch] + floor * noise)
+    along, directions = np.linalg.eigh(covariance[:2, :2])
+    deviation = np.sqrt(np.diag(covariance))
+    undetermined = []
+    if along[1] > _LOOSE_M**2:
+        angle = np.rad2deg(np.arctan2(directions[1, 1], directions[0, 1])) % 180
+        undetermined.append(
+            f"along {angle:.0f} degrees of the solid's frame, by {1e3 * np.sqrt(along[1]):.2f} mm"
+        )
+    if deviation[2] > _LOOSE_RAD:
+        undetermined.append(f"the turn, by {np.rad2deg(deviation[2]):.1f} degrees")
+    return {
+        "x_std_m": float(deviation[0]),
+        "y_std_m": float(deviation[1]),
+        "turn_std_rad": float(deviation[2]),
+        "undetermined": "; ".join(undetermined),
+    }

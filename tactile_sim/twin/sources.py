@@ -1,0 +1,286 @@
+"""Recordings of a user: a data set of touches, or a folder of images with a table, and the solids."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from os import PathLike, fspath
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tactile_sim.generation import open_split
+from tactile_sim.given_solids import given_solids
+from tactile_sim.kind import KIND
+from tactile_sim.twin.recordings import Recordings
+from tactile_toolkit import places, store, touch
+from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit.errors import InputError
+from tactile_toolkit.mesh import Mesh, as_mesh
+from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
+from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
+
+MOST_TOUCHES = 60
+"""Touches that are taken at most, evenly spaced; 20 are enough, and time grows with their number."""
+
+_SENSOR = ("x_m", "y_m", "z_m")
+_OBJECT = ("object_x_m", "object_y_m", "object_turn_rad")
+_OBJECT_NAMES = ("object", "object_id")
+_POSES_OF_OBJECT = ("touched_object_pose", "object_pose")
+_SUFFIXES = (".png", ".jpg", ".jpeg", ".webp")
+
+
+@dataclass(frozen=True)
+class _Touched:
+    """One touch: its name, image, solid (None: not stated), and numbers by name, metres and radians."""
+
+    name: str
+    image: UInt8
+    object_id: int | None
+    numbers: Mapping[str, float]
+
+
+def read_recordings(
+    source: str | PathLike[str],
+    solids: str | PathLike[str],
+    *,
+    table: str | PathLike[str] | None = None,
+    backgrounds: Sequence[str | PathLike[str]] = (),
+    unit: str | None = None,
+    opened: Callable[[Any], places.Place] = places.open_place,
+) -> Recordings:
+    """Read touches of known solids.
+
+    Parameters
+    ----------
+    source : str or path
+        Data set of touches, or a folder of images.
+    solids : str or path
+        Mesh file, folder of mesh files, or data set of meshes; of a folder, solids are numbered from 0 in the
+        order of their names.
+    table : str or path, optional
+        CSV or TSV with a line for each image: ``file``; ``object``, the id of the solid; ``x_m``, ``y_m``,
+        ``z_m`` of the sensor; ``object_x_m``, ``object_y_m``, ``object_turn_rad`` of the solid. By default
+        the only table in the folder, if there is one.
+    backgrounds : sequence of str or path
+        Images that touch nothing, or folders of them.
+    unit : "mm", "cm", "m" or "in", optional
+        Unit of STL, PLY and OBJ files; millimetres by default.
+    opened : callable
+        Opens a data set by its name.
+
+    Returns
+    -------
+    Recordings
+
+    Raises
+    ------
+    InputError
+        The source, the table, an image or the solids cannot be used.
+    IntegrityError, HubError
+        A data set is damaged, or cannot be fetched.
+    """
+    root = store.expanded(fspath(source))
+    images = image_files(root)
+    if images or table is not None:
+        touches = _of_folder(root, images, table)
+    else:
+        touches = _of_data_set(opened(source))
+    if not touches:
+        raise InputError(f"{str(source)!r} holds no touches", next="give images, or another data set")
+    touches = [touches[place] for place in spaced(len(touches), MOST_TOUCHES)]
+    meshes = _solids(solids, {each.object_id for each in touches}, unit, opened)
+    ids = [_solid_of(each, meshes) for each in touches]
+    shapes = {each.image.shape for each in touches}
+    if len(shapes) > 1:
+        raise InputError(f"images have the sizes {sorted(shapes)[:4]}; expected one", next="scale them first")
+    poses = _columns(touches, _OBJECT)
+    return Recordings(
+        np.stack([each.image for each in touches]),
+        np.array(ids, np.int64),
+        meshes,
+        _read_backgrounds(backgrounds, touches[0].image),
+        sensor_m=_columns(touches, _SENSOR, required=_SENSOR[:2]),
+        object_poses=poses,
+        names=tuple(each.name for each in touches),
+    )
+
+
+def image_files(root: Path) -> list[Path]:
+    """Return the image files of a folder that is no data set, in natural order."""
+    if not root.is_dir() or (root / store.MANIFEST_FILE).exists() or next(root.glob("**/*.parquet"), None):
+        return []
+    found = [each for each in root.iterdir() if each.suffix.lower() in _SUFFIXES]
+    return sorted(found, key=lambda each: natural_key(each.name))
+
+
+def read_image(file: Path, root: Path | None = None) -> UInt8:
+    """Decode an image file; InputError if it is none."""
+    try:
+        with store.open_regular(file, root) as stream:
+            return touch.decode_image(stream.read(touch.MAX_IMAGE_BYTES + 1))
+    except (OSError, ValueError) as error:
+        raise InputError(f"{str(file)!r} cannot be read as an image ({error})") from error
+
+
+def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None) -> list[_Touched]:
+    """Read the images of a folder, and what a table says of them."""
+    tables = [each for each in sorted(root.iterdir()) if each.suffix.lower() in TABLE_ENDINGS]
+    if table is None and len(tables) > 1:
+        names = ", ".join(each.name for each in tables[:4])
+        raise InputError(f"{str(root)!r} holds the tables {names}", next="choose one with --table")
+    file = tables[0] if table is None and tables else table
+    if file is None:
+        return [_Touched(each.name, read_image(each, root), None, {}) for each in images]
+    where = store.expanded(fspath(file))
+    try:
+        with store.open_regular(where) as stream:
+            columns, lines = table_lines(stream.read(), str(where))
+    except OSError as error:
+        raise InputError(f"{str(where)!r} cannot be read ({error.strerror})") from error
+    if "file" not in columns:
+        raise InputError(
+            f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
+            f"{', '.join((_OBJECT_NAMES[0], *_SENSOR, *_OBJECT))}"
+        )
+    store.names_inside([str(line["file"]) for line in lines], repr(str(where)))
+    return [_of_line(root, line, f"{str(where)!r}, line {number + 2}") for number, line in enumerate(lines)]
+
+
+def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
+    numbers: dict[str, float] = {}
+    object_id = None
+    for name, value in line.items():
+        if name is None or value in (None, ""):
+            continue
+        stem, unit = name.rpartition("_")[0], stated_unit(name)
+        for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
+            if ours in (*_SENSOR, *_OBJECT) and unit in per:
+                numbers[ours] = _number(value, name, where) / per[unit]
+        if name in _OBJECT_NAMES:
+            object_id = int(_number(value, name, where))
+    name = str(line["file"])
+    return _Touched(name, read_image(root / name, root), object_id, numbers)
+
+
+def _number(value: Any, name: str, where: str) -> float:
+    try:
+        return float(str(value).replace(",", "."))
+    except ValueError as error:
+        raise InputError(f"{where}: {name} is {value!r}; expected a number") from error
+
+
+def spaced(count: int, most: int) -> list[int]:
+    """Return at most so many numbers below a count, evenly spaced."""
+    return [int(each) for each in np.unique(np.linspace(0, count - 1, min(count, most)).round())]
+
+
+def _of_data_set(place: places.Place) -> list[_Touched]:
+    """Read touches of a data set, of all splits; their poses, or columns of the names of a table."""
+    parts = [KIND.load(place, split).touches() for split in place.splits]
+    flat = [(each, number) for each in parts for number in range(len(each))]
+    return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MOST_TOUCHES)]
+
+
+def _of_touch(each: Any) -> _Touched:
+    extra = each.extra
+    names = [*_SENSOR, *_OBJECT]
+    numbers = {name: float(extra[name]) for name in names if name in extra and np.isfinite(extra[name])}
+    object_id = None
+    if each.round.row.has("object_id"):
+        object_id = int(each.object_id)
+    elif "object" in extra:
+        object_id = int(extra["object"])
+    if each.round.row.has_poses:
+        numbers |= _seen_poses(each)
+    return _Touched(each.id, each.image, object_id, numbers)
+
+
+def _seen_poses(each: Any) -> dict[str, float]:
+    """Return where sensor and solid are, both turned about z so that the gel is not turned."""
+    gel = each.gel_pose
+    x_axis = gel.matrix[:3, 0]
+    yaw = np.arctan2(x_axis[1], x_axis[0])
+    back = np.array([[np.cos(yaw), np.sin(yaw)], [-np.sin(yaw), np.cos(yaw)]])
+    sensor = [*(back @ gel.translation[:2]), gel.translation[2]]
+    numbers = dict(zip(_SENSOR, map(float, sensor), strict=True))
+    info = each.round.info if each.round.row.has_info() else {}
+    found = next((info[name] for name in _POSES_OF_OBJECT if name in info), None)
+    if found is not None:
+        matrix = np.asarray(found.matrix)
+        matrix = matrix[each.touch_index] if matrix.ndim == 3 else matrix
+        turn = np.arctan2(matrix[1, 0], matrix[0, 0]) - yaw
+        numbers |= dict(zip(_OBJECT, map(float, (*(back @ matrix[:2, 3]), turn)), strict=True))
+    return numbers
+
+
+def _columns(
+    touches: Sequence[_Touched], names: Sequence[str], required: Sequence[str] = ()
+) -> Float64 | None:
+    """Return numbers of all touches, (N, 3): NaN for a height that is not stated, 0 for other gaps.
+
+    None if no touch states any, or not all state what is required.
+    """
+    if not any(name in each.numbers for each in touches for name in names):
+        return None
+    missing = [each.name for each in touches if not all(name in each.numbers for name in required)]
+    if missing:
+        raise InputError(
+            f"{len(missing)} of {len(touches)} touches have no position, {missing[0]!r} first; expected "
+            f"{' and '.join(required)} for all, or for none"
+        )
+    gaps = [np.nan if name == "z_m" else 0.0 for name in names]
+    rows = [[each.numbers.get(name, gap) for name, gap in zip(names, gaps, strict=True)] for each in touches]
+    return np.array(rows, np.float64)
+
+
+def _solids(
+    source: str | PathLike[str],
+    wanted: set[int | None],
+    unit: str | None,
+    opened: Callable[[Any], places.Place],
+) -> dict[int, Mesh]:
+    """Return the meshes of the solids that were touched; of a single one, whatever touches name."""
+    given = given_solids(source, unit)
+    if given is not None:
+        solids = [solid for each in given.values() for solid in each.solids]
+        chosen = solids if None in wanted else [each for each in solids if each.id in wanted]
+        return {each.id: each.mesh() for each in chosen or solids}
+    place = opened(source).require_complete()
+    found: dict[int, Mesh] = {}
+    for split in place.splits:
+        held = open_split(place, split)
+        for row, number in enumerate(held.ids.tolist()):
+            if number in wanted and number not in found:
+                found[number] = as_mesh(held[row])
+    return found
+
+
+def _solid_of(each: _Touched, meshes: Mapping[int, Mesh]) -> int:
+    if each.object_id is not None:
+        return each.object_id
+    if len(meshes) == 1:
+        return next(iter(meshes))
+    raise InputError(
+        f"touch {each.name!r} does not say which of {len(meshes)} solids it is of",
+        next="add a column `object` with the id of the solid to the table",
+    )
+
+
+def _read_backgrounds(sources: Sequence[str | PathLike[str]], like: UInt8) -> UInt8:
+    files: list[Path] = []
+    for each in sources:
+        path = store.expanded(fspath(each))
+        files += image_files(path) if path.is_dir() else [path]
+    if not files:
+        return np.empty((0, *like.shape), np.uint8)
+    images = [read_image(file) for file in files]
+    for file, image in zip(files, images, strict=True):
+        if image.shape != like.shape:
+            raise InputError(
+                f"the image without contact {str(file)!r} has {image.shape[1]} x {image.shape[0]} pixels; "
+                f"expected {like.shape[1]} x {like.shape[0]}, as the touches"
+            )
+    return np.stack(images)

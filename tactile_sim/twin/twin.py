@@ -1,0 +1,178 @@
+"""The twin of a sensor: what a fit found, as optics that render its images."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from tactile_sim.array_files import npz_bytes
+from tactile_sim.optics import Optics, scaled
+from tactile_sim.sensor import Sensor
+from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin.gel import Shape
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
+from tactile_toolkit.errors import InputError
+
+LEAST_PX = 16
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """Geometry, response and background of a sensor, and the reader of its depth.
+
+    Attributes
+    ----------
+    shape : ndarray of float64, shape (8,)
+        Geometry, by :class:`~tactile_sim.twin.gel.Shape`; its first two values are 0.
+    half_m : ndarray of float64, shape (2,)
+        Half of width and height of the image on the gel, metres.
+    coefficients : ndarray of float32, shape (entries, 6, 3)
+        Response by slope and depth, levels.
+    background : ndarray of float32, shape (H, W, 3)
+        Image without contact, levels.
+    reader : mapping of str to ndarray of float32
+        Weights of the reader of depth.
+    report : mapping
+        What the fit found, JSON values.
+    """
+
+    shape: Float64
+    half_m: Float64
+    coefficients: Float32
+    background: Float32
+    reader: Mapping[str, Float32] = field(repr=False)
+    report: Mapping[str, Any] = field(repr=False)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height of the images."""
+        return self.background.shape[1], self.background.shape[0]
+
+    @property
+    def pitch_m(self) -> Float64:
+        """Size of a pixel on the gel, metres."""
+        return np.asarray(2 * self.half_m / self.size_px)
+
+    def arrays(self) -> dict[str, AnyArray]:
+        """Return all arrays by name, as the file holds them."""
+        own = {name: getattr(self, name) for name in ("shape", "half_m", "coefficients", "background")}
+        return {**own, **{f"reader_{name}": each for name, each in self.reader.items()}}
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the arrays, by which twins are compared."""
+        return hashlib.sha256(npz_bytes(self.arrays())).hexdigest()
+
+    def __eq__(self, other: object) -> bool:
+        """Return whether two twins render and read alike."""
+        return isinstance(other, Twin) and self.sha256 == other.sha256
+
+    def __hash__(self) -> int:
+        """Return the hash of the digest."""
+        return hash(self.sha256)
+
+
+class TwinOptics(Optics):
+    """Images of a sensor as its twin makes them."""
+
+    least_px = LEAST_PX
+
+    def __init__(self, twin: Twin, *, lens: bool = True) -> None:
+        self._twin = twin
+        self._lens = lens
+        self._coefficients = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
+        self._coefficients[..., :3] = twin.coefficients
+
+    def shades(
+        self, depth_m: Float64, sensor: Sensor, size_px: tuple[int, int], *, is_surface: bool = False
+    ) -> Float32:
+        """Return shades of red, green and blue, in the size of the depth maps; see :class:`Optics`."""
+        span = np.array(sensor.window_m) / (2 * self._twin.half_m)
+        if (span > 1.0 + 1e-6).any():
+            asked_mm, shown_mm = 1e3 * np.array(sensor.window_m), 2e3 * self._twin.half_m
+            raise InputError(
+                f"the window is {asked_mm[0]:.3f} x {asked_mm[1]:.3f} mm; expected at most what the sensor "
+                f"shows, {shown_mm[0]:.3f} x {shown_mm[1]:.3f} mm",
+                next="take the window of `model.sensor`",
+            )
+        size = depth_m.shape[1:]
+        behind = _part_of(self._twin.background, span, size)
+        out = np.empty((*depth_m.shape, 3), np.float32)
+        for number, each in enumerate(depth_m):
+            reach_m = sensor.gel_m - each
+            if not is_surface:
+                # What of the solid lies deeper than the gel is thick does not touch it.
+                reach_m = np.maximum(reach_m, 0.0)
+            gel_kernels.lay_over(out[number], self.response(reach_m, span, is_surface=is_surface), behind)
+        return out
+
+    def response(
+        self, reach_m: Float64, span: Float64 | None = None, margin: int = 0, *, is_surface: bool = False
+    ) -> Float64:
+        """Return the change of the image (H, W, 3), levels, by a solid that reaches so far into the gel.
+
+        ``span`` is the share of the image that the map shows, along x and y; all of it by default. The map
+        has ``margin`` pixels more on each side. With ``is_surface``, it is that of an elastic gel itself.
+        """
+        if span is None:
+            span = gel.WHOLE
+        twin = self._twin
+        rows, columns = (side - 2 * margin for side in reach_m.shape)
+        out = np.zeros((rows, columns, 3))
+        if not reach_m.any():
+            return out
+        pitch_m = 2 * twin.half_m * span / [columns, rows]
+        shape = twin.shape.copy()
+        if not self._lens:
+            shape[Shape.LENS] = 0.0
+        if not (margin or is_surface):
+            # Mirrored at the edge, as kernels would have it, the gel is six times as far off there.
+            margin = gel.margin_px(columns)
+            wide_m = np.empty((rows + 2 * margin, columns + 2 * margin))
+            gel_kernels.extend(wide_m, np.ascontiguousarray(reach_m), margin)
+            reach_m = wide_m
+        surface = gel.own_surface if is_surface else gel.gel_surface
+        soft = surface(reach_m, pitch_m, shape, margin, span)
+        across = gel.across_of(pitch_m, soft.shape, span)
+        lens = float(twin.shape[Shape.LENS])
+        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across)
+        gel.blur_colours(out, shape[Shape.BLUR] / pitch_m)
+        return out
+
+    def reached(self, reach_m: Float32, sensor: Sensor) -> UInt8:
+        """Return pictures (n, H, W, 3) of how far solids reach into the gel, (n, H, W), metres."""
+        return self.render(sensor.gel_m - np.asarray(reach_m, np.float64), sensor, self._twin.size_px)
+
+
+def _part_of(image: Float32, span: Float64, size: tuple[int, ...]) -> Float64:
+    """Return the middle of an image, a share ``span`` of its sides, in another size (H, W)."""
+    if image.shape[:2] == size and (np.abs(span - 1) < 1e-6).all():
+        return image.astype(np.float64)
+    part = image.astype(np.float64)
+    for axis, count, share in ((0, size[0], span[1]), (1, size[1], span[0])):
+        sides = part.shape[axis]
+        at = (((2 * np.arange(count) + 1) / count - 1) * share + 1) * sides / 2 - 0.5
+        at = np.clip(at, 0, sides - 1)
+        first = np.minimum(at.astype(np.int64), sides - 2)
+        weight = (at - first).reshape([-1 if each == axis else 1 for each in range(3)])
+        part = part.take(first, axis) * (1 - weight) + part.take(first + 1, axis) * weight
+    return part
+
+
+def resized_depth(maps: Float32, size_px: tuple[int, int]) -> Float32:
+    """Return maps (n, H, W) in another size, width and height: bilinear."""
+    width, height = size_px
+    if maps.shape[1:] == (height, width):
+        return maps
+    parts = [_part_of(each[..., None], np.ones(2), (height, width))[..., 0] for each in maps]
+    return np.asarray(parts, np.float32)
+
+
+def in_size_of(twin: Twin, images: UInt8) -> UInt8:
+    """Return images in the size of those of the sensor."""
+    return scaled(images, twin.size_px)

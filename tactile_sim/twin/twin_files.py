@@ -1,0 +1,101 @@
+"""Folders of sensors: ``sensor.json`` with what can be read by people, and one file of arrays."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tactile_sim.array_files import npz_bytes, read_npz
+from tactile_sim.twin import gel, gel_kernels
+from tactile_sim.twin.reader import reader_shapes
+from tactile_sim.twin.twin import Twin
+from tactile_toolkit import __version__, store
+from tactile_toolkit.errors import InputError
+
+if TYPE_CHECKING:
+    from tactile_sim.sensor_models import SensorModel
+    from tactile_toolkit.array_types import AnyArray
+
+SENSOR_FILE, ARRAYS_FILE = "sensor.json", "arrays.npz"
+_FORMAT, _VERSION = "tactile-sim sensor", 1
+_MOST_BYTES = 1 << 22
+_MOST_PIXELS = 1280 * 1280
+
+
+def write_sensor(folder: str, model: SensorModel, twin: Twin) -> None:
+    """Write the folder of a sensor; InputError if it holds something else."""
+    place = store.open_folder(folder)
+    others = sorted(set(place.names()) - {SENSOR_FILE, ARRAYS_FILE})
+    if others:
+        raise InputError(
+            f"{folder!r} holds {others[0]!r}, which belongs to no sensor", next="choose another folder"
+        )
+    document = {
+        "format": _FORMAT,
+        "version": _VERSION,
+        "toolkit_version": __version__,
+        "sensor": model.geometry(),
+        "arrays_sha256": twin.sha256,
+        "report": dict(twin.report),
+    }
+    # The document last: without it the folder is no sensor.
+    place.write_bytes(ARRAYS_FILE, npz_bytes(twin.arrays()))
+    place.write_bytes(SENSOR_FILE, (json.dumps(document, indent=1) + "\n").encode())
+
+
+def read_sensor(folder: str | Path) -> tuple[dict[str, Any], Twin]:
+    """Return the geometry and the twin of a folder; InputError if it holds no sensor, or a damaged one."""
+    place = store.expanded(folder)
+    file = place / SENSOR_FILE
+    if not file.is_file():
+        raise InputError(
+            f"{str(folder)!r} is no sensor: it has no {SENSOR_FILE}",
+            next="give a folder that `tactile-sim calibrate` wrote",
+        )
+    try:
+        with store.open_regular(file, place) as stream:
+            document = json.loads(stream.read(_MOST_BYTES))
+        if (document["format"], document["version"]) != (_FORMAT, _VERSION):
+            problem = f"its format is not {_FORMAT!r} {_VERSION}"
+            raise ValueError(problem)
+        geometry = dict(document["sensor"])
+        arrays, _ = read_npz(place / ARRAYS_FILE)
+        twin = _twin_of(arrays, dict(document["report"]))
+        if twin.sha256 != document["arrays_sha256"]:
+            problem = f"{ARRAYS_FILE} has another digest than {SENSOR_FILE} states"
+            raise ValueError(problem)
+    except Exception as error:  # zipfile, json and numpy raise many kinds on damaged files
+        raise InputError(
+            f"the sensor in {str(folder)!r} cannot be read ({error})", next="copy or make it again"
+        ) from error
+    return geometry, twin
+
+
+def _twin_of(arrays: Mapping[str, AnyArray], report: Mapping[str, Any]) -> Twin:
+    """Return a twin; ValueError, which names the array, for arrays of another kind."""
+    background = arrays["background"]
+    if background.ndim != 3 or not background.size <= 3 * _MOST_PIXELS or min(background.shape[:2]) < 16:
+        problem = f"background has the shape {background.shape}"
+        raise ValueError(problem)
+    expected: dict[str, tuple[Any, tuple[int, ...]]] = {
+        "shape": (np.float64, (len(gel.Shape),)),
+        "half_m": (np.float64, (2,)),
+        "coefficients": (np.float32, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)),
+        "background": (np.float32, (*background.shape[:2], 3)),
+        **{f"reader_{name}": (np.float32, shape) for name, shape in reader_shapes().items()},
+    }
+    for name in [*expected, *arrays]:
+        array, (kind, sides) = arrays.get(name), expected.get(name, (None, ()))
+        if array is None or array.dtype != kind or array.shape != sides or not np.isfinite(array).all():
+            problem = f"{name} is not of finite numbers, {kind} of the shape {sides}"
+            raise ValueError(problem)
+    shape, half_m = arrays["shape"], arrays["half_m"]
+    if (shape < gel.LEAST).any() or (shape > gel.MOST).any() or not ((half_m > 1e-4) & (half_m < 0.1)).all():
+        problem = "its geometry is out of bounds"
+        raise ValueError(problem)
+    reader = {name.removeprefix("reader_"): arrays[name] for name in expected if name.startswith("reader_")}
+    return Twin(shape, half_m, arrays["coefficients"], background, reader, report)

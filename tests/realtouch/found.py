@@ -1,0 +1,76 @@
+"""What readers of sources found, as objects that tests compare."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+
+from realtouch.extras import array_with_gaps
+from realtouch.importing.cuts import Cutter
+from realtouch.importing.found_touches import FoundTouches, Place, one_chunk
+from realtouch.importing.recordings import Recording
+from tactile_toolkit import column_types
+
+
+@dataclass(frozen=True)
+class Found:
+    """A touch, with what is said of it; what is missing is left out."""
+
+    name: str
+    place: Place
+    values: dict[str, Any]
+    problem: str | None
+    contact: tuple[int, int] | None
+    time_s: np.ndarray | None
+
+    @property
+    def start(self) -> int:
+        return self.place.start
+
+    @property
+    def frames(self) -> int:
+        return self.place.frames
+
+
+def each_of(touches: FoundTouches) -> list[Found]:
+    """Return touches one by one."""
+    columns = [column_types.values_of(one_chunk(column)) for column in touches.said.columns]
+    rows = list(zip(*columns, strict=True)) or [()] * len(touches)
+    found = []
+    for place, row, where in zip(touches, rows, touches.where.to_pylist(), strict=True):
+        said = dict(zip(touches.said.column_names, row, strict=True))
+        contact, time_s = where["contact"], where["time_s"]
+        found.append(
+            Found(
+                where["name"],
+                place,
+                {name: value for name, value in said.items() if value is not None},
+                where["problem"],
+                None if contact is None else (contact[0], contact[1]),
+                None if time_s is None else np.array(time_s),
+            )
+        )
+    return found
+
+
+def cut_by(cutter: Cutter, recordings: Iterable[Recording]) -> list[Found]:
+    """Cut recordings, and add what a table says of others."""
+    parts = [cutter.cut(recording) for recording in recordings]
+    return [touch for part in (*parts, *cutter.unused()) for touch in each_of(part)]
+
+
+def per_frame(recording: Recording, name: str) -> np.ndarray:
+    """Return what is said of each picture as numpy has it: NaN for a missing number, else None."""
+    return array_with_gaps(recording.per_frame[name])
+
+
+def columns(given: dict[str, Any]) -> dict[str, pa.Array]:
+    """Return the columns of arrays, or of any values."""
+    return {
+        name: (column_types.from_numpy if isinstance(each, np.ndarray) else column_types.from_values)(each)
+        for name, each in given.items()
+    }

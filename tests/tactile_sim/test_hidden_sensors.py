@@ -1,0 +1,106 @@
+"""The sensors that judge a calibration are what they say."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tactile_sim
+from tactile_toolkit.mesh import as_mesh, read_mesh
+from tests.tactile_sim.hidden_sensors import MISTAKES, HiddenSensor, Recording, digits, draw_sensor
+from tests.tactile_sim.solids import block
+
+SIZE = (96, 72)
+
+
+def phong(seed: int = 3) -> HiddenSensor:
+    return draw_sensor(seed, "phong", SIZE)
+
+
+@pytest.fixture(scope="module")
+def recording() -> Recording:
+    return phong().record(digits(2), 4, seed=1)
+
+
+def test_the_same_seed_gives_the_same_recording_and_another_one_another(recording: Recording) -> None:
+    again, other = (phong(seed).record(digits(2), 4, seed=1) for seed in (3, 4))
+    np.testing.assert_array_equal(again.images, recording.images)
+    assert np.abs(other.images.astype(float) - recording.images).mean() > 1
+    assert 0.5 < recording.noise_levels < 4
+
+
+def test_depth_is_how_far_the_solid_reaches_into_the_gel_at_its_true_pose() -> None:
+    sensor = replace(phong(), lens=0.0)
+    made = sensor.record({0: as_mesh(block())}, 3, pose_errors=(0.0, 0.0))
+    for number in range(3):
+        x_m, y_m, turn = made.true_poses[number]
+        window = (SIZE[0] * sensor.pitch_mm / 1e3, SIZE[1] * sensor.pitch_mm / 1e3)
+        gel_m = sensor.gel_mm / 1e3
+        like = tactile_sim.Sensor(SIZE, window, gel_m, gel_m - made.press_m[number])
+        pressed = tactile_sim.render_touch(
+            block(), tactile_sim.pose(x_m, y_m, turn_rad=turn), tactile_sim.pose(), like
+        )
+        np.testing.assert_allclose(made.depth_m[number], np.maximum(gel_m - pressed.depth_m, 0), atol=1e-8)
+        # What is stated is the truth where poses have no errors.
+        stated = made.object_poses[number, :2] - made.sensor_m[number, :2]
+        np.testing.assert_allclose(stated, [x_m, y_m], atol=1e-12)
+        assert made.sensor_m[number, 2] == pytest.approx(0.004 + gel_m - made.press_m[number])
+
+
+def test_stated_poses_are_off_as_they_are_said_to_be() -> None:
+    made = phong().record(digits(2), 40)
+    off_m = made.object_poses[:, :2] - made.sensor_m[:, :2] - made.true_poses[:, :2]
+    assert off_m.std() == pytest.approx(1e-4, rel=0.3)
+    assert np.degrees(made.object_poses[:, 2] - made.true_poses[:, 2]).std() == pytest.approx(0.5, rel=0.3)
+
+
+@pytest.mark.sim
+def test_taxims_colours_by_a_way_of_their_own_are_those_of_the_project() -> None:
+    sensor = replace(draw_sensor(0, "published"), noise=0.0)
+    made = sensor.record(digits(2), 2)
+    like = tactile_sim.Sensor((320, 240), (320 * sensor.pitch_mm / 1e3, 240 * sensor.pitch_mm / 1e3))
+    optics = tactile_sim.make_optics("taxim")
+    reference = 255 * optics.shades(np.asarray(like.gel_m - made.depth_m, float), like, (320, 240))
+    plain = made.backgrounds.mean(axis=0)
+    signal = np.abs(reference - plain).mean()
+    assert np.abs(reference - made.clean).mean() < 0.25 * signal
+    assert np.quantile(np.abs(reference - made.clean), 0.9) < 5
+
+
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_each_mistake_changes_what_it_names_alone(mistake: str, recording: Recording) -> None:
+    made = phong().record(digits(2), 4, seed=1, mistake=mistake)
+    same = {name: np.array_equal(getattr(made, name), getattr(recording, name)) for name in NAMES}
+    assert {name for name, is_same in same.items() if not is_same} == CHANGED[mistake]
+    if mistake == "flat":
+        assert np.ptp(made.depth_m, axis=(1, 2)).max() < 1e-12
+    if mistake == "saturated":
+        assert (made.images == 255).mean() > 0.05
+
+
+NAMES = ("images", "object_ids", "sensor_m", "object_poses")
+CHANGED = {
+    "channels": {"images"},
+    "mesh": {"object_ids"},
+    "units": {"sensor_m", "object_poses"},
+    "mirrored": {"sensor_m", "object_poses"},
+    "markers": {"images"},
+    "saturated": {"images"},
+    "gel-changed": {"images"},
+    "too-few": set(NAMES),
+    "flat": {"images", "sensor_m"},
+}
+
+
+def test_a_written_recording_is_what_a_user_has(recording: Recording, tmp_path: Path) -> None:
+    recording.write(tmp_path)
+    with (tmp_path / "images" / "touches.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    assert [int(row["object"]) for row in rows] == recording.object_ids.tolist()
+    assert [float(row["z_m"]) for row in rows] == recording.sensor_m[:, 2].tolist()
+    solid = read_mesh(tmp_path / "solids" / "000.stl")
+    np.testing.assert_allclose(solid.bounds_m, recording.solids[0].bounds_m, atol=1e-6)

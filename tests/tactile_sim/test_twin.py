@@ -1,0 +1,357 @@
+"""The twin of a sensor: kernels, fit, optics, reader and folder."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+from scipy import ndimage
+
+import realtouch
+import tactile_sim
+from tactile_sim.twin import gel, gel_kernels, network, reader
+from tactile_sim.twin.calibration import model_of
+from tactile_sim.twin.fitting import COEFFICIENTS, Fit
+from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.matching import matched_places
+from tactile_sim.twin.rounds_of_fit import start_fit
+from tactile_sim.twin.twin import Twin, TwinOptics
+from tactile_toolkit.errors import InputError
+from tests.tactile_sim.hidden_sensors import digits, draw_sensor
+from tests.tactile_sim.solids import ball, block
+from tests.tactile_sim.twin_scores import recordings_of, score
+
+HALF_M = np.array([0.00944, 0.00708])
+SHAPE = np.array([0.0, 0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4])
+
+
+def made_up_twin(seed: int = 0) -> Twin:
+    """A twin with random colours, and a reader that reads nothing."""
+    rng = np.random.default_rng(seed)
+    coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)).astype(np.float32)
+    rest = (gel_kernels.NODES // 2) * (gel_kernels.NODES + 1)
+    coefficients[rest] = 0
+    background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
+    weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
+    return Twin(SHAPE, HALF_M, coefficients, background, weights, {"mm_per_px": 0.295})
+
+
+def hills() -> np.ndarray:
+    """How far two balls reach into the gel, metres, (48, 64)."""
+    y, x = np.mgrid[-1:1:48j, -1:1:64j] * HALF_M[::-1, None, None]
+    first = 0.0015 - ((x + 0.004) ** 2 + y**2) / 0.012
+    second = 0.001 - ((x - 0.004) ** 2 + (y - 0.002) ** 2) / 0.006
+    return np.maximum(np.maximum(first, second), 0)
+
+
+def test_kernels_of_the_gel_are_gaussian():
+    """Half kernels sum to one over both sides, and blur as scipy does where they reach far enough."""
+    half = gel.half_kernel(3.0, 100, reach=4.0)
+    assert half[0] + 2 * half[1:].sum() == pytest.approx(1, abs=1e-12)
+    impulse = np.zeros((41, 41))
+    impulse[20, 20] = 1
+    expected = ndimage.gaussian_filter1d(impulse[20], 3.0, truncate=4)
+    assert half == pytest.approx(expected[20 : 20 + len(half)], abs=1e-5)
+    assert len(gel.half_kernel(50.0, 12)) == 12  # never beyond the image
+
+
+def test_one_pass_renders_what_two_do():
+    """The kernel of the optics gives what features and coefficients give, lens included."""
+    pitch_m = 2 * HALF_M / [64, 48]
+    soft = gel.gel_surface(hills(), pitch_m, SHAPE)
+    twin = made_up_twin()
+    padded = np.zeros((*twin.coefficients.shape[:2], 4), np.float32)
+    padded[..., :3] = twin.coefficients
+    out, lens = np.empty((48, 64, 3)), float(SHAPE[Shape.LENS])
+    across = gel.across_of(pitch_m, soft.shape)
+    gel_kernels.render_response(out, soft, pitch_m, padded, np.ones(2), lens, across)
+    plain = np.empty((48, 64, 3))
+    seen = gel.seen_features(soft, pitch_m, lens)
+    gel_kernels.respond(plain, *seen, twin.coefficients.astype(float), np.ones(2))
+    assert np.abs(plain).max() > 10
+    assert out == pytest.approx(plain, abs=1e-3)
+
+
+def test_slopes_seen_through_a_lens_are_those_of_the_gel():
+    """A plane keeps its slope wherever the lens shows it."""
+    pitch_m, margin, lens = np.array([3e-4, 3e-4]), 12, 0.06
+    y, x = np.mgrid[36 + margin : -36 - margin : -1, -48 - margin : 48 + margin].astype(float) * 3e-4
+    seen = gel.seen_through(0.3 * x - 0.2 * y, pitch_m, lens, margin)
+    _, straight = gel.seen_features(np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12]), pitch_m)
+    entries, shares = gel.seen_features(seen, pitch_m, lens)
+    inside = np.zeros(seen.shape, bool)
+    inside[2:-2, 2:-2] = True
+    inside = inside.ravel()
+    assert (entries[inside, :4] == entries[inside][0, :4]).all()
+    assert np.abs(shares[inside, :4] - straight[inside, :4]).max() < 0.02
+    _, bent = gel.seen_features(seen, pitch_m)  # without the correction
+    assert np.abs(bent[inside, :4] - straight[inside, :4]).max() > 0.1
+
+
+def test_normal_equations_are_those_of_the_dense_matrix():
+    """Sums of the kernels equal products of the matrix whose columns are images of single coefficients."""
+    rng = np.random.default_rng(1)
+    pitch_m = 2 * HALF_M / [64, 48]
+    seen = gel.seen_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m)
+    used = np.unique(seen[0][:, :4])[:12]
+    dense = []
+    for entry in used:
+        for place in range(gel_kernels.PLACES):
+            single = np.zeros((gel_kernels.ENTRIES, gel_kernels.PLACES, 3))
+            single[entry, place, 0] = 1
+            image = np.empty((48, 64, 3))
+            gel_kernels.respond(image, *seen, single, np.ones(2))
+            dense.append(image[..., 0].ravel())
+    matrix = np.array(dense).T
+    weights = rng.uniform(0, 1, (48, 64)).astype(np.float32)
+    given = rng.normal(size=(48, 64, 2)).astype(np.float32)
+    normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
+    gel_kernels.add_normal(normal, *seen, weights)
+    gel_kernels.add_products(products, *seen, weights, given)
+    at = (used[:, None] * gel_kernels.PLACES + np.arange(gel_kernels.PLACES)).ravel()
+    weighed = matrix * weights.reshape(-1, 1)
+    assert np.tril(normal[np.ix_(at, at)]) == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-6)
+    assert products[at] == pytest.approx(weighed.T @ given.reshape(-1, 2), abs=1e-6)
+
+
+def test_poisson_finds_the_surface_of_its_slopes():
+    """The surface of slopes between pixels comes back to single precision, up to its mean."""
+    y, x = np.mgrid[:30, :40].astype(np.float32)
+    surface = 0.01 * (x - 20) ** 2 + 0.02 * (y - 11) ** 2 + 0.01 * x * y
+    slopes = np.stack([0.02 * (x - 20) + 0.01 * y, -(0.04 * (y - 11) + 0.01 * x)], axis=-1)
+    left = reader.integrated(slopes.astype(np.float32)) - surface
+    assert np.abs(left - left.mean()).max() < 1e-3 * np.ptp(surface)
+
+
+def test_a_network_learns_a_corner():
+    """A network of two layers follows the absolute value."""
+    rng = np.random.default_rng(0)
+    inputs = rng.uniform(-1, 1, (2000, 2)).astype(np.float32)
+    targets = np.abs(inputs[:, :1])
+    weights = network.train("n", inputs, targets, (16,), 1, lambda found, want: found - want, rng, 300)
+    assert np.abs(network.evaluate(weights, "n", inputs) - targets).mean() < 0.03
+
+
+def small_fit(touches: int = 6) -> tuple[Fit, object]:
+    sensor = dataclasses.replace(draw_sensor(2, "phong", (64, 48)), noise=0.5, jpeg=0)
+    recording = sensor.record(digits(2), touches)
+    recordings = recordings_of(recording)
+    start = tactile_sim.SENSORS["gelsight-mini"]
+    assert recordings.sensor_m is not None
+    return start_fit(recordings, recordings.places(), recordings.sensor_m[:, 2], start), recording
+
+
+def test_a_fit_explains_its_images_and_finds_the_gel():
+    """Colours alone explain most of the images; moving the geometry explains more, whatever the start."""
+    fit, _ = small_fit()
+    fit.step()
+    fit.step()
+    change = np.mean([np.abs(fit.image(each)[0] - fit.behind).mean() for each in range(6)])
+    before = np.nanmedian(fit.rms)
+    assert before < change
+    for _ in range(3):
+        fit.step((Shape.WIDE, Shape.HIGH, Shape.GEL, Shape.WIDTH))
+    fit.step()
+    assert np.nanmedian(fit.rms) < 0.95 * before
+    assert abs(fit.poses[:, 3].mean()) < 1e-12  # a press that all share is the gel's thickness
+
+
+@pytest.mark.thorough
+def test_a_hidden_sensor_is_calibrated():
+    """The twin of a small hidden sensor renders and reads touches of other digits."""
+    made, model = score(draw_sensor(3, "phong", (96, 72)), touches=12, held_out=4)
+    assert made.image_error < 0.5 * made.background_error
+    assert made.depth_um < 0.5 * made.flat_um
+    assert made.pitch_error < 0.03
+    assert {"mm_per_px", "lens_k1", "touches", "residual_levels", "mistakes"} <= set(model.report)
+
+
+def test_optics_show_the_background_and_a_window_of_it():
+    """Without contact the image is the background; the middle of it in a smaller window, in any size."""
+    model = model_of(made_up_twin(), "mine")
+    free_m = np.full((1, 48, 64), model.sensor.gel_m)
+    image = model.optics.render(free_m, model.sensor, (64, 48))
+    assert (image[0] == np.rint(model.background)).all()
+    window = dataclasses.replace(model.sensor, size_px=(32, 24), window_m=tuple(HALF_M))
+    part = model.optics.render(np.full((1, 24, 32), model.sensor.gel_m), window, (32, 24))
+    assert np.abs(part[0] - model.background[12:36, 16:48]).max() <= 0.5 + 1e-3
+    wide = dataclasses.replace(model.sensor, window_m=(0.05, 0.04))
+    with pytest.raises(InputError, match="window"):
+        model.optics.render(free_m, wide, (64, 48))
+
+
+def test_images_of_a_twin_do_not_depend_on_their_batch():
+    """A touch gives the same bytes alone, in a batch, and again."""
+    model = model_of(made_up_twin(), "mine")
+    depth_m = np.stack([model.sensor.gel_m - hills(), model.sensor.gel_m - 0.5 * hills()])
+    both = model.optics.render(depth_m, model.sensor, (64, 48))
+    assert (both[1] == model.optics.render(depth_m[1:], model.sensor, (64, 48))[0]).all()
+    assert (both[0] != both[1]).any()
+
+
+def test_the_lens_is_in_depth_that_was_read():
+    """What is read from an image is rendered without the lens; with no lens both ways are one."""
+    twin = made_up_twin()
+    reached = hills().astype(np.float32)[None]
+    model = model_of(twin, "mine")
+    plain = model_of(dataclasses.replace(twin, shape=np.where(np.arange(8) == Shape.LENS, 0, SHAPE)), "mine")
+    depth_m = plain.sensor.gel_m - reached.astype(np.float64)
+    through = plain.optics.render(depth_m, plain.sensor, (64, 48)).astype(int)
+    assert np.abs(through - plain.render_read(reached)).max() <= 1
+    assert (model.optics.render(depth_m, model.sensor, (64, 48)) != model.render_read(reached)).any()
+
+
+def test_a_sensor_comes_back_from_its_folder(tmp_path):
+    """Geometry, images and report are the same; files have the same bytes; other folders are refused."""
+    model = model_of(made_up_twin(), "mine")
+    model.save(tmp_path / "a")
+    model.save(tmp_path / "b")
+    again = tactile_sim.SensorModel.load(tmp_path / "a")
+    assert again == model
+    assert again.report == model.report
+    assert again == tactile_sim.SensorModel.named(str(tmp_path / "a"))
+    for name in ("sensor.json", "arrays.npz"):
+        assert (tmp_path / "a" / name).read_bytes() == (tmp_path / "b" / name).read_bytes()
+    (tmp_path / "c").mkdir()
+    (tmp_path / "c" / "thesis.tex").write_text("mine")
+    with pytest.raises(InputError, match="thesis"):
+        model.save(tmp_path / "c")
+    with pytest.raises(InputError, match="calibrate"):
+        tactile_sim.SENSORS["digit"].save(tmp_path / "d")
+
+
+def _array_file(shape: str) -> bytes:
+    header = io.BytesIO()
+    np.lib.format.write_array(header, np.zeros(3, np.float32))
+    return header.getvalue().replace(b"(3,)", shape.encode())
+
+
+@pytest.mark.parametrize("harm", ["changed", "pickle", "huge", "missing", "geometry", "json", "link"])
+def test_a_damaged_or_hostile_folder_is_refused(tmp_path, harm):
+    """No array of another kind is accepted, no object is unpickled, nothing huge is made."""
+    folder = tmp_path / "sensor"
+    model_of(made_up_twin(), "mine").save(folder)
+    file, text = folder / "arrays.npz", folder / "sensor.json"
+    arrays = dict(np.load(file))
+    if harm == "changed":
+        arrays["background"][0, 0, 0] += 1
+    if harm == "pickle":
+        arrays["shape"] = np.array([print], object)
+    if harm == "geometry":
+        arrays["half_m"][0] = 1e9
+    if harm == "missing":
+        del arrays["reader_full_depth_w0"]
+    if harm in ("changed", "geometry", "missing", "pickle"):
+        np.savez(file, **arrays)
+    if harm == "huge":
+        with zipfile.ZipFile(file, "w") as archive:
+            archive.writestr("shape.npy", _array_file("(1 << 50,)".replace("1 << 50", "1125899906842624")))
+    if harm == "json":
+        text.write_text(json.dumps({"format": []}))
+    if harm == "link":
+        (tmp_path / "other.json").write_text(text.read_text())
+        text.unlink()
+        text.symlink_to(tmp_path / "other.json")
+    with pytest.raises(InputError, match="cannot be read"):
+        tactile_sim.SensorModel.load(folder)
+
+
+def test_presets_have_optics_and_no_reader():
+    """A sensor without a twin renders what it did, and says how to get a reader."""
+    digit = tactile_sim.SENSORS["digit"]
+    assert digit.optics_name == "depth"
+    assert digit.report == {}
+    assert digit.sensor.size_px == (640, 480)
+    with pytest.raises(InputError, match="calibrate"):
+        digit.read_depth_m(np.zeros((1, 480, 640, 3), np.uint8))
+    with pytest.raises(InputError, match="sensor"):
+        tactile_sim.SensorModel.named("no-such-sensor")
+    pressed = tactile_sim.render_touch(block(), tactile_sim.pose(), tactile_sim.pose(), digit)
+    assert pressed.depth_m.shape == (480, 640)
+
+
+def test_reading_gives_depth_in_the_size_of_the_images():
+    """Maps have the size of the images, no depth is negative, errors are positive; both modes work."""
+    model = model_of(made_up_twin(), "mine")
+    images = np.zeros((2, 96, 128, 3), np.uint8)
+    for fast in (False, True):
+        found = model.read_depth(images, fast=fast)
+        assert found.depth_m.shape == found.error_m.shape == (2, 96, 128)
+        assert found.depth_m.dtype == np.float32
+        assert (found.depth_m >= 0).all()
+        assert (found.error_m > 0).all()
+
+
+def test_touches_of_a_twin_are_generated(tmp_path):
+    """A set states the twin by its digest; other optics of it are refused with the way out."""
+    model = model_of(made_up_twin(), "mine")
+    plan = tactile_sim.TouchPlan(rounds=1, touches=2, positions="object")
+    spec = tactile_sim.GenerateSpec(size_px=(64, 48), window="full", optics="twin", sensor=model, plan=plan)
+    manifest = tactile_sim.generate({"ball": ball()}, spec, tmp_path / "touches", workers=1)
+    stated = manifest.spec["options"]["sensor"]
+    assert stated["twin_sha256"] == model.twin.sha256
+    images = realtouch.load(tmp_path / "touches").touches().images()
+    away = np.abs(images.astype(float) - model.background)
+    assert (away.mean(axis=(1, 2, 3)) > 3).all()
+    with pytest.raises(InputError, match="twin"):
+        tactile_sim.GenerateSpec(sensor=model, optics="taxim")
+    with pytest.raises(InputError, match="not calibrated"):
+        tactile_sim.GenerateSpec(optics="twin")
+
+
+def test_rendering_leaves_pixels_at_rest_alone():
+    """Far from a contact the response is exactly none."""
+    optics = TwinOptics(dataclasses.replace(made_up_twin(), half_m=10 * HALF_M))
+    small = np.zeros((48, 64))
+    small[24, 8] = 1e-3
+    assert (optics.response(small)[:, 50:] == 0).all()
+
+
+def test_wrong_recordings_are_refused():
+    """Arrays of other shapes, unknown solids and infinite poses are named."""
+    images, solids = np.zeros((2, 48, 64, 3), np.uint8), {0: ball(subdivisions=2)}
+    with pytest.raises(InputError, match="not among"):
+        tactile_sim.Recordings(images, np.array([0, 7]), solids)
+    with pytest.raises(InputError, match="uint8"):
+        tactile_sim.Recordings(images.astype(float), np.zeros(2, int), solids)
+    with pytest.raises(InputError, match="finite"):
+        tactile_sim.Recordings(images, np.zeros(2, int), solids, sensor_m=np.full((2, 3), np.inf))
+    with pytest.raises(InputError, match="at least 32"):
+        tactile_sim.Recordings(images[:, :20], np.zeros(2, int), solids)
+
+
+@pytest.mark.thorough
+def test_touches_without_poses_are_found_or_left_out():
+    """Of touches whose place counts as likely, most are right to 1.5 mm; a touch of nothing is left out."""
+    sensor = dataclasses.replace(draw_sensor(1, "phong", (80, 60)), noise=1.0, jpeg=0)
+    recording = sensor.record(digits(1), 7)
+    images = recording.images.copy()
+    images[6] = recording.backgrounds[0]
+    recordings = recordings_of(dataclasses.replace(recording, images=images))
+    blind = dataclasses.replace(recordings, sensor_m=None)
+    places, likely = matched_places(blind, tactile_sim.SENSORS["gelsight-mini"])
+    assert places.shape == (7, 3)
+    assert not likely[6]
+    known = recordings.places()
+    assert known is not None
+    away = np.hypot(*(places[:, :2] - known[:, :2]).T)
+    assert (away[likely] < 1.5e-3).mean() >= 0.5 or not likely.any()
+
+
+def test_a_solid_goes_on_beyond_the_image():
+    """A ridge that leaves the image pulls at the gel nearly as if the map were larger."""
+    pitch_m, margin = np.array([3e-4, 3e-4]), 10
+    y, x = np.mgrid[24 + margin : -24 - margin : -1, -32 - margin : 32 + margin] * 3e-4
+    whole = np.clip(0.001 - np.abs(0.2 * x - 0.1 * y), 0, None)
+    part = np.ascontiguousarray(whole[margin:-margin, margin:-margin])
+    out = np.empty(whole.shape)
+    gel_kernels.extend(out, part, margin)
+    assert (out[margin:-margin, margin:-margin] == part).all()
+    shape = np.where(np.arange(8) == Shape.LENS, 0, SHAPE)
+    true = gel.gel_surface(whole, pitch_m, shape, margin)
+    extended, mirrored = gel.gel_surface(out, pitch_m, shape, margin), gel.gel_surface(part, pitch_m, shape)
+    assert np.abs(extended - true).mean() < 0.3 * np.abs(mirrored - true).mean()
