@@ -19,7 +19,7 @@ from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, as_mesh
 from tactile_toolkit.parsed_text import natural_key
-from tactile_toolkit.text_tables import TABLE_ENDINGS, table_lines
+from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
 MOST_TOUCHES = 60
@@ -137,9 +137,11 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
     where = store.expanded(fspath(file))
     try:
         with store.open_regular(where) as stream:
-            columns, lines = table_lines(stream.read(), str(where))
+            read = read_text_table(stream.read(), str(where))
     except OSError as error:
         raise InputError(f"{str(where)!r} cannot be read ({error.strerror})") from error
+    columns = read.names
+    lines = [dict(zip(columns, row, strict=True)) for row in zip(*read.columns(), strict=True)]
     if "file" not in columns:
         raise InputError(
             f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
