@@ -52,7 +52,7 @@ def labels_of(
 ) -> tuple[Int64, dict[int, ItemError]]:
     """Return the number of the class of each touch, -1 if it is unknown, and those that are no class."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
-    problems: dict[int, ItemError] = {}
+    problems = _no_names(touches.value(column or NUMBERED))
     found = np.full(len(touches), -1)
     if not numbers:
         return found, problems
@@ -67,6 +67,18 @@ def labels_of(
         else:
             found[place] = number
     return found, problems
+
+
+def _no_names(column: pa.Array | None) -> dict[int, ItemError]:
+    """Return the labels that are lists or objects of JSON."""
+    if column is None or column_types.is_leaf(column.type):
+        return {}
+    values = column_types.values_of(column)
+    return {
+        place: ItemError("label", f"the label {shown(value)}; expected a name or a number")
+        for place, value in enumerate(values)
+        if isinstance(value, (dict, list))
+    }
 
 
 def objects_of(touches: FoundTouches, column: str | None) -> tuple[Int64, dict[int, ItemError]]:

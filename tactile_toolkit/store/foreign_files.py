@@ -91,8 +91,9 @@ def size_inside(
         parent, _, base = path.rpartition("/")
         size = (sizes or folder.sizes)(parent).get(base)
     if size is None:
-        exists = folder.is_local and Path(folder.address(path)).exists()
-        raise ItemError("missing", "it is not a regular file" if exists else "the file does not exist")
+        if folder.is_local and Path(folder.address(path)).exists():
+            raise ItemError("file", "it is not a regular file, or cannot be read")
+        raise ItemError("missing", "the file does not exist")
     return size
 
 

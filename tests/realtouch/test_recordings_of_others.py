@@ -368,7 +368,7 @@ def test_no_importer_opens_what_is_no_file_below_the_source(home: Path, tmp_path
     write_table(home, [line(name) for name in names])
     manifest = realtouch.import_touches(home, tmp_path / "out", "folder")
     reasons = [(item.id, item.reason) for item in manifest.shards[0].skipped]
-    assert reasons == [(0, "name"), (1, "missing"), (3, "name"), (4, "missing")]
+    assert reasons == [(0, "name"), (1, "file"), (3, "name"), (4, "file")]
     for layout, name in (
         ("webdataset", "a.tar"),
         ("sparsh", "a.pkl"),

@@ -60,6 +60,7 @@ def test_stated_poses_are_off_as_they_are_said_to_be() -> None:
 
 @pytest.mark.sim
 def test_taxims_colours_by_a_way_of_their_own_are_those_of_the_project() -> None:
+    pytest.importorskip("taxim", reason="taxim (extra `sim`) is not installed")
     sensor = replace(draw_sensor(0, "published"), noise=0.0)
     made = sensor.record(digits(2), 2)
     like = tactile_sim.Sensor((320, 240), (320 * sensor.pitch_mm / 1e3, 240 * sensor.pitch_mm / 1e3))
