@@ -65,7 +65,7 @@ Version = Annotated[
 _TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, in place of HF_TOKEN.")
 
 
-def with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Callable[..., None]:
+def with_options(function: Callable[..., None], known: Mapping[str, object]) -> Callable[..., None]:
     """Return a function for Typer, which takes each field of an option group as an option."""
     # Annotations are strings. Those of a group name types of its own module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
@@ -73,7 +73,7 @@ def with_options(function: Callable[..., None], known: Mapping[str, Any]) -> Cal
     groups = {name: _group(hints[name], each) for name, each in taken.items() if name not in known}
 
     @wraps(function)
-    def call(context: typer.Context, **values: Any) -> None:
+    def call(context: typer.Context, **values: object) -> None:
         # pyarrow would import pandas, which takes a second and swallows a Ctrl-C.
         run.skip_pandas()
         arguments = {name: value for name, value in known.items() if name in taken}
@@ -108,11 +108,11 @@ def _is_given(context: typer.Context, name: str) -> bool:
     return source is not None and source.name == "COMMANDLINE"
 
 
-def _mark(hint: Any) -> OptionsOf | None:
+def _mark(hint: object) -> OptionsOf | None:
     return next((each for each in get_args(hint)[1:] if isinstance(each, OptionsOf)), None)
 
 
-def _group(hint: Any, parameter: inspect.Parameter) -> list[inspect.Parameter]:
+def _group(hint: object, parameter: inspect.Parameter) -> list[inspect.Parameter]:
     """Return the options of a parameter of a function: the parameter itself, or the fields of its group."""
     mark, group = _mark(hint), hint
     if mark is not None:
@@ -133,7 +133,7 @@ def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) ->
     default = declared.default
     if default is MISSING and is_optional:
         default = None
-    shown: Any = _shown_default(rule, default)
+    shown = _shown_default(rule, default)
     kind: Any = _typer_type(rule, default)
     if shown is None:
         kind |= None
@@ -142,7 +142,7 @@ def _parameter(name: str, declared: Field[Any], *, is_optional: bool = False) ->
     return inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=shown, annotation=hint)
 
 
-def _shown_default(rule: Rule, default: Any) -> Any:
+def _shown_default(rule: Rule, default: object) -> Any:
     """Return the default for Typer: text, if the value is read from text."""
     if default is MISSING:
         return inspect.Parameter.empty
@@ -152,7 +152,7 @@ def _shown_default(rule: Rule, default: Any) -> Any:
     return default
 
 
-def _typer_type(rule: Rule, default: Any) -> Any:
+def _typer_type(rule: Rule, default: object) -> Any:
     """Return the type by which Typer reads a value."""
     kind: Any = rule.kind
     if "read" in rule.option:
@@ -166,7 +166,7 @@ def _typer_type(rule: Rule, default: Any) -> Any:
     return kind
 
 
-def _declaration(name: str, rule: Rule, default: Any) -> Any:
+def _declaration(name: str, rule: Rule, default: object) -> Any:
     """Return the argument or option by which Typer takes the value of a field."""
     text, is_argument = rule.option, "argument" in rule.option
     names = text.get("name", f"--{name.replace('_', '-')}").split()

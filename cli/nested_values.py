@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING
 
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.quantities import bytes_text
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 # Length of the longest list whose values are shown.
 _SHOWN = 6
 
 
-def flat_lines(values: Any, path: str = "") -> list[str]:
+def flat_lines(values: JsonValue, path: str = "") -> list[str]:
     """Return nested values as lines such as ``solid.profile = round``."""
     if isinstance(values, dict) and values:
         inner = values.items()
@@ -21,7 +25,7 @@ def flat_lines(values: Any, path: str = "") -> list[str]:
     return [line for key, value in inner for line in flat_lines(value, f"{path}.{key}".lstrip("."))]
 
 
-def _value_text(value: Any) -> str:
+def _value_text(value: JsonValue) -> str:
     if value is None or value in ([], {}):
         return "none"
     if isinstance(value, list):
@@ -31,7 +35,7 @@ def _value_text(value: Any) -> str:
     return str(value)
 
 
-def stored_value(scalar: Any) -> Any:
+def stored_value(scalar: pa.Scalar) -> object:
     """Convert a scalar of Arrow to Python, or to text if Python has no such type (nanoseconds)."""
     try:
         return scalar.as_py()
@@ -39,7 +43,7 @@ def stored_value(scalar: Any) -> Any:
         return str(scalar)
 
 
-def brief(value: Any) -> Any:
+def brief(value: object) -> JsonValue:
     """Shorten a value for JSON: a long list becomes its number of values, bytes become their size."""
     if isinstance(value, dict):
         return {name: brief(each) for name, each in value.items()}

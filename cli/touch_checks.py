@@ -20,7 +20,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
 
-_OXT_FINDINGS: Callable[[store.DataFolder, str], list[realtouch.Finding]] = lazy(
+_OXT_FINDINGS: Callable[[store.DataFolder, str], list[realtouch.RecordingFinding]] = lazy(
     "realtouch.exchange.oxt_check:oxt_findings"
 )
 
@@ -77,7 +77,7 @@ def check(
     _report(sink, name, result.findings, {**counts, "pictures": made})
 
 
-def _oxt_findings(path: Path) -> Sequence[realtouch.Finding]:
+def _oxt_findings(path: Path) -> Sequence[realtouch.RecordingFinding]:
     """Check a folder, or a zip in one."""
     if not path.exists():
         raise InputError(f"{str(path)!r} does not exist; expected a folder or a zip", next="check the path")
@@ -87,7 +87,7 @@ def _oxt_findings(path: Path) -> Sequence[realtouch.Finding]:
 
 
 def _report(
-    sink: Sink, name: str, findings: Sequence[realtouch.Finding], counts: Mapping[str, object]
+    sink: Sink, name: str, findings: Sequence[realtouch.RecordingFinding], counts: Mapping[str, object]
 ) -> None:
     """Print findings; exit code 1 if there are any."""
     sink.document({"name": name, "ok": not findings, **counts, "findings": list(map(asdict, findings))})

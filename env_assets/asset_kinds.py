@@ -32,7 +32,7 @@ THIRD_PARTY_ASSETS: dict[str, str] = {
 """Assets that this toolkit does not make, and where the published ones are from."""
 
 MeshSet = DigitDataset | SceneMeshDataset | WrenchDataset | SolidDataset[Any]
-_DATASETS: dict[str, Any] = {
+_DATASETS: dict[str, type[MeshSet]] = {
     DIGITS.name: DigitDataset,
     SCENES.name: SceneMeshDataset,
     WRENCH.name: WrenchDataset,

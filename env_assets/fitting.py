@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from env_assets.mesh_view import MeshView
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import MM_PER_M
@@ -41,7 +40,7 @@ def require_fitting_meshes(
     if meshes.flat:
         size_mm = np.sort(size_mm, axis=1)[:, ::-1]
     size_mm = size_mm[:, :2]
-    checks: tuple[tuple[Any, str, Any, str], ...] = (
+    checks: tuple[tuple[AnyArray, str, AnyArray, str], ...] = (
         (
             (labels >= 0) & (labels < len(names)),
             f"has label {{}}, expected 0 to {len(names) - 1}",

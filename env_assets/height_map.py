@@ -8,13 +8,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
 
 import numpy as np
 
 from tactile_toolkit.array_types import Bool, Float32, Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MOST_PIXELS, as_mesh, highest_values
+from tactile_toolkit.mesh import MOST_PIXELS, MeshLike, as_mesh, highest_values
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -65,7 +64,7 @@ class HeightMap:
         return np.where(self.covered, self.heights_m, np.float32(outside_m))
 
 
-def top_surface(mesh: Any, pitch_m: float) -> HeightMap:
+def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     """Turn a mesh into a height map.
 
     Exact at pixel centres: the height is that of the plane of the triangle above the centre, the highest

@@ -6,13 +6,16 @@ import logging
 from functools import partial
 from os import PathLike
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from env_assets.mesh_view import LazyMesh, MeshView
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, find_mesh_files, read_mesh, require_unit
+
+if TYPE_CHECKING:
+    import trimesh
 
 _LOG = logging.getLogger(__name__)
 
@@ -44,7 +47,7 @@ def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) 
     return MeshView(records, found.class_names)
 
 
-def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> Any:
+def _mesh_of_file(path: Path, unit: str | None, below: Path | None = None) -> trimesh.Trimesh:
     found = read_mesh(path, unit=unit, below=below)
     for note in found.notes:
         _LOG.warning("%s: %s", path, note)

@@ -8,7 +8,7 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any, Protocol, overload
 
 import numpy as np
 
@@ -16,7 +16,34 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, In
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.read import RecordDataset, picks_several, positions
+from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
+
+if TYPE_CHECKING:
+    import trimesh
+
+
+class MeshRecord(Protocol):
+    """A mesh, its number and its class, such as a record of a data set of meshes."""
+
+    @property
+    def id(self) -> int:
+        """Number, unique among the meshes of a split."""
+
+    @property
+    def label(self) -> int:
+        """Number of the class."""
+
+    @property
+    def vertices_m(self) -> Floating:
+        """Vertices, shape (V, 3), metres."""
+
+    @property
+    def faces(self) -> Int32:
+        """Triangles, shape (F, 3), counter-clockwise seen from outside."""
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """The mesh, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,12 +52,12 @@ class LazyMesh:
 
     id: int
     label: int
-    read: Callable[[], Any]
+    read: Callable[[], trimesh.Trimesh]
     name: str = ""
 
     @property
-    def mesh(self) -> Any:
-        """The mesh, metres, a ``trimesh.Trimesh``; the least recently used are evicted from memory."""
+    def mesh(self) -> trimesh.Trimesh:
+        """The mesh, metres; the least recently used are evicted from memory."""
         return _MESHES.get_or_make(self, self.read)
 
     @property
@@ -44,29 +71,29 @@ class LazyMesh:
         return np.asarray(self.mesh.faces, np.int32)
 
 
-_MESHES = MemoryCache[LazyMesh, Any](64)
+_MESHES = MemoryCache[LazyMesh, "trimesh.Trimesh"](64)
 
 
 @dataclass(frozen=True, eq=False)
-class MeshView(Sequence[Any]):
+class MeshView(Sequence[MeshRecord]):
     """A sequence of records of meshes, with their classes and measures.
 
     Attributes
     ----------
-    records : sequence
-        Records with ``id``, ``label``, ``vertices_m``, ``faces`` and ``mesh``.
+    records : sequence of MeshRecord
+        The meshes.
     label_names : tuple of str
         Classes, in order.
     flat : bool
         Whether each mesh is turned onto its broadest side when it is read (``flat_turn``).
     """
 
-    records: Sequence[Any]
+    records: Sequence[MeshRecord]
     label_names: tuple[str, ...]
     flat: bool = False
 
     @classmethod
-    def of(cls, meshes: MeshView | RecordDataset[Any]) -> MeshView:
+    def of(cls, meshes: MeshView | AnyRecords) -> MeshView:
         """Return a view of a data set of meshes; a view as it is."""
         if isinstance(meshes, MeshView):
             return meshes
@@ -75,7 +102,11 @@ class MeshView(Sequence[Any]):
     def __len__(self) -> int:
         return len(self.records)
 
-    def __getitem__(self, key: Any) -> Any:
+    @overload
+    def __getitem__(self, key: int) -> MeshRecord: ...
+    @overload
+    def __getitem__(self, key: slice | Sequence[int] | AnyArray) -> MeshView: ...
+    def __getitem__(self, key: Any) -> MeshRecord | MeshView:
         """Return a record (int), or a view of some of them (slice, ints, mask)."""
         if not picks_several(key):
             record = self.records[operator.index(key)]
@@ -116,7 +147,7 @@ class PlannedView(MeshView):
     were not made when it was planned, which take about ``left_s`` seconds on one core.
     """
 
-    finished: Callable[[], Any] = lambda: None
+    finished: Callable[[], AnyRecords | None] = lambda: None
     left: int = 0
     left_s: float = 0.0
 
@@ -131,7 +162,7 @@ def mesh_bounds_m(vertices_m: Floating, where: str) -> Float64:
     return np.array([[reduce(column) for column in vertices_m.T] for reduce in (np.min, np.max)], np.float64)
 
 
-def _volume_m3(record: Any) -> float:
+def _volume_m3(record: MeshRecord) -> float:
     vertices_m, faces = record.vertices_m, record.faces
     # numpy would raise an error of its own, or take the last vertex for -1.
     missing = faces[(faces < 0) | (faces >= len(vertices_m))]
@@ -144,7 +175,7 @@ def _volume_m3(record: Any) -> float:
     return Mesh(vertices_m, faces).volume_m3
 
 
-def flat_turn(mesh: Any) -> Float64:
+def flat_turn(mesh: trimesh.Trimesh) -> Float64:
     """Return the rotation, shape (3, 3), that turns the shortest side of the box around a mesh upright.
 
     Of the other two sides, the one that lies more along x becomes x; the upper side stays up. The package
@@ -159,7 +190,7 @@ def flat_turn(mesh: Any) -> Float64:
     return np.stack([along, np.cross(up, along), up])
 
 
-def _laid_flat(record: Any) -> Any:
+def _laid_flat(record: MeshRecord) -> trimesh.Trimesh:
     turned = record.mesh.copy()
     turned.vertices = turned.vertices @ flat_turn(record.mesh).T
     return turned

@@ -9,22 +9,20 @@ from os import PathLike, fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, overload
 
+import mnist3d
 import realtouch
-from env_assets.asset_kinds import KINDS, THIRD_PARTY_ASSETS, MeshSet, open_meshes
-from env_assets.mesh_files import mesh_files
-from env_assets.mesh_view import LazyMesh, MeshView, PlannedView
+import starstruck_gen
+from env_assets import asset_kinds, mesh_files, mesh_view
 from env_assets.wrench.records import WrenchDataset
-from mnist3d import DigitDataset
-from starstruck_gen import SceneMeshDataset
-from tactile_toolkit import hub, mesh, read, store
+from tactile_toolkit import checked_fields, errors, hub, mesh, read, store
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.checked_fields import checked_integer
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError
 from tactile_toolkit.places import open_place
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
+    import trimesh
+
     from tactile_toolkit.generation import Recipe
 
 # What takes less is made without a word, seconds.
@@ -81,7 +79,7 @@ class AssetProvider:
     ) -> None:
         for name, number, least in (("seed", seed, 0), ("workers", workers, 1), ("per_class", per_class, 1)):
             if number is not None:
-                checked_integer(number, f"{name} of the AssetProvider", least)
+                checked_fields.checked_integer(number, f"{name} of the AssetProvider", least)
         self._root = store.expanded(fspath(root)).absolute()
         self._places = _checked_places(places or {})
         self._revision = revision
@@ -95,14 +93,16 @@ class AssetProvider:
         return self._root
 
     @overload
-    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> DigitDataset: ...
+    def meshes(self, name: Literal["mnist3d"], split: str = "train") -> mnist3d.DigitDataset: ...
     @overload
-    def meshes(self, name: Literal["starstruck"], split: str = "train") -> SceneMeshDataset: ...
+    def meshes(
+        self, name: Literal["starstruck"], split: str = "train"
+    ) -> starstruck_gen.SceneMeshDataset: ...
     @overload
     def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchDataset: ...
     @overload
-    def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet: ...
-    def meshes(self, name: str | PathLike[str], split: str = "train") -> MeshSet:
+    def meshes(self, name: str | PathLike[str], split: str = "train") -> asset_kinds.MeshSet: ...
+    def meshes(self, name: str | PathLike[str], split: str = "train") -> asset_kinds.MeshSet:
         """Return the meshes of a split, as a lazy sequence of records.
 
         Parameters
@@ -129,22 +129,22 @@ class AssetProvider:
         name = fspath(name)
         opened = self._opened.get(("meshes", name, split))
         if opened is None:
-            opened = open_meshes(self._shards(name, split), name)
+            opened = asset_kinds.open_meshes(self._shards(name, split), name)
             # If two threads open it at once, the first one wins: records are shared between threads.
             opened = self._opened.setdefault(("meshes", name, split), opened)
-        found: MeshSet = opened
+        found: asset_kinds.MeshSet = opened
         return found
 
-    def finished(self, name: str, split: str = "train") -> MeshSet | None:
+    def finished(self, name: str, split: str = "train") -> asset_kinds.MeshSet | None:
         """Return the meshes of a split, or None if they are not there or unfinished; makes nothing."""
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
-        except (InputError, IntegrityError):
+        except (errors.InputError, errors.IntegrityError):
             return None
-        return open_meshes(shards, name)
+        return asset_kinds.open_meshes(shards, name)
 
-    def planned(self, name: str, split: str = "train") -> PlannedView | None:
+    def planned(self, name: str, split: str = "train") -> mesh_view.PlannedView | None:
         """Return the meshes that :meth:`meshes` would make, each of which is made when it is asked for.
 
         None if single meshes of this kind are not made. InputError: the folder holds another data set.
@@ -154,22 +154,24 @@ class AssetProvider:
             return None
         plan, left = recipe.planned(split), recipe.rows_left(self._place(name), split)
         records = [
-            LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
+            mesh_view.LazyMesh(number, label, partial(_planned_mesh, plan.make, number))
             for number, label in zip(plan.ids.tolist(), plan.labels.tolist(), strict=True)
         ]
         finished = partial(self.finished, name, split)
-        return PlannedView(records, KINDS[name].class_names, False, finished, left, left * plan.row_s)
+        return mesh_view.PlannedView(
+            records, asset_kinds.KINDS[name].class_names, False, finished, left, left * plan.row_s
+        )
 
     def is_being_made(self, name: str) -> bool:
         """Return whether a process makes a split of ``KINDS`` at this moment."""
         try:
             with store.locked(self._lock_of(name), patience_s=0.0):
                 return False
-        except BusyError:
+        except errors.BusyError:
             return True
 
     def _recipe(self, name: str) -> Recipe:
-        found: Recipe = KINDS[name].recipe(self._seed, self._per_class)
+        found: Recipe = asset_kinds.KINDS[name].recipe(self._seed, self._per_class)
         return found
 
     def _lock_of(self, name: str) -> Path:
@@ -222,11 +224,11 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        view = MeshView(self.meshes(name, split), ())
-        kept: MeshView = self._opened.setdefault(("measured", name, split), view)
+        view = mesh_view.MeshView(self.meshes(name, split), ())
+        kept: mesh_view.MeshView = self._opened.setdefault(("measured", name, split), view)
         return kept.volumes_m3
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave open data sets behind, but not the commits of the Hub."""
         return {**self.__dict__, "_opened": {}}
 
@@ -240,7 +242,7 @@ class AssetProvider:
         # The toolkit's own names are inside the root even before anything is there, so that it is made there;
         # a folder of that name in the current folder is not used.
         inside = self.root / name
-        if name in KINDS or (store.path_exists(inside) and inside.is_dir()):
+        if name in asset_kinds.KINDS or (store.path_exists(inside) and inside.is_dir()):
             return str(inside)
         return name
 
@@ -264,13 +266,13 @@ class AssetProvider:
             found = open_place(place, revision=self._commit_of(place))
             return found.require_meshes("AssetProvider.meshes").shards(split)
         except (
-            InputError,
-            IntegrityError,
+            errors.InputError,
+            errors.IntegrityError,
         ) as error:  # the latter also after interrupted runs
-            if name not in KINDS or name in self._places:
+            if name not in asset_kinds.KINDS or name in self._places:
                 raise
             recipe = self._recipe(name)
-            if isinstance(error, InputError):
+            if isinstance(error, errors.InputError):
                 self._refuse_missing(error, name, split, recipe)
             elif not self._generate:
                 raise
@@ -278,13 +280,13 @@ class AssetProvider:
             try:
                 # Another process may have made it while this one waited.
                 return open_place(place).shards(split)
-            except (InputError, IntegrityError):
+            except (errors.InputError, errors.IntegrityError):
                 pass
             self._make(name, split, recipe, place)
         return open_place(place).shards(split)
 
     def _make(self, name: str, split: str, recipe: Recipe, place: str) -> None:
-        nouns = KINDS[name].nouns
+        nouns = asset_kinds.KINDS[name].nouns
         what = f"making {nouns} (split {split}) in {place}"
         with shown_progress(what, nouns, _QUIET_S) as update:
 
@@ -298,10 +300,10 @@ class AssetProvider:
                 kept = f"interrupted; what is finished stays in {place!r}, and the same call continues"
                 raise KeyboardInterrupt(kept) from None
 
-    def _refuse_missing(self, error: InputError, name: str, split: str, recipe: Recipe) -> None:
+    def _refuse_missing(self, error: errors.InputError, name: str, split: str, recipe: Recipe) -> None:
         """Refuse a split that a kind does not have, or that may not be made here."""
         if split not in recipe.splits:
-            raise InputError(
+            raise errors.InputError(
                 f"unknown split {split!r} of {name}; expected one of {', '.join(recipe.splits)}"
             ) from error
         if not self._generate:
@@ -310,27 +312,27 @@ class AssetProvider:
             if not place.is_dir():
                 found = "it does not exist"
             out = f"--out {shlex.quote(str(place))}"
-            command = " ".join(filter(None, (KINDS[name].made_by, recipe.arguments(split), out)))
-            raise InputError(
+            command = " ".join(filter(None, (asset_kinds.KINDS[name].made_by, recipe.arguments(split), out)))
+            raise errors.InputError(
                 f"no split {split!r} of {name!r} in {str(self.root)!r}: {found}",
                 next=f"run `{command}`, or make the AssetProvider with generate=True",
             ) from error
 
 
-def _planned_mesh(make: Callable[[int], Any], number: int) -> Any:
+def _planned_mesh(make: Callable[[int], mesh.Mesh], number: int) -> trimesh.Trimesh:
     return make(number).to_trimesh()
 
 
 def _checked_places(places: object) -> dict[str, str]:
-    known = (*KINDS, *THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
+    known = (*asset_kinds.KINDS, *asset_kinds.THIRD_PARTY_ASSETS, *realtouch.SHORT_NAMES)
     if not isinstance(places, Mapping):
-        raise InputError(
+        raise errors.InputError(
             f"places of the AssetProvider are {places!r}; expected a mapping, such as {{'mnist3d': 'digits'}}"
         )
     for name in places:
         if name not in known:
             near = did_you_mean(str(name), known)
-            raise InputError(
+            raise errors.InputError(
                 f"places of the AssetProvider has {name!r}; expected names of {', '.join(known)}, each with "
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
@@ -344,19 +346,21 @@ def _absolute_path(place: str) -> str:
         local = store.expanded(place)
         if local.exists():
             return str(local.absolute())
-    except (InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
+    except (errors.InputError, OSError, ValueError):  # too long a name, an unknown user's home, a null byte
         pass
     return place
 
 
-def meshes_at(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | MeshSet:
+def meshes_at(
+    place: str | PathLike[str], split: str, unit: str | None = None
+) -> mesh_view.MeshView | asset_kinds.MeshSet:
     """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
     ``unit`` is that of mesh files; InputError if the place holds none.
     """
     # An existing place in full: a name would first be looked for among the assets of the toolkit.
     named = _absolute_path(fspath(place))
-    files = mesh_files(named, split, unit)
+    files = mesh_files.mesh_files(named, split, unit)
     if files is not None:
         return files
     mesh.refuse_unit(unit, fspath(place))

@@ -51,7 +51,8 @@ class DigitRecord(mesh.SolidRecord):
         )
         return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), caption)
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
         return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.label}, id {self.id}")
 
 

@@ -9,7 +9,7 @@ MOST_NAMED = 20
 
 
 @dataclass(frozen=True)
-class Finding:
+class RecordingFinding:
     """One thing that is wrong with a recording.
 
     Attributes

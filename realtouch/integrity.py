@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch.schema import POSE_COLUMN, extra_columns, media_kind, per_touch_columns, require_types
+from realtouch import schema
 from realtouch.sensor_images import SensorImages
 from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
 from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
@@ -31,8 +31,8 @@ def agreeing_files(
     for shard in shards:
         try:
             if not files:
-                media_kind(shard.schema, where)
-            require_types(shard)
+                schema.media_kind(shard.schema, where)
+            schema.require_types(shard)
             if files:
                 _require_agreement(shard, files)
             files.append(shard)
@@ -45,8 +45,8 @@ def agreeing_files(
 
 def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
-    first = media_kind(files[0].schema, files[0].path)
-    if media_kind(shard.schema, shard.path) != first:
+    first = schema.media_kind(files[0].schema, files[0].path)
+    if schema.media_kind(shard.schema, shard.path) != first:
         raise IntegrityError(
             f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
             f"{files[0].path!r}",
@@ -149,7 +149,7 @@ def check_round(
     for name in filter(row.has, scalars):
         with noted():
             scalars[name]()
-    for name in per_touch_columns(row.group.names):
+    for name in schema.per_touch_columns(row.group.names):
         with noted():
             # A list of fixed length would hide a null.
             if not row.group.arrow(name)[row.index].is_valid:
@@ -161,7 +161,7 @@ def check_round(
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
-    for name in extra_columns(row.group.names):
+    for name in schema.extra_columns(row.group.names):
         with noted():
             row.extra_values(name)
     read_pose: Callable[[int], object] = row.poses
@@ -177,7 +177,7 @@ def check_round(
         if row.has("pos_in_cell"):
             with noted():
                 row.intended_positions(touch)
-        if row.has_poses and row.has(f"{POSE_COLUMN[row.kind]}.quaternion"):
+        if row.has_poses and row.has(f"{schema.POSE_COLUMN[row.kind]}.quaternion"):
             with noted():
                 read_pose(touch)
         if touch < stop - start:  # if images or clips are missing, the others are checked

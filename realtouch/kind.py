@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from tactile_toolkit.kind import DatasetKind, lazy, tactile_mnist_set
+from tactile_toolkit.kind import DatasetKind, Specified, lazy, tactile_mnist_set
 
 _REAL = (
     ("real-seq", "touch-real-seq-t256-320x240", "153,600 clips of touches of printed digits, 320 x 240 px"),
@@ -46,7 +44,7 @@ _EXCHANGED = (
 )
 
 
-def _loader(manifest: Any) -> str:
+def _loader(manifest: Specified | None) -> str:
     # Plain pictures have an index only, which `datasets` opens.
     is_plain = manifest is not None and manifest.spec.get("operation") == "frames"
     return "datasets.load_dataset" if is_plain else "realtouch.load"

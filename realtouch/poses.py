@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from tactile_toolkit import read
+from tactile_toolkit import read, spatial
 from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
-    from scipy.spatial.transform import Rotation
-
     from realtouch.pose import Pose
 
 
@@ -71,11 +69,9 @@ class Poses(Sequence["Pose"]):
         return self.position_m
 
     @property
-    def rotation(self) -> Rotation:
+    def rotation(self) -> spatial.Rotation:
         """All orientations as one rotation of length n."""
-        from scipy.spatial.transform import Rotation
-
-        return Rotation.from_quat(np.array(self.quaternion))
+        return spatial.Rotation.from_quat(np.array(self.quaternion))
 
     @property
     def matrix(self) -> Float64:

@@ -9,17 +9,17 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from realtouch import picture_views, touch_clips
 from realtouch.contact import require_method
 from realtouch.depth_maps import DEPTH, DEPTH_ERROR, DepthMaps
 from realtouch.extras import Extras
-from realtouch.picture_views import MOST_TILES, evenly_spaced, round_html, touch_html
 from realtouch.poses import Poses, PoseSequences
 from realtouch.schema import extra_columns, flat_row, take_touches
 from realtouch.sensor_images import SensorImages, in_parallel
 from realtouch.stored_round import StoredRound
-from realtouch.touch_clips import SensorClips, contact_frames_of, contact_windows, decode_frames
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Record, RowGroup, positions
 from tactile_toolkit.system import usable_cores
 
@@ -52,7 +52,7 @@ class TouchRound(Record):
         return self._once("object_id", lambda: self.row.integer("object_id"))
 
     @property
-    def info(self) -> dict[str, Any]:
+    def info(self) -> JsonDict:
         """Metadata such as ``gel_id`` and notes, unflattened, with poses; a dict of the caller."""
         return dict(self._once("info", lambda: self.row.read_info()))
 
@@ -111,14 +111,15 @@ class TouchRound(Record):
         """Show touches in a notebook; what is not stored and pictures that are damaged are left out."""
         words = self.label_words()
         words += filter(None, [self.describe_field("object_id", "object {}".format)])
-        touches = evenly_spaced(self.touch_count, MOST_TILES)
+        touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
         pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return round_html(title, [*words, f"{self.touch_count} touches"], pictures)
+        return picture_views.round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
         words = [*self.label_words(), f"{self.touch_count} touches"]
-        return touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
+        return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:
         """Return the label for people; nothing of a data set without labels."""
@@ -204,9 +205,9 @@ class TouchSeqRound(TouchRound):
         return self.row.touch_durations("touch_end_time_rel")
 
     @property
-    def sensor_video(self) -> SensorClips:
+    def sensor_video(self) -> touch_clips.SensorClips:
         """Clips, T of them, opened on demand."""
-        return self._once("sensor_video", lambda: SensorClips(self.row))
+        return self._once("sensor_video", lambda: touch_clips.SensorClips(self.row))
 
     def contact_image(self, touch: int) -> UInt8:
         """As :meth:`TouchRound.contact_image`."""
@@ -244,7 +245,9 @@ class TouchSeqRound(TouchRound):
 
             in_parallel(decode, len(clips), cores)
         else:
-            decode_frames(clips, range(len(clips)), contact_frames_of(self.row, chosen), pixels, cores)
+            touch_clips.decode_frames(
+                clips, range(len(clips)), touch_clips.contact_frames_of(self.row, chosen), pixels, cores
+            )
         return pixels
 
     def contact_windows(
@@ -266,12 +269,12 @@ class TouchSeqRound(TouchRound):
         """
         clips = self.sensor_video
         wanted = positions(touches, len(clips))
-        windows = [contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
+        windows = [touch_clips.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
         frames = [frame for window in windows for frame in range(window.start, window.stop)]
         owners = np.repeat(wanted, counts)
-        decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
+        touch_clips.decode_frames(clips, owners.tolist(), frames, pixels, _cores(threads))
         return tuple(np.split(pixels, np.cumsum(counts)))[: len(counts)]
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Container, Iterable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import pyarrow as pa
@@ -174,7 +174,7 @@ def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expecte
     return expected
 
 
-def column_type(schema: pa.Schema, name: str) -> Any:
+def column_type(schema: pa.Schema, name: str) -> pa.DataType:
     """Return the Arrow type of a column by dotted name, flat or inside structs; None when it is not there."""
     return read.column_types(schema).get(name)
 

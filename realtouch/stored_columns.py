@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
+from realtouch import schema
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.extras import UnknownExtraError, array_with_gaps
-from realtouch.schema import EXTRA_PREFIX, extra_columns, has_poses, per_touch_columns
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
@@ -123,7 +123,7 @@ class StoredColumns(Row):
     @property
     def has_poses(self) -> bool:
         """Whether it has poses of the gel."""
-        return has_poses(self.group.names)
+        return schema.has_poses(self.group.names)
 
     def damaged(self, field: str, problem: str, touch: int | None = None) -> DamagedRoundError:
         """Return the error for a field that cannot be used."""
@@ -177,7 +177,7 @@ class StoredColumns(Row):
 
     def require_touches(self) -> None:
         """Refuse a round whose columns differ in their number of touches; IntegrityError, with the column."""
-        for name in per_touch_columns(self.group.names):
+        for name in schema.per_touch_columns(self.group.names):
             self.entries_of(name)
 
     def require_each(self, name: str, good: Bool, touch: int | None, problem: str, *found: AnyArray) -> None:
@@ -283,11 +283,11 @@ class StoredColumns(Row):
 
         Raises InputError, which is a KeyError too, without such a column, IntegrityError if it is damaged.
         """
-        known = extra_columns(self.group.names)
+        known = schema.extra_columns(self.group.names)
         if name not in known:
             raise UnknownExtraError(name, self.path, known)
         stored, values = known[name], self.extra_entries(known[name])
-        if not stored.startswith(EXTRA_PREFIX["frame"]):
+        if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
                 return array_with_gaps(values)
         found = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -15,9 +15,13 @@ from realtouch.contact import PLATE_COLUMN, ContactHeight
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_columns import StoredColumns
+from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
-from tactile_toolkit.read import Row, RowGroup, RowSource, Shard, all_blocks, column_types
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.touch import MEDIA_COLUMN, PRESS_DEPTH_M, Kind
+
+if TYPE_CHECKING:
+    from realtouch.pose import Pose
 
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
@@ -182,14 +186,14 @@ class StoredRound(StoredColumns):
         """Return whether a round has metadata."""
         return self.has("info") or any(name.startswith("info.") for name in self.group.names)
 
-    def read_info(self) -> dict[str, Any]:
+    def read_info(self) -> JsonDict:
         """Read the metadata of a round; InputError when the data set does not store it.
 
         Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
         """
         if not self.has_info():
             raise self.missing_column("info")
-        return read_info(self)
+        return nested_info(self)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (_unpickled, super().__reduce__())
@@ -216,33 +220,35 @@ def as_seconds(values: AnyArray) -> Float64:
     return np.asarray(values, np.float64)
 
 
-def _unpickled(make: Callable[..., Row], arguments: tuple[Any, ...]) -> StoredRound:
+def _unpickled(make: Callable[..., read.Row], arguments: tuple[object, ...]) -> StoredRound:
     row = make(*arguments)
     return StoredRound(row.group, row.index)
 
 
-def stored_rows(shards: Iterable[RowSource], columns: Sequence[str] | None = None) -> Iterator[StoredRound]:
+def stored_rows(
+    shards: Iterable[read.RowSource], columns: Sequence[str] | None = None
+) -> Iterator[StoredRound]:
     """Yield the rows of files, with all columns or the named ones; one block is in memory at a time."""
-    return rows_of(all_blocks(shards, columns))
+    return rows_of(read.all_blocks(shards, columns))
 
 
-def rows_of(blocks: Iterable[RowGroup]) -> Iterator[StoredRound]:
+def rows_of(blocks: Iterable[read.RowGroup]) -> Iterator[StoredRound]:
     """Yield the rows of some blocks."""
     return (StoredRound(block, row) for block in blocks for row in range(len(block.table)))
 
 
-def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
+def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
     """Return the numbers of touches of some row groups, or of all, shape (rows,).
 
     If the type of the column fixes the number, no row is read.
     """
-    types, chosen = column_types(source.schema), groups or range(len(source.group_starts) - 1)
+    types, chosen = read.column_types(source.schema), groups or range(len(source.group_starts) - 1)
     name = next(name for name in _COUNTING if name in types)
     if pa.types.is_fixed_size_list(types[name]):
         rows = sum(source.group_starts[index + 1] - source.group_starts[index] for index in chosen)
         return np.full(rows, types[name].list_size, np.int64)
     column = name
-    if name in MEDIA_COLUMN.values() and isinstance(source, Shard):
+    if name in MEDIA_COLUMN.values() and isinstance(source, read.Shard):
         # The names of pictures are counted: pictures fill the memory.
         leaf = f"{name}.list.element.path"
         if any(chunk.path_in_schema == leaf for chunk in source.column_chunks()):
@@ -252,18 +258,18 @@ def stored_touch_counts(source: RowSource, *groups: int) -> Int64:
     return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
 
 
-def read_info(row: StoredColumns) -> dict[str, Any]:
+def nested_info(row: StoredColumns) -> JsonDict:
     """Read the metadata of a round that has some.
 
     Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
     """
-    nested: dict[str, Any] = {}
+    nested: JsonDict = {}
     for name in row.group.names:
         if not name.startswith("info."):
             continue
         # The published sets store the struct `info` as flat columns with dotted names.
         *outer, last = name.split(".")[1:]
-        group: Any = nested
+        group: JsonValue = nested
         for part in outer:
             if isinstance(group, dict):
                 group = group.setdefault(part, {})
@@ -273,7 +279,7 @@ def read_info(row: StoredColumns) -> dict[str, Any]:
     return {key: _with_poses(row, value, f"info.{key}") for key, value in nested.items()}
 
 
-def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
+def _with_poses(row: StoredColumns, value: JsonValue, name: str) -> JsonValue:
     """Replace groups of a position and a quaternion by poses."""
     if not isinstance(value, dict):
         return value
@@ -282,7 +288,7 @@ def _with_poses(row: StoredColumns, value: Any, name: str) -> Any:
     return {key: _with_poses(row, each, f"{name}.{key}") for key, each in value.items()}
 
 
-def _pose(row: StoredColumns, values: dict[str, Any], name: str) -> Any:
+def _pose(row: StoredColumns, values: JsonDict, name: str) -> Pose | Poses:
     """Make the pose, or the poses if there is one per touch."""
     try:
         position = np.asarray(values["position"], np.float64)

@@ -179,4 +179,4 @@ class Touch:
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
         return touch_html(self.image, ", ".join(words))
 
-    _tile_html = _repr_html_
+    tile_html = _repr_html_

@@ -11,21 +11,20 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from realtouch import picture_views, schema
 from realtouch.contact import ContactHeight
 from realtouch.contacts import contact_rule_text
 from realtouch.kind import KIND
-from realtouch.picture_views import contact_sheet, evenly_spaced
 from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.schema import EXTRA_PREFIX, extra_columns, has_poses, media_kind, origin_of
 from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch
 from realtouch.touch_dataset import AnyDataset, dataset_of
-from tactile_toolkit import cards, read, store
+from tactile_toolkit import cards, read, store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
 from tactile_toolkit.shown_text import markdown_code
-from tactile_toolkit.touch import Kind, decode_image, missed_text
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -49,7 +48,7 @@ _WINDOW = "18.88 x 14.16 mm of gel"
 class _Content:
     """Content of a card that depends on the rows: texts, columns and counts."""
 
-    words: dict[str, Any]
+    words: JsonDict
     columns: dict[str, cards.ColumnWords]
     nouns: str
     pictures: Iterable[UInt8 | None]
@@ -71,7 +70,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
     if manifest is not None:
         operation, made, spec = manifest.spec.get("operation"), _made(manifest), manifest.spec["options"]
         unknown = {}
-    origin = origin_of(facts.schema, manifest)
+    origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
     rule = ContactHeight.of(read.column_types(facts.schema))
     licence_text, heights = of_origin["licence_text"], [of_origin.get("drift")]
@@ -80,12 +79,12 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         template, licence_text = str(operation), of_origin.get("licence_of_others", licence_text)
         content = _plain_content(folder, facts, manifest, words)
     else:
-        kind = media_kind(facts.schema, folder.address())
+        kind = schema.media_kind(facts.schema, folder.address())
         template = kind if origin == "real" else origin
         content = _stored_content(facts, kind, rule, manifest, words)
         content.columns["object_id"] = ("", of_origin["object_id"])
         content.columns.update(_extra_words(facts))
-        if has_poses(read.column_types(facts.schema)):
+        if schema.has_poses(read.column_types(facts.schema)):
             heights.append(words["plates"][rule.plate])
     limits = [*of_origin["limits"], *content.limits]
     if origin == "real":
@@ -123,7 +122,7 @@ def _plain_content(
     folder: store.DataFolder,
     facts: cards.FolderSummary,
     manifest: store.Manifest | None,
-    words: dict[str, Any],
+    words: JsonDict,
 ) -> _Content:
     """Return what a card says of pictures in files, or of rows in a foreign format."""
     layout = "frames" if manifest is None else manifest.spec["options"].get("layout", "frames")
@@ -133,7 +132,9 @@ def _plain_content(
     texts["loading"] = texts["loading"].replace("$first_split", facts.splits[0].split)
     nouns = "rounds" if layout == "lerobot" else "pictures"
     pictures = _plain_pictures(folder, facts)
-    return _Content(of_layout, words["columns"]["plain"], nouns, pictures, texts, missed_text(None, 0), {})
+    return _Content(
+        of_layout, words["columns"]["plain"], nouns, pictures, texts, touch.missed_text(None, 0), {}
+    )
 
 
 def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Iterator[UInt8 | None]:
@@ -141,19 +142,19 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
         for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
-            yield _or_none(decode_image, row.group.arrow("image.bytes")[row.index].as_py())
+            yield _or_none(touch.decode_image, row.group.arrow("image.bytes")[row.index].as_py())
     elif {"file", "frame", "label"} <= {*names}:
         for row in islice(cards.rows_to_draw(facts, ["file"]), _TILES):
             if row.value("file").endswith((".jpg", ".png")):
-                yield _or_none(lambda name: decode_image(folder.read_bytes(name)), row.value("file"))
+                yield _or_none(lambda name: touch.decode_image(folder.read_bytes(name)), row.value("file"))
 
 
 def _stored_content(
     facts: cards.FolderSummary,
-    kind: Kind,
+    kind: touch.Kind,
     rule: ContactHeight,
     manifest: store.Manifest | None,
-    words: dict[str, Any],
+    words: JsonDict,
 ) -> _Content:
     """Return what a card says of rounds; reads small columns and a few rounds."""
     datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
@@ -163,7 +164,7 @@ def _stored_content(
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
     shares: list[float | None] = [None] * len(datasets)
-    if has_poses(read.column_types(facts.schema)):  # else all pictures would be decoded
+    if schema.has_poses(read.column_types(facts.schema)):  # else all pictures would be decoded
         shares = of_each(lambda dataset: float(dataset.touches().in_contact().mean()))
     sizes = (_or_none(record.picture_size, 0) for record in _first_rounds(facts, kind))
     size = next(filter(None, sizes), None)
@@ -205,8 +206,8 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
             elif found is None or found.null_count < chunk.num_values:
                 ends.setdefault(name, []).append("")  # a range of the rest would be too small
     words = {}
-    for name, stored in extra_columns(read.column_types(facts.schema)).items():
-        shape = "T x N; cut to N_i" if stored.startswith(EXTRA_PREFIX["frame"]) else "T"
+    for name, stored in schema.extra_columns(read.column_types(facts.schema)).items():
+        shape = "T x N; cut to N_i" if stored.startswith(schema.EXTRA_PREFIX["frame"]) else "T"
         found = ends.get(stored, [""])
         is_known = all(isinstance(each, (int, float)) for each in found)
         # Parquet may state 0 as -0, so 0 is added.
@@ -219,11 +220,14 @@ def _text(form: str, figure: float | None) -> str:
     return "-" if figure is None else form.format(figure)
 
 
-def _stored_pictures(facts: cards.FolderSummary, kind: Kind) -> list[UInt8 | None]:
+def _stored_pictures(facts: cards.FolderSummary, kind: touch.Kind) -> list[UInt8 | None]:
     """Decode pictures of the first round of which one can be read; of clips, the end of contact."""
     for record in _first_rounds(facts, kind):
         count = _or_none(attrgetter("touch_count"), record) or 0
-        images = [_or_none(attrgetter("image"), Touch(record, each)) for each in evenly_spaced(count, _TILES)]
+        images = [
+            _or_none(attrgetter("image"), Touch(record, each))
+            for each in picture_views.evenly_spaced(count, _TILES)
+        ]
         if any(image is not None for image in images):
             return images
     return []
@@ -231,10 +235,10 @@ def _stored_pictures(facts: cards.FolderSummary, kind: Kind) -> list[UInt8 | Non
 
 def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     intact = [image for image in pictures if image is not None]
-    return png_bytes(contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
+    return png_bytes(picture_views.contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 
 
-def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
+def _first_rounds(facts: cards.FolderSummary, kind: touch.Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
     record = TouchSingleRound if kind == "single" else TouchSeqRound
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
@@ -243,7 +247,7 @@ def _first_rounds(facts: cards.FolderSummary, kind: Kind) -> Iterator[TouchSeqRo
         yield record(StoredRound(group, 0))
 
 
-def _or_none(ask: Callable[..., T], *parts: Any) -> T | None:
+def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
     """Return what can be read; None if it is missing or damaged."""
     try:
         return ask(*parts)
@@ -257,7 +261,7 @@ def _missed(touches: list[int | None], shares: list[float | None], rule: Contact
     if any(share is None for _, share in found):
         return []
     total, in_contact = sum(count for count, _ in found), sum(count * (share or 0) for count, share in found)
-    return missed_text(total - round(in_contact), total, is_estimated=rule.plate == "estimated")
+    return touch.missed_text(total - round(in_contact), total, is_estimated=rule.plate == "estimated")
 
 
 def _made(manifest: store.Manifest) -> list[tuple[str, str]]:

@@ -14,17 +14,16 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import DTypeLike
 
+from realtouch import contact, picture_views
 from realtouch.avi import Avi
-from realtouch.contact import ContactMethod, contact_window, require_method
 from realtouch.contact_picture import best_of
-from realtouch.picture_views import evenly_spaced, round_html
 from realtouch.poses import Poses
 from realtouch.schema import require_poses_for
 from realtouch.sensor_images import in_parallel, room_for
 from realtouch.stored_round import StoredRound
+from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.errors import needs_extra
-from tactile_toolkit.read import checked_index, picks_several, positions
 from tactile_toolkit.touch import decode_image, image_size
 
 if TYPE_CHECKING:
@@ -87,9 +86,9 @@ class TouchClip(Sequence[UInt8]):
         IntegrityError
             A frame is damaged; names file, row and touch.
         """
-        if picks_several(index):
+        if read.picks_several(index):
             return self.frames(index)
-        return self._decode(checked_index(operator.index(index), len(self), "frame", "frames"))
+        return self._decode(read.checked_index(operator.index(index), len(self), "frame", "frames"))
 
     def frames(self, index: object = slice(None), *, threads: int = 1) -> UInt8:
         """Decode frames into one array.
@@ -110,15 +109,15 @@ class TouchClip(Sequence[UInt8]):
         IntegrityError
             A frame is damaged, or they exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        wanted = positions(index, len(self)).tolist()
+        wanted = read.positions(index, len(self)).tolist()
         with self.row.naming("sensor_video", self.touch):
             pixels = room_for(len(wanted), self.size)
         in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
         return pixels
 
-    def __iter__(self) -> Iterator[dict[str, Any]]:  # type: ignore[override]
+    def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
         """Yield ``{"data", "pts"}``: a (3, H, W) uint8 tensor (without torch an array), and seconds."""
-        to_data: Callable[[UInt8], Any] = np.asarray
+        to_data: Callable[[UInt8], object] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with suppress(ImportError):
             import torch
@@ -168,7 +167,7 @@ class TouchClip(Sequence[UInt8]):
         IntegrityError
             The index does not lead to the frame; names file, row and touch.
         """
-        number = checked_index(frame, len(self), "frame", "frames")
+        number = read.checked_index(frame, len(self), "frame", "frames")
         try:
             return self._avi.frame(number)
         except ValueError as error:
@@ -224,7 +223,7 @@ class TouchClip(Sequence[UInt8]):
         InputError
             The method is unknown, or it is ``"peak"`` and there are no poses.
         """
-        chosen = require_method(method)
+        chosen = contact.require_method(method)
         if chosen == "best":
             return best_of(self.frames())[0]
         return contact_frames_of(self.row, chosen, self.touch)[0]
@@ -259,9 +258,9 @@ class TouchClip(Sequence[UInt8]):
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
-        frames = evenly_spaced(len(self), _SHOWN_FRAMES)
+        frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
         pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return round_html(f"Touch {self.touch}", [f"{len(self)} frames"], pictures)
+        return picture_views.round_html(f"Touch {self.touch}", [f"{len(self)} frames"], pictures)
 
 
 class SensorClips(Sequence[TouchClip]):
@@ -282,9 +281,9 @@ class SensorClips(Sequence[TouchClip]):
     def __getitem__(self, index: slice | Sequence[int]) -> list[TouchClip]: ...
     def __getitem__(self, index: Any) -> TouchClip | list[TouchClip]:
         """Open one clip, or some; raises as :class:`TouchClip`."""
-        if picks_several(index):
-            return [TouchClip(self.row, touch) for touch in positions(index, self._count).tolist()]
-        return TouchClip(self.row, checked_index(operator.index(index), self._count, "touch", "touches"))
+        if read.picks_several(index):
+            return [TouchClip(self.row, touch) for touch in read.positions(index, self._count).tolist()]
+        return TouchClip(self.row, read.checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def room(self, count: int, out: UInt8 | None = None) -> UInt8:
         """Return an array for ``count`` frames of the first clip's size: a new one, or ``out`` if it fits.
@@ -316,10 +315,10 @@ def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
             touches = [touch]
         times = [TouchClip(row, each).media_times_s for each in touches]
     ends = (each.tolist() for each in row.times_of_touches(touch))
-    return [contact_window(*each) for each in zip(times, *ends, strict=True)]
+    return [contact.contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
-def contact_frames_of(row: StoredRound, method: ContactMethod, touch: int | None = None) -> list[int]:
+def contact_frames_of(row: StoredRound, method: contact.ContactMethod, touch: int | None = None) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
     See :meth:`TouchClip.contact_index`. Raises InputError for ``"peak"`` without poses, IntegrityError as

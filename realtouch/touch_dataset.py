@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import PLATE_COLUMN, ContactHeight, contact_heights_m
+from realtouch import contact
 from realtouch.integrity import class_names_of
 from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
 from realtouch.schema import POSE_COLUMN, media_kind
@@ -96,13 +96,18 @@ class TouchDataset(read.RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: StoredRound, rule: ContactHeight) -> Float64:
+        def heights_m(row: StoredRound, rule: contact.ContactHeight) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
             if rule.plate == "known":
-                return contact_heights_m(z_m, True, row.rendered_plate_z_m())
-            return contact_heights_m(z_m, recalibrate_z, row.stored_plate_z_m())
+                return contact.contact_heights_m(z_m, True, row.rendered_plate_z_m())
+            return contact.contact_heights_m(z_m, recalibrate_z, row.stored_plate_z_m())
 
-        columns = [PLATE_COLUMN, "pos_in_cell", "video_length_frames", f"{POSE_COLUMN[self.kind]}.position"]
+        columns = [
+            contact.PLATE_COLUMN,
+            "pos_in_cell",
+            "video_length_frames",
+            f"{POSE_COLUMN[self.kind]}.position",
+        ]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
     def known_positions_m(self) -> Float64:
@@ -111,7 +116,7 @@ class TouchDataset(read.RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: StoredRound, _rule: ContactHeight) -> Float64:
+        def positions_m(row: StoredRound, _rule: contact.ContactHeight) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
@@ -120,12 +125,12 @@ class TouchDataset(read.RecordDataset[R]):
         self,
         key: str,
         columns: Sequence[str],
-        known: Callable[[StoredRound, ContactHeight], Float64],
+        known: Callable[[StoredRound, contact.ContactHeight], Float64],
     ) -> Float64:
         """Join the values of the touches of each stored row; reads a few columns."""
 
         def of_source(source: read.RowSource) -> list[Float64]:
-            rule = ContactHeight.of(read.column_types(source.schema))
+            rule = contact.ContactHeight.of(read.column_types(source.schema))
             return [known(row, rule) for row in stored_rows([source], columns)]
 
         values = self.table.per_shard(key, of_source)
@@ -136,9 +141,12 @@ class TouchDataset(read.RecordDataset[R]):
             )
         return values
 
-    def contact_rules(self) -> list[ContactHeight]:
+    def contact_rules(self) -> list[contact.ContactHeight]:
         """Return the rule by which touches of each round count as contact; joined sets may have several."""
-        rules = [(ContactHeight.of(read.column_types(each.schema)), len(each)) for each in self.table.shards]
+        rules = [
+            (contact.ContactHeight.of(read.column_types(each.schema)), len(each))
+            for each in self.table.shards
+        ]
         of_rows = [rule for rule, count in rules for _ in range(count)]
         return [of_rows[row] for row in self.row_numbers.tolist()]
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -20,6 +19,7 @@ from realtouch.touch_dataset import AnyDataset
 from tactile_toolkit import catalog, gallery, mesh, places
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
 from tactile_toolkit.wording import class_name, shortened
@@ -101,7 +101,7 @@ def _item(
     for touch in touches:
         height_m = math.nan if heights_m is None else float(heights_m[touch.touch_index])
         height_mm = _millimetres(height_m)
-        entry: dict[str, Any] = {
+        entry: JsonDict = {
             "number": touch.touch_index,
             "contact": None if height_mm is None else height_m >= least_m,
             "height_mm": None if height_mm is None else round(height_mm, 2),
@@ -187,7 +187,7 @@ def sheet_of(
     return encode_image(np.vstack(rows), "jpeg", _QUALITY), columns, (tile_width, tile_height)
 
 
-def film_of(clip: TouchClip, name: str) -> tuple[bytes, dict[str, Any]]:
+def film_of(clip: TouchClip, name: str) -> tuple[bytes, JsonDict]:
     """Choose frames of a clip, evenly spaced and with both ends of the contact: a JPEG of tiles, JSON values.
 
     These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Collection, Sequence
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pyarrow as pa
@@ -13,10 +13,13 @@ from realtouch.schema import flat_row, is_per_touch
 from realtouch.stored_round import StoredRound
 from tactile_toolkit.array_types import Int64
 
+if TYPE_CHECKING:
+    from datasets import Dataset
+
 INDEX = "touch_index"
 
 
-def hf_touches(rows: Sequence[StoredRound], places: Int64, touches: Int64, content: str) -> Any:
+def hf_touches(rows: Sequence[StoredRound], places: Int64, touches: Int64, content: str) -> Dataset:
     """Return touches as a data set of the library `datasets`; see :meth:`realtouch.Touches.to_hf`.
 
     ``rows`` are the rounds, ``places`` and ``touches``, shape (n,), the round of each touch and its number
@@ -45,7 +48,7 @@ def hf_touches(rows: Sequence[StoredRound], places: Int64, touches: Int64, conte
     return whole.select(starts[places] + touches)
 
 
-def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> Any:
+def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> pa.Table:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
     table, count = flat_row(row), row.touch_total()
     columns = {}

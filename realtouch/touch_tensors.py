@@ -7,6 +7,7 @@ Images come as ``torchvision.tv_tensors.Image``, clips as ``tv_tensors.Video``, 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -38,9 +39,9 @@ __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
 _ROUNDS_KEPT = 1024
 
 Transform = Callable[[Any], Any]
-Target = str | Callable[[Touch], Any] | None
+Target = str | Callable[[Touch], object] | None
 
-TARGETS: dict[str, Callable[[Touch], Any]] = {
+TARGETS: dict[str, Callable[[Touch], object]] = {
     "label": lambda touch: touch.label,
     "object_id": lambda touch: touch.object_id,
     "pos_in_cell": lambda touch: torch.tensor(np.asarray(touch.pos_in_cell_m), dtype=torch.float32),
@@ -136,12 +137,12 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         shown = (image.as_subclass(image_type) for image in found[0])
         return [self._given(*each) for each in zip(shown, found[1], strict=True)]
 
-    def _given(self, shown: Any, touch: Touch, frame: int | None = None) -> Any:
+    def _given(self, shown: torch.Tensor, touch: Touch, frame: int | None = None) -> object:
         """Return an item of a picture; ``frame`` is that of the clip, where one was chosen."""
         given = shown if self.transform is None else self.transform(shown)
         return given if self.target is None else (given, self._target_of(touch, frame))
 
-    def _target_of(self, touch: Touch, frame: int | None = None) -> Any:
+    def _target_of(self, touch: Touch, frame: int | None = None) -> object:
         if frame is not None and self.target == "gel_position":
             return torch.tensor(touch.clip.poses[frame].translation, dtype=torch.float32)
         if isinstance(self.target, str) and self.target not in TARGETS:
@@ -179,7 +180,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         images, touches = found
         if self.target is None:
             return images
-        targets: Any = tuple(map(self._target_of, touches))
+        targets = tuple(map(self._target_of, touches))
         return [images, collate(targets)]
 
     def _decoded(self, indices: Sequence[int]) -> tuple[torch.Tensor, list[Touch]] | None:
@@ -231,12 +232,13 @@ def _numbers_of(rounds: AnyDataset) -> list[str]:
     return [f"extra.{name}" for name, leaf in leaves.items() if not pa.types.is_string(leaf)]
 
 
-def _tensor(kind: str, pixels: UInt8) -> Any:
+def _tensor(kind: str, pixels: UInt8) -> torch.Tensor:
     """Return pixels, shape (..., H, W, 3), as a ``tv_tensors`` of shape (..., 3, H, W)."""
     return getattr(_tv_tensors(), kind)(torch.from_numpy(np.moveaxis(pixels, -1, -3)))
 
 
-def _tv_tensors() -> Any:
+def _tv_tensors() -> ModuleType:
     with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
         from torchvision import tv_tensors
-    return tv_tensors
+    found: ModuleType = tv_tensors
+    return found

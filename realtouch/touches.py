@@ -10,26 +10,22 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from realtouch import schema, sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
-from realtouch.schema import POSE_COLUMN
-from realtouch.sensor_images import SensorImages, room_for
 from realtouch.touch import Touch, touch_id
-from realtouch.touch_table import INDEX, hf_touches
-from tactile_toolkit import read
+from tactile_toolkit import builtin_values, checked_fields, kind, read, system
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
-from tactile_toolkit.builtin_values import is_integer, to_builtin_number
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.system import usable_cores
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
+    from datasets import Dataset
+
     from realtouch.touch_dataset import TouchDataset
 
 _POSITION = ("x_m", "y_m")
 # Imported on use: it measures touches.
-_contacts_by_image = lazy("realtouch.contacts:contacts_by_image")
+_contacts_by_image = kind.lazy("realtouch.contacts:contacts_by_image")
 R = TypeVar("R", bound=TouchRound)
 
 
@@ -124,12 +120,12 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     @property
     def column_names(self) -> tuple[str, ...]:
         """Stored columns of the rounds, and ``touch_index``: those of :meth:`to_hf`."""
-        return (*self.dataset.column_names, INDEX)
+        return (*self.dataset.column_names, touch_table.INDEX)
 
     @property
     def plain_columns(self) -> tuple[str, ...]:
         """Columns of numbers and texts: those of the rounds, the place in the round, and positions."""
-        names = (*self.dataset.plain_columns, INDEX)
+        names = (*self.dataset.plain_columns, touch_table.INDEX)
         if self.dataset.has_column("pos_in_cell"):
             names += _POSITION
         return names
@@ -144,14 +140,14 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             The data set has no column of that name.
         """
-        if name == INDEX:
+        if name == touch_table.INDEX:
             return self.touch_indices
         if name in _POSITION:
             of_view: AnyArray = self.dataset.known_positions_m()[self._stored_places]
             return of_view[:, _POSITION.index(name)]
         return self.dataset.column(name)[self.round_positions]
 
-    def to_hf(self) -> Any:
+    def to_hf(self) -> Dataset:
         """Return the touches as a data set of the library `datasets`, one row each, with their features.
 
         Columns with one entry per touch give that entry, all others are repeated, and ``touch_index`` is
@@ -172,7 +168,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         rows = [self.dataset[place].row for place in rounds]
         # The library's own fingerprint would be that of all bytes.
         content = repr([self.dataset.identity, rounds, places.tobytes(), self.row_numbers.tobytes()])
-        return hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
+        return touch_table.hf_touches(rows, np.searchsorted(rounds, places), self.touch_indices, content)
 
     @property
     def object_ids(self) -> Int64:
@@ -228,7 +224,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             As :meth:`heights_m`.
         """
-        poses = f"{POSE_COLUMN[self.dataset.kind]}.position"
+        poses = f"{schema.POSE_COLUMN[self.dataset.kind]}.position"
         if not self.dataset.has_column(poses):
             if min_height_m is not None or not recalibrate_z:
                 raise InputError(
@@ -236,7 +232,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
                 )
-            contact: Bool = _contacts_by_image(self, threads=usable_cores()).contact
+            contact: Bool = _contacts_by_image(self, threads=system.usable_cores()).contact
             return contact
         heights_m = self.heights_m(recalibrate_z)
         if min_height_m is not None:
@@ -252,8 +248,8 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         InputError
             Something else than integers is given.
         """
-        numbers = list(map(to_builtin_number, read.flattened(wanted)))
-        if not is_integer(*numbers):
+        numbers = list(map(builtin_values.to_builtin_number, read.flattened(wanted)))
+        if not builtin_values.is_integer(*numbers):
             raise InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
@@ -326,7 +322,11 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         if wanted or (len(self.dataset) and self.dataset[0].touch_count):
             first, number = [*wanted, (0, 0)][0]
             size = self._images_of(first).size(number)
-        out = np.empty((len(wanted), *size, 3), np.uint8) if out is None else room_for(len(wanted), size, out)
+        out = (
+            np.empty((len(wanted), *size, 3), np.uint8)
+            if out is None
+            else sensor_images.room_for(len(wanted), size, out)
+        )
         start = 0
         for position, of_round in groupby(wanted, key=itemgetter(0)):
             touches = [touch for _, touch in of_round]
@@ -335,7 +335,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             start = stop
         return out
 
-    def _images_of(self, position: int) -> SensorImages:
+    def _images_of(self, position: int) -> sensor_images.SensorImages:
         record = self.dataset[position]
         if not isinstance(record, TouchSingleRound):
             raise record.row.missing_column("sensor_image")
@@ -399,8 +399,8 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     Raises InputError for an invalid fraction, seed or mask.
     """
     wanted, number, mask = (
-        to_builtin_number(fraction, float),
-        checked_integer(seed, "the seed"),
+        builtin_values.to_builtin_number(fraction, float),
+        checked_fields.checked_integer(seed, "the seed"),
         np.asarray(contact),
     )
     if not isinstance(wanted, float) or not 0 <= wanted < 1:

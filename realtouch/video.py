@@ -53,7 +53,7 @@ def open_video(folder: store.DataFolder, path: str) -> Video:
     return _open_video(folder.address(), path, folder.version(path))
 
 
-def encoded_pictures(
+def pictures_of_video(
     folder: store.DataFolder, path: str, numbers: Iterable[int]
 ) -> Iterator[bytes | ItemError]:
     """Yield some pictures of a video, encoded as JPEG, or as PNG where its codec is lossless.

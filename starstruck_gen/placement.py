@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import lru_cache
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -12,6 +12,9 @@ from starstruck_gen.prisms import MOST_KEPT, prism
 from starstruck_gen.shape_kinds import STAR
 from tactile_toolkit import mesh
 from tactile_toolkit.arithmetic import cosine_sine
+
+if TYPE_CHECKING:
+    import manifold3d
 
 STORAGE_MARGIN_M = 1e-7
 """Margin beyond the clearance: float32 storage moves coordinates by up to a third of it."""
@@ -78,7 +81,7 @@ COLLISION_TESTS = {"circles": circles_clear, "exact": outlines_clear}
 """Collision rules by name: whether an object keeps a clearance, in metres, to others."""
 
 
-def _standing(placement: Placement) -> Any:
+def _standing(placement: Placement) -> manifold3d.Manifold:
     """Return the solid of an object in its place, millimetres, 1 mm high."""
     c, s = cosine_sine(placement.angle_rad)
     x_mm, y_mm = placement.x_m * mesh.MM_PER_M, placement.y_m * mesh.MM_PER_M
@@ -87,7 +90,7 @@ def _standing(placement: Placement) -> Any:
 
 
 @lru_cache(MOST_KEPT)
-def prism_solid(key: str, radius_m: float) -> Any:
+def prism_solid(key: str, radius_m: float) -> manifold3d.Manifold:
     """Return the solid of a shape for manifold3d: millimetres, 1 mm high, centred, not turned."""
     made = prism(key)
     vertices_m = made.vertices(0.0) * radius_m

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
-from typing import Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -15,8 +15,12 @@ from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.shape_kinds import KINDS, Proportions
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import FACES, MM_PER_M, VERTICES, Mesh, check_manifold
 from tactile_toolkit.wording import with_count
+
+if TYPE_CHECKING:
+    import manifold3d
 
 _COLUMNS = (
     *("id", "label", VERTICES, FACES),
@@ -59,7 +63,7 @@ class CheckedScenes:
         """Number of invalid scenes."""
         return len(self.failures)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {**asdict(self), "failures": [asdict(each) for each in self.failures], "failed": self.failed}
 
@@ -152,7 +156,7 @@ def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) ->
     return problem or _check_star_count(record, names), verdict.bodies
 
 
-def _check_on_plate(mesh: Mesh, bodies: Sequence[Any]) -> str | None:
+def _check_on_plate(mesh: Mesh, bodies: Sequence[manifold3d.Manifold]) -> str | None:
     mesh_m = float(mesh.bounds_m[0, 2])
     if mesh_m != 0.0:
         return f"the lowest point of the mesh is at z = {mesh_m:g} m; expected 0"

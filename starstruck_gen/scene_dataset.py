@@ -79,7 +79,8 @@ class SceneRecord(mesh.SolidRecord):
         stars, others = with_count(self.star_count, "stars"), with_count(self.distractor_count, "distractors")
         return pictures.figure_html(self._drawn(2.0), f"scene {self.id}: {stars}, {others}")
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
         caption = f"{with_count(self.star_count, 'stars')}, id {self.id}"
         if not self.has_placements:
             return pictures.relief_tile_html(self.vertices_m, self.faces, caption)

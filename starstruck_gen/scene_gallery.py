@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 
@@ -13,6 +11,7 @@ from starstruck_gen.scene_dataset import SceneRecord
 from starstruck_gen.scene_drawing import draw_scene
 from starstruck_gen.scene_rows import SceneRow
 from tactile_toolkit import catalog, gallery, places
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
 from tactile_toolkit.rows import Column, columns, with_role
 from tactile_toolkit.touch import CELL_M
@@ -42,7 +41,7 @@ def _item(record: SceneRecord, split: str, _names: tuple[str, ...], _known: None
     stars = record.star_count
     mesh = Mesh(record.vertices_m, record.faces)
     notes = [("Overall size", gallery.size_text(mesh.vertices_m))]
-    values: dict[str, Any] = {
+    values: JsonDict = {
         "star_count": stars,
         "distractor_count": None,
         "volume_mm3": mesh.volume_m3 * MM_PER_M**3,

@@ -8,16 +8,19 @@ from dataclasses import asdict, dataclass, field
 from functools import partial
 from typing import Any, Unpack
 
+import pyarrow as pa
+
+from starstruck_gen import scene_seeds
 from starstruck_gen.acceptance import count_scenes
 from starstruck_gen.kind import KIND
 from starstruck_gen.rejection import LayoutFailed, require_feasible, sample_scenes
 from starstruck_gen.scene_meshes import build_meshes
 from starstruck_gen.scene_rows import PARQUET_STYLE, SceneRow, scene_schema
-from starstruck_gen.scene_seeds import MOST_SCENES, SPLITS, scene_id, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import generation, store
 from tactile_toolkit.checked_fields import check_fields, integer, split_counts
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
@@ -32,14 +35,14 @@ def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) ->
     meshes = build_meshes([scene.placements for scene in scenes])
     return [
         SceneRow(
-            id=scene_id(split, number),
+            id=scene_seeds.scene_id(split, number),
             label=number % len(spec.stars),
             vertices_m=meshes.vertices_m[index],
             faces=meshes.faces[index],
             star_count=scene.star_count,
             distractor_count=scene.distractor_count,
             placements=scene.placements,
-            seed=scene_seed(seed, split, number),
+            seed=scene_seeds.scene_seed(seed, split, number),
             attempts=scene.attempts,
             restarts=scene.restarts,
         )
@@ -75,7 +78,9 @@ class SceneSetSpec:
 
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")
-        scenes = split_counts(self.scenes, "scenes of the data set's specification", SPLITS, MOST_SCENES)
+        scenes = split_counts(
+            self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MOST_SCENES
+        )
         object.__setattr__(self, "scenes", scenes)
         if not isinstance(self.scene, SceneSpec):
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
@@ -85,7 +90,7 @@ class SceneSetSpec:
         count = dict(self.scenes).get(split, 0)
         return count if self.limit is None else min(count, self.limit)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "scene": self.scene.to_dict(),
@@ -104,7 +109,7 @@ class SceneMaking(generation.RowGenerator):
 
     def items(self) -> Mapping[str, range]:
         """Return the numbers of the scenes of each split."""
-        return {split: range(self.spec.rows(split)) for split in SPLITS}
+        return {split: range(self.spec.rows(split)) for split in scene_seeds.SPLITS}
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
@@ -117,7 +122,7 @@ class SceneMaking(generation.RowGenerator):
             sampled=200,  # a scene takes tens of microseconds, too short to measure fewer
         )
 
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         return scene_schema(self.spec.scene.class_names)
 
@@ -126,7 +131,7 @@ class SceneMaking(generation.RowGenerator):
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
-    def statistics(self, rows: Sequence[SceneRow]) -> Mapping[str, Any]:
+    def statistics(self, rows: Sequence[SceneRow]) -> JsonObject:
         """Count positions drawn and scenes started over."""
         return asdict(count_scenes(self.spec.scene, rows))
 
@@ -134,7 +139,7 @@ class SceneMaking(generation.RowGenerator):
 def generate(
     spec: SceneSetSpec,
     out: str | os.PathLike[str],
-    splits: Sequence[str] = SPLITS,
+    splits: Sequence[str] = scene_seeds.SPLITS,
     *,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
     **run: Unpack[store.RunKeywords],

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
 
 from starstruck_gen.prisms import require_fine_steps
 from starstruck_gen.shape_kinds import STAR
@@ -15,6 +13,7 @@ from starstruck_gen.shapes import Shape
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import CELL_M
 
 COLLISION_RULES = ("circles", "exact")
@@ -141,14 +140,14 @@ class SceneSpec:
         """Number of objects in the fullest scene."""
         return max(self.stars) + self.distractors[1]
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values; equal specifications give equal values and, with equal seeds, equal scenes."""
         values = {name: list(v) if isinstance(v, tuple) else v for name, v in asdict(self).items()}
         distractor_shapes = [shape.to_dict() for shape in self.distractor_shapes]
         return {**values, "star": self.star.to_dict(), "distractor_shapes": distractor_shapes}
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> SceneSpec:
+    def from_dict(cls, values: JsonObject) -> SceneSpec:
         """Rebuild a specification from :meth:`to_dict`.
 
         Raises
@@ -163,9 +162,7 @@ class SceneSpec:
                 next="see the fields of starstruck_gen.SceneSpec",
             )
         try:
-            arguments: dict[str, Any] = {
-                name: tuple(v) if isinstance(v, list) else v for name, v in values.items()
-            }
+            arguments: JsonDict = {name: tuple(v) if isinstance(v, list) else v for name, v in values.items()}
             if "star" in values:
                 arguments["star"] = Shape.from_dict(values["star"])
             if "distractor_shapes" in values:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +17,7 @@ from starstruck_gen.scene_rows import scene_schema
 from starstruck_gen.scene_seeds import MOST_SCENES, scene_id, scene_seed
 from starstruck_gen.scene_spec import SceneSpec
 from tactile_toolkit import mesh, read
-from tactile_toolkit.array_types import AnyArray, Int64
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.rows import table_of
 
@@ -45,11 +44,11 @@ class MadeScenes:
         self.class_names = spec.class_names
         self.group_starts = (0, size)
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return type(self), (self.spec, self.split, self.size, self.seed)
 
     @cached_property
-    def schema(self) -> Any:
+    def schema(self) -> pa.Schema:
         """Arrow schema of the rows."""
         return scene_schema(self.spec.class_names)
 
@@ -77,11 +76,11 @@ class MadeScenes:
             yield read.RowGroup(table if columns is None else table.select(columns), first_row=start)
             start += count
 
-    def made(self, start: int, count: int) -> Any:
+    def made(self, start: int, count: int) -> pa.Table:
         """Make a block of rows as an Arrow table."""
         return table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
 
-    def column(self, name: str) -> Any:
+    def column(self, name: str) -> pa.Array:
         """Return one column of all rows, which must be known without the scenes."""
         return pa.array(self.known(name, range(self.size)))
 
@@ -108,7 +107,7 @@ class MadeScene(read.Rows):
         self._source = source
 
     @cached_property
-    def table(self) -> Any:
+    def table(self) -> pa.Table:
         """The row as an Arrow table, for pickling."""
         return self._source.made(self.first_row, 1)
 
@@ -136,7 +135,7 @@ class MadeScene(read.Rows):
         meshes = self.once("meshes", self._built)
         return meshes.vertices_m if name == mesh.VERTICES else meshes.faces
 
-    def flat(self, name: str) -> AnyArray:
+    def flat(self, name: str) -> pa.ArrayArray:
         """Return a plain column of one value."""
         if name in _KNOWN:
             return self._source.known(name, range(self.first_row, self.first_row + 1))
@@ -187,7 +186,7 @@ class SceneDataset(SceneMeshDataset):
             read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
         )
 
-    def column(self, name: str) -> AnyArray:
+    def column(self, name: str) -> pa.ArrayArray:
         """Return one plain column, shape (len,); all but id, label, star_count and seed need the scenes.
 
         Raises

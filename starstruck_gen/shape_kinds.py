@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from typing import Any, ClassVar
 
@@ -13,6 +12,7 @@ from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 Outline = tuple[Float64, ...]
 """Rings of corners, each of shape (n, 2): the outer one counter-clockwise, holes clockwise."""
@@ -60,16 +60,16 @@ class Proportions:
         """Return the rings of the outline, read-only; unit: the circumscribed radius."""
         raise NotImplementedError
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         """Pickle with the class, so that unpickling registers the kind in a new process."""
         return (_unpickled, (type(self), self.to_dict()))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Proportions:
+    def from_dict(cls, values: JsonObject) -> Proportions:
         """Rebuild proportions from :meth:`to_dict`; missing fields take their defaults.
 
         Raises
@@ -85,7 +85,7 @@ class Proportions:
         return cls(**values)
 
 
-def _unpickled(kind: type[Proportions], values: dict[str, Any]) -> Proportions:
+def _unpickled(kind: type[Proportions], values: JsonDict) -> Proportions:
     # The kind was checked when it was registered in the process that pickled it.
     if kind.name:
         KINDS.setdefault(kind.name, kind)

@@ -9,16 +9,15 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, field, fields
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
 from starstruck_gen.shape_kinds import Outline, Proportions, kind_named
 from tactile_toolkit.builtin_values import to_builtin_number
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 PUBLISHED_RADIUS_M = 0.010
 """Circumscribed radius of every published object (package tactile-mnist 0.13.0)."""
@@ -94,14 +93,14 @@ class Shape:
         proportions = _parse_key(text)
         return cls(proportions.name, radius_m, proportions)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         numbers = self.proportions.to_dict()
         size = {"name": self.name, "radius_m": self.radius_m}
         return {**size, "proportions": numbers} if numbers else size
 
     @classmethod
-    def from_dict(cls, values: Mapping[str, Any]) -> Shape:
+    def from_dict(cls, values: JsonObject) -> Shape:
         """Rebuild a shape from :meth:`to_dict`; missing proportions are those of the kind.
 
         Raises

@@ -6,20 +6,20 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from math import inf, pi
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any, TypedDict, TypeVar
+from typing import TYPE_CHECKING, TypedDict, TypeVar
 
-from tactile_sim import Sensor, SensorNoise, center_view
+import tactile_sim
+from tactile_envs.gym_types import Options
 from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M
 from tactile_sim.sensor_noise import checked_noise
-from tactile_toolkit.checked_fields import check_fields, checked_integer, choice, integer, real, switch
+from tactile_toolkit import checked_fields
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M, PRESS_DEPTH_M
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
     from realtouch import TouchSingleDataset
-    from tactile_sim import Gel
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
@@ -74,23 +74,23 @@ class EpisodeConfig:
         Width and depth of the plate, and distance that the sensor keeps from its edge, metres.
     """
 
-    step_limit: int = integer(16, 1, 100_000)
-    sensor_type: str = choice("taxim", (*SENSORS, DIRECT))
+    step_limit: int = checked_fields.integer(16, 1, 100_000)
+    sensor_type: str = checked_fields.choice("taxim", (*SENSORS, DIRECT))
     sensor_output_size: tuple[int, int] = (320, 240)
-    network_device: str = choice("cpu", ("cpu", "cuda", "auto"))
-    network_bfloat16: bool = switch(False)
-    randomize_initial_sensor_pose: bool = switch(True)
-    linear_velocity: float = real(0.2, 0, 1000)
-    linear_acceleration: float = real(4.0, above=0, most=1e6)
-    transfer_timedelta_s: float = real(0.2, above=0, most=3600)
-    action_regularization: float = real(1e-3, -1e6, 1e6)
-    timeout_behavior: str = choice("terminate", ("terminate", "truncate"))
-    cell_size: tuple[float, float] = real(CELL_M, above=0, most=10, many=2)
-    cell_padding: tuple[float, float] = real(_PADDING_M, -10, 10, many=2)
+    network_device: str = checked_fields.choice("cpu", ("cpu", "cuda", "auto"))
+    network_bfloat16: bool = checked_fields.switch(False)
+    randomize_initial_sensor_pose: bool = checked_fields.switch(True)
+    linear_velocity: float = checked_fields.real(0.2, 0, 1000)
+    linear_acceleration: float = checked_fields.real(4.0, above=0, most=1e6)
+    transfer_timedelta_s: float = checked_fields.real(0.2, above=0, most=3600)
+    action_regularization: float = checked_fields.real(1e-3, -1e6, 1e6)
+    timeout_behavior: str = checked_fields.choice("terminate", ("terminate", "truncate"))
+    cell_size: tuple[float, float] = checked_fields.real(CELL_M, above=0, most=10, many=2)
+    cell_padding: tuple[float, float] = checked_fields.real(_PADDING_M, -10, 10, many=2)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "sensor_output_size", Sensor(self.sensor_output_size).size_px)
-        check_fields(self, "the environment")
+        object.__setattr__(self, "sensor_output_size", tactile_sim.Sensor(self.sensor_output_size).size_px)
+        checked_fields.check_fields(self, "the environment")
         reach_m = [
             size / 2 - padding for size, padding in zip(self.cell_size, self.cell_padding, strict=True)
         ]
@@ -170,28 +170,28 @@ class Config(EpisodeConfig):
         published environments have no such setting, and always give it.
     """
 
-    perturb_object_pose: bool = switch(True)
-    translation_perturbation_scale: float = real(1e-3, 0, 1)
-    rotation_perturbation_scale: float = real(5e-2, 0, 100)
-    randomize_initial_object_pose: bool = switch(True)
-    max_initial_angle_perturbation: float = real(pi, -100, 100)
-    object_placement_margin: float = real(0.01, -1, 1)
-    smallest_dimension_up: bool = switch(False)
-    allow_sensor_rotation: bool = switch(True)
-    angular_velocity: float = real(pi / 2, 0, 1000)
-    angular_acceleration: float = real(10 * pi, above=0, most=1e6)
-    max_tilt_angle: float = real(pi / 4, 0, pi / 4)
-    gel_thickness: float = real(GEL_M, above=0, most=0.1)
-    penetration_depth: float = real(PRESS_DEPTH_M, above=0, most=0.1)
-    elastic_gel: Gel | None = None
-    press_force: float | None = real(None, above=0, below=1000, optional=True)
-    penetration_depth_reduction_std: float = real(0.0, 0, 1)
-    max_platform_penetration: float | None = real(None, 0, 1, optional=True)
-    sensor_noise: SensorNoise | None = None
+    perturb_object_pose: bool = checked_fields.switch(True)
+    translation_perturbation_scale: float = checked_fields.real(1e-3, 0, 1)
+    rotation_perturbation_scale: float = checked_fields.real(5e-2, 0, 100)
+    randomize_initial_object_pose: bool = checked_fields.switch(True)
+    max_initial_angle_perturbation: float = checked_fields.real(pi, -100, 100)
+    object_placement_margin: float = checked_fields.real(0.01, -1, 1)
+    smallest_dimension_up: bool = checked_fields.switch(False)
+    allow_sensor_rotation: bool = checked_fields.switch(True)
+    angular_velocity: float = checked_fields.real(pi / 2, 0, 1000)
+    angular_acceleration: float = checked_fields.real(10 * pi, above=0, most=1e6)
+    max_tilt_angle: float = checked_fields.real(pi / 4, 0, pi / 4)
+    gel_thickness: float = checked_fields.real(GEL_M, above=0, most=0.1)
+    penetration_depth: float = checked_fields.real(PRESS_DEPTH_M, above=0, most=0.1)
+    elastic_gel: tactile_sim.Gel | None = None
+    press_force: float | None = checked_fields.real(None, above=0, below=1000, optional=True)
+    penetration_depth_reduction_std: float = checked_fields.real(0.0, 0, 1)
+    max_platform_penetration: float | None = checked_fields.real(None, 0, 1, optional=True)
+    sensor_noise: tactile_sim.SensorNoise | None = None
     real_base_depth_dataset: str | PathLike[str] | TouchSingleDataset | None = None
-    real_base_depth_touches: int = integer(64, 1, 1024)
-    snap_touch_positions: int | None = integer(None, 1, 100_000, optional=True)
-    depth_in_info: bool = switch(False)
+    real_base_depth_touches: int = checked_fields.integer(64, 1, 1024)
+    snap_touch_positions: int | None = checked_fields.integer(None, 1, 100_000, optional=True)
+    depth_in_info: bool = checked_fields.switch(False)
 
     def __post_init__(self) -> None:
         EpisodeConfig.__post_init__(self)
@@ -218,9 +218,9 @@ class Config(EpisodeConfig):
                 next="set it to None",
             )
 
-    def sensor(self, size_px: tuple[int, int]) -> Sensor:
+    def sensor(self, size_px: tuple[int, int]) -> tactile_sim.Sensor:
         """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
-        view = center_view(*size_px)
+        view = tactile_sim.center_view(*size_px)
         return replace(view, gel_m=self.gel_thickness, press_m=self.penetration_depth)
 
     @property
@@ -231,28 +231,26 @@ class Config(EpisodeConfig):
         return self.gel_thickness - self.max_platform_penetration
 
 
-def _noise_of(given: object) -> SensorNoise | None:
+def _noise_of(given: object) -> tactile_sim.SensorNoise | None:
     """Return the noise of a setting: as of a specification, or as an option names it."""
     if isinstance(given, (str, PathLike)):
-        return SensorNoise.named(fspath(given))
+        return tactile_sim.SensorNoise.named(fspath(given))
     return checked_noise(given, "sensor_noise of the environment")
 
 
-def _gel_of(given: object) -> Gel | None:
+def _gel_of(given: object) -> tactile_sim.Gel | None:
     """Return the elastic gel of a setting: as an option names it, or with values of its attributes."""
     if given is None:
         return None
     if isinstance(given, (str, PathLike)):
         return gel_named(fspath(given))
-    from tactile_sim.elastic import Gel  # numba
-
-    if isinstance(given, Gel):
+    if isinstance(given, tactile_sim.Gel):
         return given
-    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(Gel)}:
-        return Gel(**given)
+    if isinstance(given, Mapping) and set(given) <= {each.name for each in fields(tactile_sim.Gel)}:
+        return tactile_sim.Gel(**given)
     raise InputError(
         f"elastic_gel of the environment is {given!r}; expected a Gel, 'elastic', a JSON file, or a mapping "
-        f"of {', '.join(each.name for each in fields(Gel))}"
+        f"of {', '.join(each.name for each in fields(tactile_sim.Gel))}"
     )
 
 
@@ -268,12 +266,12 @@ class RecordedConfig(EpisodeConfig):
         About how probable it is that an episode ends before its last step, because no touch is left.
     """
 
-    sensor_type: str = choice(DIRECT, (*SENSORS, DIRECT))
-    recalibrate_sensor_z: bool = switch(True)
-    approx_truncation_probability: float = real(0.1, above=0, below=1)
+    sensor_type: str = checked_fields.choice(DIRECT, (*SENSORS, DIRECT))
+    recalibrate_sensor_z: bool = checked_fields.switch(True)
+    approx_truncation_probability: float = checked_fields.real(0.1, above=0, below=1)
 
 
-def configured(config: C, changes: Mapping[str, Any] | EpisodeConfig | None) -> C:
+def configured(config: C, changes: Options | EpisodeConfig | None) -> C:
     """Return a configuration with changed settings, or a complete one in its place.
 
     Raises InputError for an unknown setting, and for a complete one of another sensor: an id names its own.
@@ -305,7 +303,7 @@ def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> 
 
     InputError for anything else, for too many, and for images that no memory holds.
     """
-    count = checked_integer(num_envs, "num_envs", 1, _MOST_ENVS)
+    count = checked_fields.checked_integer(num_envs, "num_envs", 1, _MOST_ENVS)
     width, height = config.sensor_output_size
     size_bytes = count * width * height * _PIXEL_BYTES
     if size_bytes > _MOST_IMAGE_BYTES:
@@ -314,4 +312,4 @@ def checked_counts(config: EpisodeConfig, num_envs: object, threads: object) -> 
             f"{size_bytes / (1 << 30):,.0f} GiB; expected at most {_MOST_IMAGE_BYTES >> 30} GiB",
             next="make fewer environments, or smaller images (`sensor_output_size`)",
         )
-    return count, checked_integer(threads, "threads", 1, _MOST_THREADS)
+    return count, checked_fields.checked_integer(threads, "threads", 1, _MOST_THREADS)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from os import PathLike
 from pathlib import Path
@@ -11,26 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from tactile_envs import env_specs, gym_types, mesh_pool, object_sets
 from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
-from tactile_envs.env_specs import REAL_TOUCHES, EnvSpec, env_specs
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.object_sets import open_objects
-from tactile_toolkit import mesh
-from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit import errors, mesh
 from tactile_toolkit.wording import did_you_mean
 
-with needs_extra("making environments", "ap-gym", "envs"):
+with errors.needs_extra("making environments", "ap-gym", "envs"):
     from gymnasium.vector import AutoresetMode
 
-    from tactile_envs.base_depth import Source, base_depths_m
+    from tactile_envs import base_depth, recorded_sets, tasks
     from tactile_envs.camera import Camera
     from tactile_envs.environment import TactileVectorEnv
     from tactile_envs.mesh_scene import MeshScene
     from tactile_envs.recorded_scene import RecordedScene
-    from tactile_envs.recorded_sets import RecordedSources, RecordedTouches, TouchedObjects, touches_in
     from tactile_envs.scene import TouchScene
     from tactile_envs.single_environment import TactileEnv
-    from tactile_envs.tasks import Classification, ObjectPose, Task, Volume
     from tactile_envs.tilted_scene import TiltedScene
 
 _OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
@@ -48,14 +43,14 @@ def make_vector(
     num_envs: int = 1,
     assets: str | PathLike[str] | None = None,
     unit: str | None = None,
-    config: Mapping[str, Any] | EpisodeConfig | None = None,
+    config: gym_types.Options | EpisodeConfig | None = None,
     render_mode: str | None = None,
     threads: int = 1,
     weights: str | Path | None = None,
     touches: str | PathLike[str] | None = None,
     autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
     max_episode_steps: int | None = None,
-    **unknown: Any,
+    **unknown: object,
 ) -> TactileVectorEnv:
     """Make environments side by side.
 
@@ -106,30 +101,32 @@ def make_vector(
         An option does not exist.
     """
     _require_known(unknown, _options())
-    spec = env_specs()[name]
+    spec = env_specs.env_specs()[name]
     settings = configured(spec.config, config)
     if max_episode_steps is not None:
         settings = replace(settings, step_limit=max_episode_steps)
     num_envs, threads = checked_counts(settings, num_envs, threads)
     scene: TouchScene
-    task: Task
+    task: tasks.Task
     if isinstance(settings, RecordedConfig):
         mesh.refuse_unit(unit, "recorded touches")
-        sources = RecordedSources.of(assets, touches)
+        sources = recorded_sets.RecordedSources.of(assets, touches)
         is_drawn = render_mode is not None and assets is not None
         scene, task = _recorded(spec, settings, sources, num_envs, threads, weights, is_drawn=is_drawn)
     elif touches is not None:
-        raise InputError(
+        raise errors.InputError(
             f"`touches` were given, but those of {name!r} are simulated", next="choose an id with RealSnap"
         )
     else:
         camera = Camera(settings, weights)
         kind_of_scene = TiltedScene if settings.allow_sensor_rotation else MeshScene
         try:
-            records = open_objects(spec, settings, assets, unit)
+            records = object_sets.open_objects(spec, settings, assets, unit)
             if settings.real_base_depth_dataset is not None:
                 real = _real_touches(settings.real_base_depth_dataset, assets)
-                touches_m = base_depths_m(real, settings.real_base_depth_touches, camera.sensor.size_px)
+                touches_m = base_depth.base_depths_m(
+                    real, settings.real_base_depth_touches, camera.sensor.size_px
+                )
                 camera.put_behind(touches_m)
             simulated = kind_of_scene(settings, records, num_envs, threads, camera)
         except KeyboardInterrupt as error:  # while objects or depth are made: without the frames of that
@@ -157,43 +154,45 @@ def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
 
 
 def _recorded(
-    spec: EnvSpec,
+    spec: env_specs.EnvSpec,
     config: RecordedConfig,
-    sources: RecordedSources,
+    sources: recorded_sets.RecordedSources,
     num_envs: int,
     threads: int,
     weights: str | Path | None,
     *,
     is_drawn: bool,
-) -> tuple[RecordedScene, Task]:
+) -> tuple[RecordedScene, tasks.Task]:
     """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
-    touches = RecordedTouches.open(sources.touches, spec.split, config)
+    touches = recorded_sets.RecordedTouches.open(sources.touches, spec.split, config)
     objects, has_volume = None, spec.task == "volume"
     if sources.digits is not None and (has_volume or is_drawn):
-        objects = TouchedObjects.open(sources.digits, f"printed_{spec.split}", touches, config)
+        objects = recorded_sets.TouchedObjects.open(sources.digits, f"printed_{spec.split}", touches, config)
     scene = RecordedScene(config, touches, objects, num_envs, threads, weights)
     if not has_volume:
-        return scene, Classification(touches.labels(), touches.rounds.label_names)
+        return scene, tasks.Classification(touches.labels(), touches.rounds.label_names)
     if objects is None:
-        raise InputError(
+        raise errors.InputError(
             "the volumes of the touched digits are not known; expected `assets` with a folder 'mnist3d' of "
             f"the printed digits in it, split 'printed_{spec.split}'",
             next='give them as `assets` and the touches as `touches`, or "published" as either',
         )
-    return scene, Volume(objects.pool.measure("volume_m3"), objects.which)
+    return scene, tasks.Volume(objects.pool.measure("volume_m3"), objects.which)
 
 
-def _real_touches(given: Source, assets: str | PathLike[str] | None) -> Source:
+def _real_touches(given: base_depth.Source, assets: str | PathLike[str] | None) -> base_depth.Source:
     """Return the touches of a setting; the published ones may lie in the folder of the assets."""
-    if given != REAL_TOUCHES:
+    if given != env_specs.REAL_TOUCHES:
         return given
-    return touches_in(assets or "tactile-assets") or given
+    return recorded_sets.touches_in(assets or "tactile-assets") or given
 
 
-def _task(spec: EnvSpec, config: Config, pool: MeshPool, classes: Sequence[str]) -> Task:
+def _task(
+    spec: env_specs.EnvSpec, config: Config, pool: mesh_pool.MeshPool, classes: Sequence[str]
+) -> tasks.Task:
     """Return the task of an environment; InputError if all its answers are equal."""
     if spec.task == "classification":
-        return Classification(pool.measure("label").astype(np.int64), classes)
+        return tasks.Classification(pool.measure("label").astype(np.int64), classes)
     if spec.task == "volume":
-        return Volume(pool.measure("volume_m3"))
-    return ObjectPose(pool, config, of_mass=spec.frame == "mass")
+        return tasks.Volume(pool.measure("volume_m3"))
+    return tasks.ObjectPose(pool, config, of_mass=spec.frame == "mass")

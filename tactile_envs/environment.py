@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Mapping
-from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
 from ap_gym.loss_fn import WeightedLossFn
+from gymnasium.envs.registration import EnvSpec
 from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
@@ -17,15 +16,12 @@ from realtouch import Poses
 from tactile_envs.config import EpisodeConfig
 from tactile_envs.drawing import PredictionView, draw_environment
 from tactile_envs.episode_log import EpisodeLog
+from tactile_envs.gym_types import Action, Info, Observation, Options
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows
-from tactile_envs.scene import Action, TouchScene
+from tactile_envs.scene import TouchScene
 from tactile_envs.tasks import Score, Task
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
-
-Observation = dict[str, AnyArray]
-
-Info = Mapping[str, Any]
 
 _NOTHING: Info = {}
 
@@ -59,7 +55,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         Settings.
     """
 
-    metadata: dict[str, Any] = {  # noqa: RUF012 - as in gymnasium
+    metadata: Info = {  # noqa: RUF012 - as in gymnasium
         "render_fps": 5,
         "render_modes": ["rgb_array"],
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -92,7 +88,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._is_over, self._any_over = np.zeros(self.num_envs, np.bool_), False
         self._observation: Observation = {}
         self._predicted: tuple[AnyArray, AnyArray] | None = None
-        self._registration: Any = None
+        self._registration: EnvSpec | None = None
         self._make_spaces()
 
     def _make_spaces(self) -> None:
@@ -114,9 +110,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             setattr(self, name, batch_space(getattr(self, f"single_{name}"), self.num_envs))
         self._prediction_shape = self.prediction_space.shape
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Options | None = None) -> tuple[Observation, Info]:
         """Begin an episode in every environment.
 
         Parameters
@@ -161,7 +155,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if rows is EVERY:
             self._predicted = None
 
-    def _touched(self, rows: Rows, others: Info = _NOTHING) -> tuple[Observation, dict[str, Any]]:
+    def _touched(self, rows: Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
         """Touch in some environments; return observations and infos of all, from ``others`` where not."""
         readings = self._scene.touch(rows, self.np_random, self._steps[rows])
         seen, info = dict(readings.observation), dict(readings.info)
@@ -175,7 +169,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._observation = seen
         return seen, info
 
-    def _spread(self, rows: Rows, info: dict[str, AnyArray], others: Info) -> dict[str, Any]:
+    def _spread(self, rows: Rows, info: dict[str, AnyArray], others: Info) -> Info:
         """Give all environments the infos of some; those of others are 0 and masked as of gymnasium."""
         found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
@@ -189,7 +183,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             found[name][rows] = values
         return found
 
-    def step(self, action: Mapping[str, Any]) -> tuple[Observation, AnyArray, Bool, Bool, dict[str, Any]]:
+    def step(self, action: Action) -> tuple[Observation, AnyArray, Bool, Bool, Info]:
         """Take one touch in every environment.
 
         Parameters
@@ -262,7 +256,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         costs[over] = 0.0
         return costs
 
-    def _restarted(self, observation: Observation, info: Info) -> tuple[Observation, dict[str, Any]]:
+    def _restarted(self, observation: Observation, info: Info) -> tuple[Observation, Info]:
         """Begin the next episodes; return their first touches, and in the info also the last ones."""
         is_over = self._is_over
         over = np.flatnonzero(is_over)
@@ -305,11 +299,11 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         scenes = (self._scene.drawing(row) for row in range(self.num_envs))
         return tuple(draw_environment(scene, view, row) for row, scene in enumerate(scenes))
 
-    def close(self, **options: Any) -> None:  # gymnasium's docstring is not valid reST
+    def close(self, **options: object) -> None:  # gymnasium's docstring is not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
         super().close(**options)
 
-    def close_extras(self, **_: Any) -> None:
+    def close_extras(self, **_: object) -> None:
         """End the threads."""
         self._scene.close()
 
@@ -319,7 +313,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return self._scene.position_limits_m
 
     @property
-    def current_data_points(self) -> tuple[Any, ...]:
+    def current_data_points(self) -> tuple[object, ...]:
         """Records of the objects that lie in the cells."""
         return self._scene.data_points
 
@@ -339,12 +333,12 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return self._scene.target_poses
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> EnvSpec | None:
         """Registration, with the length of an episode."""
         return self._registration
 
     @spec.setter
-    def spec(self, spec: Any) -> None:
+    def spec(self, spec: EnvSpec) -> None:
         self._registration = copy.copy(spec)
         self._registration.max_episode_steps = self.config.step_limit
 

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import numpy as np
 
+from tactile_envs.gym_types import Info
 from tactile_envs.reset_options import Rows
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 
@@ -33,15 +33,15 @@ class EpisodeLog:
                 self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
             self._values[name][at, rows] = values[active]
 
-    def stats(self, lengths: Int64, is_over: Bool) -> dict[str, Any]:
+    def stats(self, lengths: Int64, is_over: Bool) -> Info:
         """Return ``info["stats"]`` when some episodes are over.
 
         ``lengths``, shape (n,), are the steps of the episodes so far, 1 at least where ``is_over``. Values of
         environments whose episode is not over are NaN, and their masks False; so are steps of curves after
         the end of a shorter episode.
         """
-        scalar: dict[str, Any] = {}
-        vector: dict[str, Any] = {}
+        scalar: Info = {}
+        vector: Info = {}
         longest = int(lengths[is_over].max())
         for name, values in self._values.items():
             means, last = np.full((2, len(lengths)), np.nan, np.float32)
@@ -60,7 +60,7 @@ class EpisodeLog:
         return {"scalar": scalar, "_scalar": is_over, "vector": vector, "_vector": is_over}
 
 
-def _turning_points(is_right: Bool, is_taken: Bool) -> dict[str, Any]:
+def _turning_points(is_right: Bool, is_taken: Bool) -> Info:
     """Return the first right step and the last wrong step, and which environments have one.
 
     Both arrays have shape (steps, n); those of episodes that go on count too, as in ap-gym.

@@ -16,12 +16,13 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
 from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import xxhash
 
-from env_assets.mesh_view import MeshView, PlannedView
+from env_assets import mesh_view
+from tactile_toolkit import spatial, store
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
 from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError, IntegrityError
@@ -29,7 +30,6 @@ from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.read import RecordDataset
 from tactile_toolkit.run import free_workers, runner_for
-from tactile_toolkit.store import locked, open_regular, resource_shortage
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
@@ -87,13 +87,13 @@ class MeshPool:
     measures: Float64
 
     @classmethod
-    def of(cls, records: Sequence[Any], tilt_rad: float = 0.0) -> MeshPool:
+    def of(cls, records: Sequence[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records; those of a data set are kept on disk for the next time.
 
         Triangles are kept that sensors can see that are tilted by ``tilt_rad`` at most. Meshes that are not
         made yet are packed when :meth:`require` names them, for upright sensors.
         """
-        if isinstance(records, PlannedView):
+        if isinstance(records, mesh_view.PlannedView):
             return GrowingPool(records)
         name = _name_of(records, tilt_rad)
         if name is None:
@@ -103,7 +103,7 @@ class MeshPool:
             try:
                 path.parent.mkdir(parents=True, exist_ok=True)
                 # Processes that wait find it made.
-                stack.enter_context(locked(path.with_suffix(".lock"), is_patient=True))
+                stack.enter_context(store.locked(path.with_suffix(".lock"), is_patient=True))
             except (OSError, BusyError) as error:  # not writable, or locked for too long
                 _LOG.warning("meshes are sorted again each time: %s", error)
                 return cls.packed(records, tilt_rad)
@@ -117,7 +117,7 @@ class MeshPool:
         return cls(*found)
 
     @classmethod
-    def kept(cls, records: Sequence[Any]) -> MeshPool | None:
+    def kept(cls, records: Sequence[mesh_view.MeshRecord]) -> MeshPool | None:
         """Map the meshes of a data set if they were packed before."""
         name = _name_of(records)
         found = None
@@ -126,13 +126,13 @@ class MeshPool:
         return None if found is None else cls(*found)
 
     @staticmethod
-    def is_kept(records: Sequence[Any]) -> bool:
+    def is_kept(records: Sequence[mesh_view.MeshRecord]) -> bool:
         """Return whether the meshes of a data set were packed before."""
         name = _name_of(records)
         return name is not None and _POOLS.path(name).is_file()
 
     @classmethod
-    def packed(cls, records: Iterable[Any], tilt_rad: float = 0.0) -> MeshPool:
+    def packed(cls, records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> MeshPool:
         """Pack the meshes of records in memory."""
         return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
@@ -164,7 +164,7 @@ class GrowingPool(MeshPool):
     these. Both have the same meshes under the same numbers.
     """
 
-    def __init__(self, planned: PlannedView) -> None:
+    def __init__(self, planned: mesh_view.PlannedView) -> None:
         self._planned, self._look_s = planned, 0.0
         self._is_packed = np.zeros(len(planned), np.bool_)
         # Larger than what is in them, so that few meshes are copied when one is added.
@@ -224,10 +224,10 @@ class GrowingPool(MeshPool):
         return True
 
 
-def _name_of(records: Sequence[Any], tilt_rad: float = 0.0) -> str | None:
+def _name_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> str | None:
     """Return a name for the content of a data set on disk; None for records that are in memory."""
-    is_flat = isinstance(records, MeshView) and records.flat
-    if isinstance(records, MeshView):
+    is_flat = isinstance(records, mesh_view.MeshView) and records.flat
+    if isinstance(records, mesh_view.MeshView):
         records = records.records
     if not isinstance(records, RecordDataset):
         return None
@@ -237,7 +237,7 @@ def _name_of(records: Sequence[Any], tilt_rad: float = 0.0) -> str | None:
     return f"meshes-{digest.hexdigest()[:32]}"
 
 
-def _chunks_of(records: Sequence[Any], tilt_rad: float) -> list[Parts]:
+def _chunks_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float) -> list[Parts]:
     """Pack the meshes of a data set in chunks, on all cores if they are many."""
     firsts = range(0, len(records), _CHUNK)
     workers = 1
@@ -251,11 +251,11 @@ def _chunks_of(records: Sequence[Any], tilt_rad: float) -> list[Parts]:
     return [found[first] for first in firsts]
 
 
-def _packed_chunk(records: Sequence[Any], tilt_rad: float, first: int) -> tuple[int, Parts]:
+def _packed_chunk(records: Sequence[mesh_view.MeshRecord], tilt_rad: float, first: int) -> tuple[int, Parts]:
     return first, _packed_records(records[first : first + _CHUNK], tilt_rad)
 
 
-def _packed_records(records: Iterable[Any], tilt_rad: float = 0.0) -> Parts:
+def _packed_records(records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> Parts:
     """Return the arrays of some meshes, one for each field of a pool of them; faces are int32."""
     columns: list[Parts] = [[], [], [], [], [], []]
     ends = np.zeros(4)
@@ -305,8 +305,6 @@ def _is_small(faces: AnyArray) -> bool:
 
 def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     """Return vertices, faces, starts, hull and grid of one mesh."""
-    from scipy.spatial import ConvexHull
-
     corners = [vertices_m[faces[:, corner]].astype(np.float64) for corner in range(3)]
     normals = np.cross(corners[1] - corners[0], corners[2] - corners[0])
     steepest = -np.sin(tilt_rad) * np.linalg.norm(normals, axis=1)
@@ -333,7 +331,7 @@ def _packed(vertices_m: Float32, faces: AnyArray, tilt_rad: float) -> Parts:
     kept = vertices_m[used[by_use]].copy()
     kept[:, 2] -= vertices_m[:, 2].min()
     height_m = vertices_m[:, 2].max() - vertices_m[:, 2].min()
-    hull = vertices_m[ConvexHull(flat).vertices, :2]
+    hull = vertices_m[spatial.ConvexHull(flat).vertices, :2]
     grid = np.array([0, 0, large, 0, across, up, *origin, CELL_M, reach_m, 0, 0, height_m], np.float64)
     return [kept, rank[number].reshape(-1, 3), starts, hull, grid]
 
@@ -375,7 +373,7 @@ def _found(path: Path) -> Parts | None:
     """Map a file of the cache; None if it does not exist, or is damaged: then it is removed."""
     arrays: Parts = []
     try:
-        with open_regular(path) as stream:
+        with store.open_regular(path) as stream:
             content = np.memmap(stream, np.uint8, "r")  # ValueError for an empty file
             stored, checksum = content[:-_CHECKSUM_BYTES], content[-_CHECKSUM_BYTES:]
             if xxhash.xxh3_128_digest(stored.data) != checksum.tobytes():
@@ -391,7 +389,7 @@ def _found(path: Path) -> Parts | None:
     except FileNotFoundError:
         return None
     except (ValueError, OSError, IntegrityError) as error:  # the last for a pipe
-        if resource_shortage(error) is None:
+        if store.resource_shortage(error) is None:
             _POOLS.drop(path)
         return None
     return arrays

@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
 
+from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
+from tactile_envs import reset_options
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
 from tactile_envs.elastic_gel import ElasticGel
 from tactile_envs.episode_kernels import place
+from tactile_envs.gym_types import Action, Space
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.motion import Motion, require_move
 from tactile_envs.randomization import Randomization
-from tactile_envs.reset_options import EVERY, ResetOptions, Rows, SensorStart
-from tactile_envs.scene import Action, Readings
+from tactile_envs.scene import Readings
 from tactile_envs.toucher import SensorReadings, Toucher
+from tactile_toolkit import spatial
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -50,7 +52,7 @@ class MeshScene:
     """
 
     def __init__(
-        self, config: Config, records: Sequence[Any], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
     ) -> None:
         self.config, self.num_envs = config, num_envs
         self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
@@ -71,10 +73,8 @@ class MeshScene:
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
         shape = (num_envs, height, width, camera.channels)
         self._randomization = Randomization(config, shape, camera.bases)
-        self.action_parts: dict[str, gym.Space[Any]] = {
-            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
-        }
-        self.observation_parts: dict[str, gym.Space[Any]] = {
+        self.action_parts: dict[str, Space] = {"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)}
+        self.observation_parts: dict[str, Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": image,
         }
@@ -82,11 +82,11 @@ class MeshScene:
             most = np.full(3, np.inf, np.float32)
             self.observation_parts["force"] = gym.spaces.Box(-most, most)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out the mapped meshes, which a copy maps again; it continues from the same state."""
         return {**self.__dict__, "_pool": None}
 
-    def __setstate__(self, state: dict[str, Any]) -> None:
+    def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
         self._pool = MeshPool.of(self._records, self._most_tilt_rad)
         self._pool.require(self.numbers[self.numbers >= 0])
@@ -106,7 +106,9 @@ class MeshScene:
         """The meshes."""
         return self._pool
 
-    def begin(self, rows: Rows, rng: np.random.Generator, options: ResetOptions) -> None:
+    def begin(
+        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
+    ) -> None:
         """Put the next objects into some cells, and aim at the places of their first touches."""
         chosen = np.arange(self.num_envs)[rows].tolist()
         for row in chosen:
@@ -125,12 +127,16 @@ class MeshScene:
             if start is not None:
                 self._aim_as_given(row, start)
 
-    def discard_upcoming(self, rows: Rows) -> None:
+    def discard_upcoming(self, rows: reset_options.Rows) -> None:
         """Forget which objects come next in some cells, as a reset does."""
         self._upcoming[rows] = -1
 
     def _place_objects(
-        self, rows: Rows, chosen: Sequence[int], rng: np.random.Generator, poses: Sequence[Float64 | None]
+        self,
+        rows: reset_options.Rows,
+        chosen: Sequence[int],
+        rng: np.random.Generator,
+        poses: Sequence[Float64 | None],
     ) -> None:
         config = self.config
         self.numbers[rows] = self._upcoming[rows]
@@ -152,7 +158,7 @@ class MeshScene:
             if pose is not None:
                 self.places[row] = pose
 
-    def _aim_at_start(self, rows: Rows, rng: np.random.Generator) -> None:
+    def _aim_at_start(self, rows: reset_options.Rows, rng: np.random.Generator) -> None:
         """Send sensors to the places of their first touches."""
         self._targets[rows] = 0.0
         if self.config.randomize_initial_sensor_pose:
@@ -160,7 +166,7 @@ class MeshScene:
             places = self._motion.random_places(rng, self.num_envs)
             self._targets[rows, :2] = np.asarray(places[rows], np.float32)
 
-    def _aim_as_given(self, row: int, start: SensorStart) -> None:
+    def _aim_as_given(self, row: int, start: reset_options.SensorStart) -> None:
         """Send one sensor to the place of its first touch; InputError if it cannot be there."""
         if np.abs(start.axes - np.eye(3)).max() > _UPRIGHT_WITHIN:
             raise InputError(
@@ -173,17 +179,17 @@ class MeshScene:
         """Return the arrays of an action; InputError or ValueError if it cannot be used."""
         return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
 
-    def aim(self, action: Action, rows: Rows) -> Float32:
+    def aim(self, action: Action, rows: reset_options.Rows) -> Float32:
         """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
         moves = action["sensor_target_pos_rel"]
-        if rows is EVERY:
+        if rows is reset_options.EVERY:
             return self._motion.aim(moves, self._sensors, self._targets)
         targets = self._targets.copy()
         costs = self._motion.aim(moves, self._sensors, targets)
         self._targets[rows] = targets[rows]
         return costs
 
-    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Touch in some cells, and let their objects slip."""
         config = self.config
         self._move_to_targets(rows, rng, steps)
@@ -199,7 +205,7 @@ class MeshScene:
         felt: dict[str, AnyArray] = {}
         if self._elastic is not None:
             touches, felt["force"] = self._elastic.press(touches, sensors, self._axes[rows], self._motion)
-        if rows is not EVERY:  # otherwise both are views
+        if rows is not reset_options.EVERY:  # otherwise both are views
             self._sensors[rows], self.places[rows] = sensors, places
         images = self._camera.pictures(touches, draws.bases)
         images = self._randomization.add_noise(images, rows, draws)
@@ -212,7 +218,13 @@ class MeshScene:
         return Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
 
     def _press(
-        self, rows: Rows, lifts_m: Float64, sensors: Float64, places: Float64, drift: Float64, has_depth: bool
+        self,
+        rows: reset_options.Rows,
+        lifts_m: Float64,
+        sensors: Float64,
+        places: Float64,
+        drift: Float64,
+        has_depth: bool,
     ) -> SensorReadings:
         """Bring sensors down on objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
@@ -220,15 +232,15 @@ class MeshScene:
             self._pool, numbers, lifts_m, sensors, places, self._motion, drift, with_depth=has_depth
         )
 
-    def _keep(self, rows: Rows, images: Float32) -> None:
+    def _keep(self, rows: reset_options.Rows, images: Float32) -> None:
         """Keep the last images for pictures."""
-        if rows is EVERY:
+        if rows is reset_options.EVERY:
             self._felt = images
             return
         self._felt = self._felt.copy()
         self._felt[rows] = images
 
-    def _move_to_targets(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> None:
+    def _move_to_targets(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> None:
         """Move sensors to their targets, or to the nearest of some random places."""
         self._sensors[rows] = self._targets[rows]
         if self.config.snap_touch_positions is None:
@@ -246,7 +258,7 @@ class MeshScene:
         return None
 
     @property
-    def data_points(self) -> tuple[Any, ...]:
+    def data_points(self) -> tuple[object, ...]:
         """Records of the objects that lie in the cells."""
         return tuple(self._records[int(number)] for number in self.numbers)
 
@@ -262,9 +274,7 @@ class MeshScene:
     @property
     def target_poses(self) -> Poses:
         """Where the sensors were sent, metres, cell frame."""
-        from scipy.spatial.transform import Rotation
-
-        return Poses(self._targets.copy(), Rotation.from_matrix(self._axes).as_quat())
+        return Poses(self._targets.copy(), spatial.Rotation.from_matrix(self._axes).as_quat())
 
     @property
     def position_limits_m(self) -> tuple[Float64, Float64]:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
 from tactile_envs.config import EpisodeConfig
 from tactile_envs.episode_kernels import aim
+from tactile_envs.gym_types import Action
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 
@@ -54,7 +54,7 @@ class Motion:
         return costs
 
 
-def require_move(action: Mapping[str, Any], name: str, num_envs: int) -> Float32:
+def require_move(action: Action, name: str, num_envs: int) -> Float32:
     """Return a part of an action, shape (num_envs, 3).
 
     InputError for another shape, and for numbers whose squares are not finite, as neither are the costs of

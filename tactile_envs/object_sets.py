@@ -11,7 +11,6 @@ import sys
 from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
-from typing import Any
 
 from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
 from env_assets.asset_kinds import THIRD_PARTY_ASSETS, MeshSet, published_meshes
@@ -22,7 +21,7 @@ from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.quantities import duration_text
-from tactile_toolkit.read import RecordDataset
+from tactile_toolkit.read import AnyRecords, RecordDataset
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import with_count
 
@@ -62,7 +61,7 @@ def open_objects(
     return records
 
 
-def _packed_meanwhile(records: RecordDataset[Any]) -> PlannedView:
+def _packed_meanwhile(records: AnyRecords) -> PlannedView:
     """Let episodes begin with single meshes, while a process in the background packs all of them."""
     key = records.identity, str(len(records)), ""
     if key not in _BEGUN:
@@ -72,7 +71,7 @@ def _packed_meanwhile(records: RecordDataset[Any]) -> PlannedView:
     return PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
-def _same(records: Any) -> Any:
+def _same(records: AnyRecords) -> AnyRecords:
     return records
 
 

@@ -6,28 +6,20 @@ from bisect import bisect_left
 from collections.abc import Sequence
 from operator import attrgetter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
 from PIL import Image
 
-from realtouch import Poses, TouchSingleDataset
-from tactile_envs.camera import OPTICS
+import realtouch
+import tactile_sim
+from tactile_envs import camera, drawing, gym_types, motion, recorded_sets, reset_options, scene
 from tactile_envs.config import DIRECT, RecordedConfig
-from tactile_envs.drawing import EnvDrawing
-from tactile_envs.motion import Motion, require_move
-from tactile_envs.recorded_sets import RecordedTouches, TouchedObjects
-from tactile_envs.reset_options import ResetOptions, Rows
-from tactile_envs.scene import Action, Readings
-from tactile_sim import center_view, full_view, make_optics
-from tactile_sim.optics import Optics
+from tactile_sim import optics
+from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
-from tactile_toolkit.cache import MemoryCache
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.run import in_threads
 
 if TYPE_CHECKING:
     from tactile_sim.learned import DepthEstimator
@@ -68,8 +60,8 @@ class RecordedScene:
     def __init__(
         self,
         config: RecordedConfig,
-        touches: RecordedTouches,
-        objects: TouchedObjects | None,
+        touches: recorded_sets.RecordedTouches,
+        objects: recorded_sets.TouchedObjects | None,
         num_envs: int,
         threads: int,
         weights: str | Path | None = None,
@@ -77,7 +69,7 @@ class RecordedScene:
         self.config, self.num_envs = config, num_envs
         self._touches, self._objects = touches, objects
         self._images = RecordedImages(touches.rounds, config, threads, weights)
-        self._motion = Motion.of(config)
+        self._motion = motion.Motion.of(config)
         self._count = touches.positions_m.shape[1]
         width = window_size(self._count, config.step_limit, config.approx_truncation_probability)
         self._window = np.arange(width)
@@ -89,25 +81,27 @@ class RecordedScene:
         self.places, self._targets = np.zeros((2, num_envs, 3))
         corner = np.ones(3, np.float32)
         size = config.sensor_output_size
-        self.action_parts: dict[str, gym.Space[Any]] = {
+        self.action_parts: dict[str, gym_types.Space] = {
             "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
         }
-        self.observation_parts: dict[str, gym.Space[Any]] = {
+        self.observation_parts: dict[str, gym_types.Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": ap_gym.ImageSpace(*size, self._images.channels, dtype=np.float32),
         }
 
-    def begin(self, rows: Rows, rng: np.random.Generator, options: ResetOptions) -> None:
+    def begin(
+        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
+    ) -> None:
         """Begin with a round in some cells, and aim at the places of the first touches."""
         if any(pose is not None for pose in options.poses):
-            raise InputError(
+            raise errors.InputError(
                 "option 'initial_object_pose' was given, but the objects of recorded touches were not moved",
                 next="leave it out",
             )
         count = len(self._observed)
         for number in options.numbers:
             if number is not None and not 0 <= number < count:
-                raise InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
+                raise errors.InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
         for row in np.arange(self.num_envs)[rows].tolist():
             number, start = options.numbers[row], options.starts[row]
             if number is None:
@@ -120,14 +114,14 @@ class RecordedScene:
             self.numbers[row], self._targets[row] = number, [*place, 0.0]
         self._chosen[rows] = -1
 
-    def discard_upcoming(self, rows: Rows) -> None:
+    def discard_upcoming(self, rows: reset_options.Rows) -> None:
         """Do nothing: rounds are drawn when an episode begins."""
 
-    def checked_action(self, action: Action) -> Action:
+    def checked_action(self, action: gym_types.Action) -> gym_types.Action:
         """Return the arrays of an action; InputError or ValueError if it cannot be used."""
-        return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
+        return {"sensor_target_pos_rel": motion.require_move(action, "sensor_target_pos_rel", self.num_envs)}
 
-    def aim(self, action: Action, rows: Rows) -> Float32:
+    def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
         """Send some sensors to where an action says; return the costs of actions, shape (num_envs,)."""
         sensors = self._touches.poses[self.numbers, self._chosen, :3, 3]
         targets = self._targets.copy()
@@ -135,7 +129,7 @@ class RecordedScene:
         self._targets[rows] = targets[rows]
         return costs
 
-    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Take the recorded touches nearest to the targets of some cells."""
         numbers, targets = self.numbers[rows], self._targets[rows]
         window = self._chosen[rows, None] + 1 + self._window
@@ -146,7 +140,7 @@ class RecordedScene:
         image = self._images.of(numbers, chosen).astype(np.float32)
         image /= 255
         info: dict[str, AnyArray] = {"sensor_pose": self._touches.poses[numbers, chosen], "touch_idx": chosen}
-        return Readings({"sensor_pos": self._observed[numbers, chosen], "sensor_img": image}, info)
+        return scene.Readings({"sensor_pos": self._observed[numbers, chosen], "sensor_img": image}, info)
 
     @property
     def is_exhausted(self) -> Bool | None:
@@ -155,22 +149,22 @@ class RecordedScene:
         return is_over
 
     @property
-    def data_points(self) -> tuple[Any, ...]:
+    def data_points(self) -> tuple[object, ...]:
         """The rounds that are touched."""
         return tuple(self._touches.rounds[int(number)] for number in self.numbers)
 
     @property
-    def object_poses(self) -> Poses:
+    def object_poses(self) -> realtouch.Poses:
         """Poses of the objects, metres, cell frame: in the middle of the cell, as theirs are not known."""
         position_m = np.zeros((self.num_envs, 3))
         if self._objects is not None:
             position_m[:, 2] = -self._objects.pool.measure("foot_m")[self._objects.which[self.numbers]]
-        return Poses(position_m, self._upright)
+        return realtouch.Poses(position_m, self._upright)
 
     @property
-    def target_poses(self) -> Poses:
+    def target_poses(self) -> realtouch.Poses:
         """Where the sensors were sent, metres, cell frame."""
-        return Poses(self._targets.copy(), self._upright)
+        return realtouch.Poses(self._targets.copy(), self._upright)
 
     @property
     def _upright(self) -> Float64:
@@ -181,14 +175,14 @@ class RecordedScene:
         """Lowest and highest position of sensors, shape (3,) each, metres."""
         return self._motion.low_m, self._motion.high_m
 
-    def drawing(self, row: int) -> EnvDrawing:
+    def drawing(self, row: int) -> drawing.EnvDrawing:
         """Return what a picture of one cell shows: the object, if its mesh is known, in the middle."""
         number, touch = int(self.numbers[row]), int(self._chosen[row])
         pool, which = None, 0
         if self._objects is not None:
             pool, which = self._objects.pool, int(self._objects.which[number])
         felt = self._images.of(self.numbers[[row]], self._chosen[[row]])[0].astype(np.float32) / 255
-        return EnvDrawing(
+        return drawing.EnvDrawing(
             pool,
             which,
             _ON_THE_PLATE,
@@ -196,7 +190,7 @@ class RecordedScene:
             self._targets[row],
             felt,
             self.config.cell_size,
-            full_view().window_m,
+            tactile_sim.full_view().window_m,
         )
 
     def close(self) -> None:
@@ -224,22 +218,28 @@ class RecordedImages:
     """
 
     def __init__(
-        self, rounds: TouchSingleDataset, config: RecordedConfig, threads: int, weights: str | Path | None
+        self,
+        rounds: realtouch.TouchSingleDataset,
+        config: RecordedConfig,
+        threads: int,
+        weights: str | Path | None,
     ) -> None:
         self._rounds, self._threads = rounds, threads
-        self._kept: MemoryCache[TouchKey, UInt8] = MemoryCache(_KEPT_BYTES, attrgetter("nbytes"))
+        self._kept: cache.MemoryCache[TouchKey, UInt8] = cache.MemoryCache(_KEPT_BYTES, attrgetter("nbytes"))
         self._size_px = self._recorded_px = config.sensor_output_size
         self.channels = 3
-        self._optics: Optics | None = None
+        self._optics: optics.Optics | None = None
         if config.sensor_type != DIRECT:
-            self._optics = make_optics(OPTICS[config.sensor_type], weights, **config.optics_options)
-            estimator = lazy("tactile_sim.learned:DepthEstimator")
+            self._optics = tactile_sim.make_optics(
+                camera.OPTICS[config.sensor_type], weights, **config.optics_options
+            )
+            estimator = kind.lazy("tactile_sim.learned:DepthEstimator")
             self._estimator: DepthEstimator = estimator(**config.network_options)
             self._recorded_px = _ESTIMATED_PX
             if config.sensor_type == "depth":
                 self.channels = 1
         elif weights is not None:
-            raise InputError(
+            raise errors.InputError(
                 "weights were given, but recorded images are shown as they are",
                 next="leave them out, or choose an id with -CycleGAN",
             )
@@ -256,10 +256,10 @@ class RecordedImages:
 
     def _made(self, keys: Sequence[TouchKey]) -> Sequence[UInt8]:
         """Make the images of some touches."""
-        recorded = list(in_threads(self._recorded, keys, min(self._threads, len(keys))))
+        recorded = list(run.in_threads(self._recorded, keys, min(self._threads, len(keys))))
         if self._optics is None:
             return recorded
-        sensor = center_view(*self._optics.depth_size(*self._size_px))
+        sensor = tactile_sim.center_view(*self._optics.depth_size(*self._size_px))
         depths_m = self._estimator.estimate_m(np.stack(recorded), sensor.size_px)
         pictures = self._optics.render(depths_m.astype(np.float64), sensor, self._size_px)
         return [np.array(picture[..., : self.channels]) for picture in pictures]

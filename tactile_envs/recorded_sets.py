@@ -13,6 +13,7 @@ import numpy as np
 
 import realtouch
 from env_assets import KINDS, MeshView, meshes_at, require_fitting_meshes
+from env_assets.mesh_view import MeshRecord
 from tactile_envs.config import RecordedConfig
 from tactile_envs.env_specs import REAL_TOUCHES
 from tactile_envs.mesh_pool import MeshPool
@@ -156,7 +157,7 @@ def _touch_count(rounds: realtouch.TouchSingleDataset, where: str, step_limit: i
 class TouchedObjects:
     """Meshes of touched objects; ``which``, shape (R,), is the number of the mesh of each round."""
 
-    records: Sequence[Any]
+    records: Sequence[MeshRecord]
     pool: MeshPool
     which: Int64
 
@@ -177,7 +178,7 @@ class TouchedObjects:
         which = np.array([numbers[name] for name in touched], np.int64)
         return cls(records, MeshPool.of(records), which)
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave out the mapped meshes, which a copy maps again."""
         return {"records": self.records, "which": self.which}
 

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
+from tactile_envs.gym_types import Options
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
 
@@ -47,7 +48,7 @@ class ResetOptions:
     starts: list[SensorStart | None]
 
     @classmethod
-    def of(cls, options: Mapping[str, Any], num_envs: int) -> Self:
+    def of(cls, options: Options, num_envs: int) -> Self:
         """Check options; InputError for unknown ones, and values that cannot be used."""
         _require_options(options)
         numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
@@ -64,13 +65,13 @@ class ResetOptions:
         return cls.of({}, num_envs)
 
 
-def _require_options(options: Mapping[str, Any]) -> None:
+def _require_options(options: Options) -> None:
     """Refuse options of a reset that are unknown (InputError)."""
     if unknown := [name for name in options if name not in _OPTIONS]:
         raise InputError(f"option {unknown[0]!r} is unknown; expected {', '.join(_OPTIONS)}")
 
 
-def _rows(options: Mapping[str, Any], num_envs: int) -> Rows:
+def _rows(options: Options, num_envs: int) -> Rows:
     """Return the environments that a mask names; all of them without one."""
     mask = options.get(_RESET_MASK)
     if mask is None:
@@ -86,14 +87,14 @@ def _rows(options: Mapping[str, Any], num_envs: int) -> Rows:
     return np.flatnonzero(found)
 
 
-def _given(options: Mapping[str, Any], name: str, num_envs: int) -> Sequence[Any]:
+def _given(options: Options, name: str, num_envs: int) -> Sequence[Any]:
     given = list(options.get(name, [None] * num_envs))
     if len(given) != num_envs:
         raise InputError(f"option {name!r} has {len(given)} entries; expected {num_envs}")
     return given
 
 
-def _object_pose(given: Any) -> Float64:
+def _object_pose(given: object) -> Float64:
     """Return position (x, y) and turn of an object."""
     numbers = _numbers(given)
     if numbers is None or numbers.shape != (3,):
@@ -101,7 +102,7 @@ def _object_pose(given: Any) -> Float64:
     return numbers
 
 
-def _sensor_start(given: Any) -> SensorStart:
+def _sensor_start(given: object) -> SensorStart:
     """Return where a sensor is sent: (x, y), a position, or a pose."""
     # Of scipy's transforms, and of those of the published environments.
     as_matrix = getattr(given, "as_matrix", lambda: getattr(given, "matrix", given))
@@ -118,7 +119,7 @@ def _sensor_start(given: Any) -> SensorStart:
     )
 
 
-def _numbers(given: Any) -> Float64 | None:
+def _numbers(given: object) -> Float64 | None:
     """Return an array of finite numbers; None for anything else."""
     try:
         numbers = np.asarray(given, np.float64)

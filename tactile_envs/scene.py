@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, NamedTuple, Protocol
+from typing import NamedTuple, Protocol
 
-import gymnasium as gym
 import numpy as np
 
 from realtouch import Poses
 from tactile_envs.config import EpisodeConfig
 from tactile_envs.drawing import EnvDrawing
+from tactile_envs.gym_types import Action, Space
 from tactile_envs.reset_options import ResetOptions, Rows
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
-
-Action = Mapping[str, Any]
 
 
 class Readings(NamedTuple):
@@ -40,8 +37,8 @@ class TouchScene(Protocol):
     """
 
     num_envs: int
-    action_parts: dict[str, gym.Space[Any]]
-    observation_parts: dict[str, gym.Space[Any]]
+    action_parts: dict[str, Space]
+    observation_parts: dict[str, Space]
     numbers: Int64
     places: Float64
 
@@ -69,7 +66,7 @@ class TouchScene(Protocol):
         """In which cells no further touch is possible, shape (num_envs,); None where there always is one."""
 
     @property
-    def data_points(self) -> tuple[Any, ...]:
+    def data_points(self) -> tuple[object, ...]:
         """The records of the objects in the cells, or of their recorded touches."""
 
     @property

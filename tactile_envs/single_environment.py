@@ -7,8 +7,10 @@ from typing import Any
 
 import ap_gym
 import numpy as np
+from gymnasium.envs.registration import EnvSpec
 
-from tactile_envs.environment import Observation, TactileVectorEnv
+from tactile_envs.environment import TactileVectorEnv
+from tactile_envs.gym_types import Action, Info, Observation, Options
 from tactile_toolkit.array_types import UInt8
 
 
@@ -36,9 +38,7 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.prediction_target_space = vector_env.single_prediction_target_space
         self.loss_fn = vector_env.loss_fn
 
-    def reset(
-        self, *, seed: int | None = None, options: Mapping[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, *, seed: int | None = None, options: Options | None = None) -> tuple[Observation, Info]:
         """Begin an episode.
 
         Parameters
@@ -67,7 +67,7 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         observation, info = self.vector_env.reset(options=given)
         return _first(observation), _first(info)
 
-    def step(self, action: Mapping[str, Any]) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
         """Take one touch; see :meth:`TactileVectorEnv.step` for actions and errors.
 
         Returns
@@ -90,12 +90,12 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.vector_env.close()
 
     @property
-    def spec(self) -> Any:
+    def spec(self) -> EnvSpec | None:
         """Registration, with the length of an episode."""
         return self.vector_env.spec
 
     @spec.setter
-    def spec(self, spec: Any) -> None:
+    def spec(self, spec: EnvSpec) -> None:
         self.vector_env.spec = spec
 
 

@@ -8,16 +8,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import ap_gym
 import gymnasium as gym
 import numpy as np
+from numpy.typing import ArrayLike
 from scipy.special import ndtri, softmax
 
 from tactile_envs.config import Config
 from tactile_envs.drawing import PredictionView
 from tactile_envs.episode_kernels import classify, spread_of_turned
+from tactile_envs.gym_types import Space
 from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
@@ -66,7 +67,7 @@ class Classification:
 class _Regression:
     """Mean squared error, normalised by that of the best constant prediction."""
 
-    def __init__(self, space: gym.Space[Any], target_std: Any) -> None:
+    def __init__(self, space: Space, target_std: ArrayLike) -> None:
         self.prediction_space = self.target_space = space
         self.loss_fn = ap_gym.MSELossFn(target_std=target_std).normalized
         self._scale = 1.0 / float(np.mean(np.asarray(target_std) ** 2))
@@ -191,7 +192,7 @@ class ObjectPose(_Regression):
 
 
 Task = Classification | Volume | ObjectPose
-"""Any task."""
+"""A task of any kind."""
 
 
 def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float64, Float64]:

@@ -5,20 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from types import SimpleNamespace
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import trimesh
 
+from env_assets.mesh_view import MeshRecord
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.episode_kernels import turn
+from tactile_envs.gym_types import Action
 from tactile_envs.mesh_pool import MeshPool
 from tactile_envs.mesh_scene import MeshScene
 from tactile_envs.motion import require_move
 from tactile_envs.reset_options import Rows, SensorStart
-from tactile_envs.scene import Action, Readings
+from tactile_envs.scene import Readings
 from tactile_envs.tilted_kernels import touch_tilted
 from tactile_envs.toucher import SensorReadings
 from tactile_toolkit.array_types import Float32, Float64, Int64
@@ -38,7 +39,7 @@ class TiltedScene(MeshScene):
     """
 
     def __init__(
-        self, config: Config, records: Sequence[Any], num_envs: int, threads: int, camera: Camera
+        self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
     ) -> None:
         super().__init__(config, records, num_envs, threads, camera)
         widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -66,7 +66,7 @@ class Toucher:
         self._rooms = [np.empty(room, np.float32) for _ in range(min(threads, num_envs))]
         self._threads: ThreadPoolExecutor | None = None
 
-    def __getstate__(self) -> dict[str, Any]:
+    def __getstate__(self) -> dict[str, object]:
         """Leave threads behind."""
         return {**self.__dict__, "_threads": None}
 

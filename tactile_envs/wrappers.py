@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector.utils import batch_space
 
-from tactile_envs.environment import Observation
+from tactile_envs.gym_types import Info, Observation, Space
 from tactile_toolkit.array_types import AnyArray, Bool, Float32
 from tactile_toolkit.errors import InputError
 
@@ -44,12 +44,12 @@ class FlatAction(gym.Wrapper, RecordConstructorArgs):
         self._form = _FlatForm(env.action_space, env.observation_space, limit)
         self.action_space, self.observation_space = self._form.action_space, self._form.observation_space
 
-    def reset(self, **options: Any) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, **options: Any) -> tuple[Observation, Info]:
         """Begin an episode; as of the environment."""
         observation, info = self.env.reset(**options)
         return self._form.shaped(observation), info
 
-    def step(self, action: AnyArray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: AnyArray) -> tuple[Observation, float, bool, bool, Info]:
         """Take one touch, with an action of ``action_space``; InputError for another shape."""
         observation, reward, terminated, truncated, info = self.env.step(self._form.unflatten(action))
         return self._form.shaped(observation), float(reward), terminated, truncated, info
@@ -85,12 +85,12 @@ class FlatActionVector(gym.vector.VectorWrapper):
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
-    def reset(self, **options: Any) -> tuple[Observation, dict[str, Any]]:
+    def reset(self, **options: Any) -> tuple[Observation, Info]:
         """Begin episodes; as of the environments."""
         observation, info = self.env.reset(**options)
         return self._form.shaped(observation, self.num_envs), info
 
-    def step(self, actions: AnyArray) -> tuple[Observation, Float32, Bool, Bool, dict[str, Any]]:
+    def step(self, actions: AnyArray) -> tuple[Observation, Float32, Bool, Bool, Info]:
         """Take one touch each, with an action of ``action_space``; InputError for another shape."""
         action = self._form.unflatten(actions, self.num_envs)
         observation, reward, terminated, truncated, info = self.env.step(action)
@@ -113,7 +113,7 @@ class _Part(NamedTuple):
 class _FlatForm:
     """Spaces of flat actions and of observations without single numbers, and the way to and from them."""
 
-    def __init__(self, action: gym.Space[Any], observation: gym.Space[Any], limit: float) -> None:
+    def __init__(self, action: Space, observation: Space, limit: float) -> None:
         if not (isinstance(limit, (int, float)) and 0 < limit < np.inf):
             raise InputError(f"limit is {limit!r}; expected a positive number")
         self._parts: list[_Part] = []
@@ -130,12 +130,12 @@ class _FlatForm:
             {path[-1]: _with_axis(box) for path, box in _boxes(observation)}
         )
 
-    def unflatten(self, flat: AnyArray, *batch: int) -> dict[str, Any]:
+    def unflatten(self, flat: AnyArray, *batch: int) -> Info:
         """Return actions of the environment; InputError if flat ones have another shape."""
         numbers, shape = np.asarray(flat, np.float32), (*batch, *self.action_space.shape)
         if numbers.shape != shape:
             raise InputError(f"the action has shape {numbers.shape}; expected {shape}")
-        found: dict[str, Any] = {}
+        found: Info = {}
         for (*folders, name), part_shape, place in self._parts:
             inner = found
             for folder in folders:
@@ -151,7 +151,7 @@ class _FlatForm:
         }
 
 
-def _boxes(space: gym.Space[Any], path: _Path = ()) -> Iterator[tuple[_Path, gym.spaces.Box]]:
+def _boxes(space: Space, path: _Path = ()) -> Iterator[tuple[_Path, gym.spaces.Box]]:
     """Yield the boxes of a space, each with the names that lead to it."""
     if isinstance(space, gym.spaces.Dict):
         for name, part in space.items():

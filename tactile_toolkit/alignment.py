@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tactile_toolkit import spatial
 from tactile_toolkit.array_types import Bool, Float64, Floating, Int64
 
 TIME_TOLERANCE_S = 1e-6
@@ -91,11 +92,9 @@ class Neighbours:
         The speed of the turn is constant (slerp); the real part may come first or last. Of quaternions of
         another length than one, the length is interpolated, so that a check of lengths still fails.
         """
-        from scipy.spatial.transform import Rotation  # takes time and memory, and few need it
-
         lengths = np.linalg.norm(quaternions, axis=1, keepdims=True)
         lengths[lengths == 0] = np.nan  # which is no turn
-        turns = Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
+        turns = spatial.Rotation.from_quat(np.where(np.isfinite(lengths), quaternions, _NO_TURN))
         way = (turns[self.before].inv() * turns[self.after]).as_rotvec() * self.share[:, np.newaxis]
-        found: Float64 = (turns[self.before] * Rotation.from_rotvec(way)).as_quat()
+        found: Float64 = (turns[self.before] * spatial.Rotation.from_rotvec(way)).as_quat()
         return found * self.interpolated(lengths)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 
-def to_builtin(value: Any, kind: type[int] | type[float] = int) -> Any:
+def to_builtin(value: object, kind: type[int] | type[float] = int) -> Any:
     """Return a value with tuples for all iterables and Python's numbers for all numbers.
 
     With ``kind`` ``float``, integers become floats; with ``int`` numbers keep their kind. A value that is
@@ -35,7 +35,7 @@ def to_builtin_number(value: Any, kind: type[int] | type[float] = int) -> Any:
         return value
 
 
-def to_builtin_pairs(values: Any) -> Any:
+def to_builtin_pairs(values: object) -> Any:
     """Return pairs of a name and a number, or a mapping, as a tuple of tuples."""
     return to_builtin(values.items() if isinstance(values, Mapping) else values)
 

@@ -22,7 +22,7 @@ from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from threading import RLock
-from typing import IO, Any, Generic, TypeVar
+from typing import IO, Generic, TypeVar
 
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -265,5 +265,5 @@ class MemoryCache(Generic[K, V]):
             self._kept.clear()
             self.size = 0
 
-    def __reduce__(self) -> tuple[Any, ...]:
+    def __reduce__(self) -> tuple[object, ...]:
         return (type(self), (self.limit, self._size_of))

@@ -10,11 +10,14 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypedDict, Unpack
 
 from tactile_toolkit.builtin_values import is_integer, to_builtin, to_builtin_pairs
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.parsed_text import is_count
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
 
 _RULE = "rule"
 _MOST_INTEGER = (1 << 63) - 1
@@ -44,14 +47,14 @@ class Rule:
     """The valid values of a field, in code and in words, and its option."""
 
     kind: type
-    fits: Callable[[Any], bool]
+    fits: Callable[[object], bool]
     expected: str
     option: OptionText
     choices: tuple[str, ...] = ()
 
 
 def integer(
-    default: Any = MISSING,
+    default: object = MISSING,
     least: int = 0,
     most: int | None = None,
     *,
@@ -64,21 +67,19 @@ def integer(
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    limit = most
-    if most is None:
-        limit = _MOST_INTEGER
+    limit = _MOST_INTEGER if most is None else most
 
-    def fits(value: Any) -> bool:
+    def fits(value: object) -> bool:
         if value is None:
             return optional
-        return is_integer(value) and least <= value <= limit
+        return isinstance(value, int) and is_integer(value) and least <= value <= limit
 
     span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
 
 
 def real(
-    default: Any = MISSING,
+    default: object = MISSING,
     least: float = -math.inf,
     most: float = math.inf,
     *,
@@ -90,10 +91,10 @@ def real(
 ) -> Any:
     """Declare a finite number, a tuple of ``many`` numbers, or None if it is ``optional``."""
 
-    def fits_one(value: Any) -> bool:
+    def fits_one(value: object) -> bool:
         return isinstance(value, float) and least <= value <= most and above < value < below
 
-    def fits(value: Any) -> bool:
+    def fits(value: object) -> bool:
         if many:
             return isinstance(value, tuple) and len(value) == many and all(map(fits_one, value))
         return fits_one(value) or (optional and value is None)
@@ -107,11 +108,11 @@ def real(
 
 
 def choice(
-    default: Any, known: Sequence[str], *, optional: bool = False, **option: Unpack[OptionText]
+    default: object, known: Sequence[str], *, optional: bool = False, **option: Unpack[OptionText]
 ) -> Any:
     """Declare one of several words, None if it is ``optional``, or several if the default is a tuple."""
 
-    def fits(value: Any) -> bool:
+    def fits(value: object) -> bool:
         if isinstance(default, tuple):
             return isinstance(value, tuple) and set(value) <= set(known)
         if isinstance(value, str):
@@ -127,7 +128,7 @@ def switch(default: bool, **option: Unpack[OptionText]) -> Any:
     return _field(default, Rule(bool, lambda value: isinstance(value, bool), "True or False", option))
 
 
-def text(default: Any = None, **option: Unpack[OptionText]) -> Any:
+def text(default: object = None, **option: Unpack[OptionText]) -> Any:
     """Declare a text, or the result of ``read``, which checks it."""
     return _field(default, Rule(str, lambda _: True, "", option))
 
@@ -155,7 +156,7 @@ def metavar_of(name: str, rule: Rule) -> str:
     return rule.option.get("metavar") or unit or ("X" if rule.kind is float else "TEXT")
 
 
-def check_value(rule: Rule, value: Any, name: str) -> Any:
+def check_value(rule: Rule, value: object, name: str) -> Any:
     """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
     spelled = to_builtin(value, rule.kind)
     if not rule.fits(spelled):
@@ -163,7 +164,7 @@ def check_value(rule: Rule, value: Any, name: str) -> Any:
     return spelled
 
 
-def check_fields(spec: Any, of: str) -> None:
+def check_fields(spec: DataclassInstance, of: str) -> None:
     """Normalize the declared fields of a specification; InputError for the first that is not valid.
 
     ``of`` names the specification in the message, such as ``the plan of touches``.
@@ -175,7 +176,7 @@ def check_fields(spec: Any, of: str) -> None:
             object.__setattr__(spec, each.name, value)
 
 
-def _field(default: Any, rule: Rule) -> Any:
+def _field(default: object, rule: Rule) -> Any:
     return field(default=default, metadata={_RULE: rule})
 
 
@@ -184,7 +185,7 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
     return int(check_value(_integer_rule(least, most, False, {}), value, name))
 
 
-def split_counts(value: Any, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
+def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
     """Return counts by split from a mapping or pairs; InputError for anything else."""
     pairs = to_builtin_pairs(value)
     fits = isinstance(pairs, tuple) and all(

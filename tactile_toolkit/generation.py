@@ -9,17 +9,20 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import pyarrow as pa
 
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
 from tactile_toolkit.system import usable_cores
+
+if TYPE_CHECKING:
+    from tactile_toolkit.mesh import Mesh
 
 # Time in which workers start and import their libraries, seconds.
 _START_S = 1.5
@@ -204,7 +207,7 @@ class Forecast:
     split of the data set that the run would replace; None if it would replace none.
     """
 
-    splits: list[dict[str, Any]]
+    splits: list[JsonDict]
     rows_to_make: int
     bytes: int
     seconds: float
@@ -295,7 +298,7 @@ class PlannedMeshes:
 
     ids: Int64
     labels: Int64
-    make: Callable[[int], Any]
+    make: Callable[[int], Mesh]
     row_s: float
 
 

@@ -7,3 +7,9 @@ from typing import Any, TypeAlias
 
 JsonObject: TypeAlias = Mapping[str, Any]
 """A JSON object that nothing changes."""
+
+JsonValue: TypeAlias = Any
+"""A JSON value of a file, which may have any type."""
+
+JsonDict: TypeAlias = dict[str, Any]
+"""A JSON object that is being made, or changed."""

@@ -12,9 +12,12 @@ from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
 from tactile_toolkit.json_types import JsonObject
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 EXPORT, MERGE, SPLIT, SELECT = "export", "merge", "split", "select"
 """Operations of a manifest that made a copy: for other libraries, of several data sets, of some rows."""
@@ -117,7 +120,7 @@ def tactile_mnist_set(
     return PublishedSet(name, repo_id, content, citation, licence, aliases)
 
 
-def _not_offered(*_: Any, **__: Any) -> Any:
+def _not_offered(*_: object, **__: object) -> Any:
     raise NotImplementedError
 
 
@@ -142,7 +145,7 @@ class DatasetKind:
     card_template : str
         Template of its cards in ``data_cards``.
     write_card : callable
-        Takes a ``DataFolder`` and its ``Manifest``; writes the card and its picture.
+        Takes a ``DataFolder`` and its ``Manifest``, if it has one; writes the card and its picture.
     schema : callable or None
         Takes a ``Manifest`` or None, returns the Arrow schema of every shard; None if it follows from a
         source.
@@ -185,10 +188,10 @@ class DatasetKind:
     card_template: str
     write_card: Callable[[Any, Any], None]
     content: str = ""
-    schema: Callable[[Any], Any] | None = None
+    schema: Callable[[Specified | None], pa.Schema | None] | None = None
     check: Callable[[Any, int], Iterable[Any]] | None = None
     needs_manifest: bool = True
-    loader: Callable[[Any], str] | None = None
+    loader: Callable[[Specified | None], str] | None = None
     class_names: tuple[str, ...] = ()
     columns: tuple[str, ...] = ()
     needs: tuple[str, ...] = ("mesh.faces",)
@@ -204,7 +207,7 @@ class DatasetKind:
         if not self.content:
             object.__setattr__(self, "content", self.nouns)
 
-    def load(self, name: Any, split: str) -> Any:
+    def load(self, name: object, split: str) -> Any:
         """Open a split as the kind's package does."""
         return import_module(self.package).load(name, split)
 
@@ -221,7 +224,7 @@ class DatasetKind:
             return command
         return "show"
 
-    def schema_of(self, manifest: Specified | None) -> Any:
+    def schema_of(self, manifest: Specified | None) -> pa.Schema | None:
         """Return the Arrow schema of every shard of a data set; None if it follows from a source."""
         if self.schema is None or is_copy(manifest):
             return None

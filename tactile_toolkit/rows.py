@@ -112,7 +112,7 @@ def plain_schema(row_type: type) -> pa.Schema:
     )
 
 
-def table_of(rows: Sequence[Any], schema: pa.Schema) -> pa.Table:
+def table_of(rows: Sequence[object], schema: pa.Schema) -> pa.Table:
     """Pack rows of one class into a table of the columns that ``schema`` has, with its types and metadata."""
     if not rows:
         return schema.empty_table()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
@@ -13,6 +12,7 @@ from env_assets.wrench.kind import KIND
 from env_assets.wrench.shape import wrench_mesh
 from env_assets.wrench.wrench_spec import WrenchSpec
 from tactile_toolkit import cards, generation, pictures, store
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
 from tactile_toolkit.rows import column, meanings, row
@@ -56,7 +56,7 @@ class WrenchGenerator(generation.RowGenerator):
         style = store.ParquetStyle(rows_per_group=32, compression="zstd", compression_level=9)
         return generation.StorageLayout(style, libraries=("manifold3d", "numpy", "pillow", "pyarrow"))
 
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of the shard."""
         return wrench_schema()
 
@@ -120,7 +120,7 @@ def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     return generation.Recipe(WrenchGenerator(WrenchSpec()))
 
 
-def wrench_facts(spec: WrenchSpec, report: PrintReport) -> dict[str, Any]:
+def wrench_facts(spec: WrenchSpec, report: PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),

@@ -32,7 +32,8 @@ class WrenchRecord(mesh.SolidRecord):
         """Show the wrench from above in a notebook."""
         return pictures.figure_html(pictures.relief(self.vertices_m, self.faces), repr(self))
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
+        """Return HTML of a small picture with a caption, for notebooks."""
         return pictures.relief_tile_html(self.vertices_m, self.faces, f"{self.opening_mm:g} mm, id {self.id}")
 
 

@@ -15,16 +15,12 @@ from urllib.parse import unquote
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.integrity import class_names_of
+from realtouch import contact, integrity, stored_round, touch_dataset
 from realtouch.kind import KIND
 from realtouch.schema import media_kind, require_poses_for, require_types
-from realtouch.stored_round import StoredRound
-from realtouch.touch_dataset import dataset_of
-from tactile_toolkit import catalog, places, read, store
+from tactile_toolkit import catalog, places, read, run, store, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.run import in_threads
-from tactile_toolkit.touch import MEDIA_COLUMN, Kind
+from tactile_toolkit.json_types import JsonObject
 
 _READERS = 4  # threads that read footers
 
@@ -42,7 +38,7 @@ _PREFIXES = ("", "meta_")
 
 _NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
 
-_IMAGES_PER_MEDIA: dict[Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
+_IMAGES_PER_MEDIA: dict[touch.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
 
 _LONGEST = 100
 
@@ -60,7 +56,7 @@ class Source:
 
     name: str
     shards: Mapping[str, tuple[read.Shard, ...]]
-    kind: Kind
+    kind: touch.Kind
     unfinished: str = ""
 
     @classmethod
@@ -73,7 +69,7 @@ class Source:
         splits = parts_of(place, split)
         shards = {each: place.shards(each, kind=KIND) for each in splits}
         for found in shards.values():
-            deque(in_threads(require_types, found, _READERS), maxlen=0)
+            deque(run.in_threads(require_types, found, _READERS), maxlen=0)
         return cls(place.name, shards, media_kind(shards[splits[0]][0].schema, place.name), place.unfinished)
 
     @property
@@ -84,9 +80,9 @@ class Source:
     @property
     def class_names(self) -> tuple[str, ...]:
         """Name of each class; none without labels."""
-        return class_names_of(self._files())
+        return integrity.class_names_of(self._files())
 
-    def require_frame(self, method: ContactMethod) -> None:
+    def require_frame(self, method: contact.ContactMethod) -> None:
         """Raise InputError unless the frames of clips can be chosen by a method."""
         require_poses_for(method, read.column_types(self.schema), self.name)
 
@@ -96,13 +92,13 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        sizes = in_threads(_unpacked_bytes, self._files(), _READERS)
+        sizes = run.in_threads(_unpacked_bytes, self._files(), _READERS)
         return max(sum(sizes) // max(sum(map(len, self._files())), 1), 1)
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        column = f"{MEDIA_COLUMN[self.kind]}."
-        found = in_threads(partial(_media_bytes, column), self._files(), _READERS)
+        column = f"{touch.MEDIA_COLUMN[self.kind]}."
+        found = run.in_threads(partial(_media_bytes, column), self._files(), _READERS)
         count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
 
@@ -120,7 +116,7 @@ class Source:
         reading 28 GB to plan a conversion would cost minutes.
         """
         return {
-            split: list(in_threads(read.Shard.fingerprint, found, _READERS))
+            split: list(run.in_threads(read.Shard.fingerprint, found, _READERS))
             for split, found in self.shards.items()
         }
 
@@ -158,7 +154,7 @@ class Step(Protocol):
         """Return the flat schema of the result, given that of the source."""
         ...
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: stored_round.StoredRound, choice: RowChoice, split: str) -> Made:
         """Return the new rows as a table of that schema, and new files.
 
         Rows that raise IntegrityError are left out and listed.
@@ -177,7 +173,7 @@ class Conversion:
 
     source: Source
     operation: str
-    options: Mapping[str, Any]
+    options: JsonObject
     step: Step
     choices: Choices
     rows_per_shard: int | None = None
@@ -206,7 +202,7 @@ def marked_repetitions(source: Source, choices: Choices) -> Choices:
     """Mark rows with a duplicate id in their split; reads the column of ids only."""
     marked = {}
     for split, chosen in choices.items():
-        ids = dataset_of(source.shards[split]).ids
+        ids = touch_dataset.dataset_of(source.shards[split]).ids
         first: dict[object, int] = {}
         rows = (first.setdefault(ids[each.row], each.row) for each in chosen)
         marked[split] = [

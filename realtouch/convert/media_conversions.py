@@ -9,11 +9,9 @@ from typing import Unpack
 import numpy as np
 import pyarrow as pa
 
+from realtouch import contact
 from realtouch.avi import write_avi
-from realtouch.contact import ContactMethod, require_method
-from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.convert.touch_pictures import shown_extra, shown_touches
+from realtouch.convert import conversion, shard_tasks, touch_pictures
 from realtouch.schema import (
     EXTRA_PREFIX,
     POSE_COLUMN,
@@ -47,7 +45,7 @@ def clips_to_images(
     source: places.Name | places.Place,
     out: str | PathLike[str],
     frame: str = "contact_end",
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Make a ``single`` data set of a ``seq`` one: one frame of each clip, with the pose at that moment.
 
@@ -86,32 +84,32 @@ def clips_to_images(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    method = require_method(frame)
+    method = contact.require_method(frame)
 
-    def plan(opened: Source, limit: int | None) -> Conversion:
+    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
         if opened.kind != "seq":
             raise InputError(
                 f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
             )
         opened.require_frame(method)
-        return Conversion(
+        return conversion.Conversion(
             opened,
             "to-single",
             {"frame": method, "limit": limit},
             TakeContactFrames(method),
-            first_rows(opened, limit),
+            conversion.first_rows(opened, limit),
             rows_per_shard=_CONTACT_FRAME_ROWS,
             rows_per_group=_CONTACT_FRAME_ROWS // 2,
         )
 
-    return write_conversion(source, out, plan, **job)
+    return shard_tasks.write_conversion(source, out, plan, **job)
 
 
 @dataclass(frozen=True)
 class TakeContactFrames:
     """Step of ``clips-to-images``: one frame of each clip, with the pose of the gel at that moment."""
 
-    method: ContactMethod
+    method: contact.ContactMethod
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the published ``single`` schema with the columns of the source."""
@@ -131,11 +129,11 @@ class TakeContactFrames:
                 fields.append(pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count)))
         return pa.schema([*fields, pa.field("sensor_image", pa.list_(MEDIA_TYPE, count))])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
-        shown = list(shown_touches(row, self.method))
+        shown = list(touch_pictures.shown_touches(row, self.method))
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
@@ -147,7 +145,7 @@ class TakeContactFrames:
                 made[name] = number_lists([values], schema.field(name).type)
         for name in flat.column_names:
             if name.startswith(EXTRA_PREFIX["frame"]):
-                entries = shown_extra(row, name, shown)
+                entries = touch_pictures.shown_extra(row, name, shown)
                 made[_per_touch_name(name)] = pa.ListArray.from_arrays([0, len(entries)], entries)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
@@ -167,7 +165,7 @@ def resize(
     height: int,
     *,
     quality: int = 95,
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Write the same data set with images or clips of another size.
 
@@ -195,12 +193,12 @@ def resize(
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
         )
 
-    def plan(opened: Source, limit: int | None) -> Conversion:
+    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
         options = {"width": width, "height": height, "quality": quality, "limit": limit}
         step = ResizeMedia(width, height, quality)
-        return Conversion(opened, "resize", options, step, first_rows(opened, limit))
+        return conversion.Conversion(opened, "resize", options, step, conversion.first_rows(opened, limit))
 
-    return write_conversion(source, out, plan, **job)
+    return shard_tasks.write_conversion(source, out, plan, **job)
 
 
 @dataclass(frozen=True)
@@ -215,7 +213,7 @@ class ResizeMedia:
         """Return the schema of the source: only the pixels change."""
         return source
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
         name, suffix = "sensor_video", "avi"
         if row.has("sensor_image"):

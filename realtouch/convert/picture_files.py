@@ -6,24 +6,14 @@ import csv
 import io
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, Literal, Unpack
+from typing import Literal, Unpack
 
 import pyarrow as pa
 
 from realtouch.contact import ContactMethod, require_method
 from realtouch.contact_picture import difference
 from realtouch.contacts import background
-from realtouch.convert.conversion import (
-    Conversion,
-    Made,
-    RowChoice,
-    Source,
-    first_rows,
-    marked_repetitions,
-    stem_of_id,
-    table_of_columns,
-    write_changed,
-)
+from realtouch.convert import conversion
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
 from realtouch.convert.touch_pictures import (
     TouchPicture,
@@ -34,10 +24,10 @@ from realtouch.convert.touch_pictures import (
 from realtouch.rounds import TouchSingleRound
 from realtouch.stored_round import StoredRound
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import places, read, store
+from tactile_toolkit import places, read, store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CLASS_NAMES, IMAGE_SUFFIX, ImageFormat, encode_image, is_jpeg
+from tactile_toolkit.json_types import JsonDict
 
 IMAGE_FOLDER = "images"
 INDEX_FILE = "index.csv"
@@ -99,20 +89,20 @@ def frames(
         raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
     method = require_method(frame)
 
-    def plan(opened: Source, limit: int | None) -> Conversion:
-        options: dict[str, Any] = {"kind": kind, "frame": method, "limit": limit}
+    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
+        options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
         if opened.kind == "single":
             options["frame"] = None
         else:
             opened.require_frame(method)
         if difference is not None:
             options["difference"] = difference
-        return Conversion(
+        return conversion.Conversion(
             opened,
             "frames",
             options,
             WritePictures(kind, method, difference, opened.class_names),
-            marked_repetitions(opened, first_rows(opened, limit)),
+            conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
             rows_per_shard=_INDEX_ROWS,
             rows_per_group=1 << 16,
             extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
@@ -130,30 +120,30 @@ class WritePictures:
     the median of the clip, or of the images of the round. ``names`` are those of the classes.
     """
 
-    kind: ImageFormat
+    kind: touch.ImageFormat
     method: ContactMethod
     difference: Literal["grey", "absolute"] | None = None
-    names: tuple[str, ...] = CLASS_NAMES
+    names: tuple[str, ...] = touch.CLASS_NAMES
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the columns of the index; it names the classes unless they are the digits."""
         fields = [*_INDEX_SCHEMA]
-        if self.names != CLASS_NAMES:
+        if self.names != touch.CLASS_NAMES:
             fields.append(pa.field("label_name", pa.string()))
         return pa.schema([*fields, *plain_extras(source).values()])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
         """Return the lines of the index of a row, and its pictures.
 
         A row with a damaged touch is left out with all of its pictures.
         """
-        name = stem_of_id(str(row.plain_value("id")))
+        name = conversion.stem_of_id(str(row.plain_value("id")))
         shown = list(shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
             # Of a round of images, once; a clip has a background of its own.
             base = background(TouchSingleRound(row))
-        folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", IMAGE_SUFFIX[self.kind]
+        folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
         columns = {
             **columns_of_touches(row, shown, self.names),
@@ -161,7 +151,7 @@ class WritePictures:
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
-        return table_of_columns(self.schema(row.group.table.schema), columns), files
+        return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
 
     def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
@@ -169,10 +159,10 @@ class WritePictures:
         if self.difference is not None:
             if base is None:
                 base = background(shown.images)
-            return encode_image(difference(pixels, base, self.difference), self.kind)
-        if self.kind == "jpeg" and is_jpeg(stored):
+            return touch.encode_image(difference(pixels, base, self.difference), self.kind)
+        if self.kind == "jpeg" and touch.is_jpeg(stored):
             return bytes(stored)
-        return encode_image(pixels, self.kind)
+        return touch.encode_image(pixels, self.kind)
 
 
 def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
@@ -185,4 +175,4 @@ def write_index(folder: store.DataFolder, manifest: store.Manifest) -> dict[str,
             writer.writerow(["split", *table.column_names])
         writer.writerows([record.shard.split, *line.values()] for line in table.to_pylist())
     content = stream.getvalue().encode()
-    return write_changed(folder, {INDEX_FILE: content})
+    return conversion.write_changed(folder, {INDEX_FILE: content})

@@ -4,26 +4,27 @@ from __future__ import annotations
 
 import math
 import operator
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
 from itertools import groupby
 from operator import itemgetter
 from os import PathLike
-from typing import Any, SupportsIndex, Unpack
+from typing import SupportsIndex, Unpack
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch import schema
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
 from realtouch.contacts import BY_IMAGE
-from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, require_limit
+from realtouch.convert import conversion
 from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.schema import flat_row, has_poses, is_per_touch, take_touches
 from realtouch.stored_round import StoredRound
 from realtouch.touch_dataset import dataset_of
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
 
 
@@ -77,7 +78,7 @@ def select(
         if not math.isfinite(min_height_m):  # nothing is as high as NaN
             expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
             raise InputError(f"min_height_m is {min_height_m}; {expected}")
-    chosen: dict[str, Any] = {
+    chosen: JsonDict = {
         "contact": contact,
         "min_height_m": min_height_m,
         "recalibrate_z": recalibrate_z,
@@ -85,13 +86,13 @@ def select(
         "objects": [_object_ids(each) for each in objects],
     }
     if per_class is not None:
-        chosen["per_class"] = require_limit(per_class, "per_class")
+        chosen["per_class"] = conversion.require_limit(per_class, "per_class")
     return write_conversion(source, out, partial(_selection, chosen), **job)
 
 
-def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> Conversion:
+def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
     options = {**chosen, "limit": limit}
-    by_image = options["contact"] and not has_poses(read.column_types(opened.schema))
+    by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
         options["contact_rule"] = BY_IMAGE
     elif options["min_height_m"] is None:
@@ -106,10 +107,10 @@ def _selection(chosen: Mapping[str, Any], opened: Source, limit: int | None) -> 
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
-    return Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
+    return conversion.Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
 
 
-def _no_contact(source: Source, height_m: float) -> InputError:
+def _no_contact(source: conversion.Source, height_m: float) -> InputError:
     heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
@@ -119,7 +120,7 @@ def _no_contact(source: Source, height_m: float) -> InputError:
     )
 
 
-def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list[RowChoice]:
+def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
@@ -146,11 +147,13 @@ def _chosen_rows(source: Source, split: str, options: Mapping[str, Any]) -> list
         dataset = dataset[rows_kept]
     rows = dataset.row_numbers.tolist()
     if not options["contact"]:
-        return list(map(RowChoice, rows))[:limit]
+        return list(map(conversion.RowChoice, rows))[:limit]
     touches = dataset.touches().with_contact(options["min_height_m"], options["recalibrate_z"])
     places = zip(touches.round_positions.tolist(), touches.touch_indices.tolist(), strict=True)
     kept = groupby(sorted(places), key=itemgetter(0))
-    return [RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][:limit]
+    return [conversion.RowChoice(rows[place], tuple(touch for _, touch in group)) for place, group in kept][
+        :limit
+    ]
 
 
 def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> int | tuple[int, ...]:
@@ -177,19 +180,19 @@ class KeepTouches:
             return source
         fields = list(source)
         for place, field in enumerate(source):
-            if is_per_touch(field.name, field.type):
+            if schema.is_per_touch(field.name, field.type):
                 fields[place] = pa.field(field.name, pa.list_(field.type.value_type))
         types = read.column_types(source)
-        if PLATE_COLUMN not in types and has_poses(types):
+        if PLATE_COLUMN not in types and schema.has_poses(types):
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
         """Return a row with the chosen touches; no image or clip is decoded."""
-        flat = flat_row(row)
+        flat = schema.flat_row(row)
         if choice.touches is None:
             return flat, {}
-        kept = take_touches(flat, choice.touches, row.touch_total())
+        kept = schema.take_touches(flat, choice.touches, row.touch_total())
         if row.has(PLATE_COLUMN) or not row.has_poses:
             return kept, {}
         plate_m = row.plate_z_m()

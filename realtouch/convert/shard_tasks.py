@@ -15,14 +15,10 @@ from typing import Unpack
 
 import pyarrow as pa
 
+from realtouch import kind, stored_round, touch_card
 from realtouch.convert.conversion import Conversion, Pack, RowChoice, Source, Step, files_of, require_limit
-from realtouch.kind import KIND
 from realtouch.schema import flat_schema, origin_of
-from realtouch.stored_round import StoredRound
-from realtouch.touch_card import write_card
-from tactile_toolkit import catalog, places, read, store
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, with_features
+from tactile_toolkit import catalog, errors, places, read, store, touch
 
 # What a worker may hold, unpacked.
 _SHARD_BYTES = 256 << 20
@@ -60,7 +56,7 @@ class _ConvertRows:
                 # Cast: Arrow names the items of lists in several ways, and a file has one schema.
                 tables.append(made.cast(self.schema))
                 files |= beside
-            except IntegrityError as error:
+            except errors.IntegrityError as error:
                 message = str(error)
                 for each in self.shards:  # as the manifest names them: their folder may be private
                     message = message.replace(each.path, each.path.rpartition("/")[2])
@@ -73,7 +69,7 @@ class _ConvertRows:
         whole = kept.combine_chunks(memory_pool=pa.system_memory_pool())
         return store.ShardContent(whole, tuple(skipped), files=files)
 
-    def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, StoredRound]]:
+    def _rows(self, choices: Sequence[RowChoice]) -> Iterator[tuple[RowChoice, stored_round.StoredRound]]:
         """Read the blocks that hold chosen rows, one at a time, in order."""
         # StoredRound groups without a chosen row are not read at all.
         wanted = {choice.row: choice for choice in choices}
@@ -87,7 +83,7 @@ class _ConvertRows:
                     for position in range(len(group.table)):
                         number = start + group.first_row + position
                         if number in wanted:
-                            yield wanted[number], StoredRound(group, position)
+                            yield wanted[number], stored_round.StoredRound(group, position)
             start += len(shard)
 
 
@@ -95,7 +91,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     """Divide rows into shards; reads footers only. InputError if nothing is left to convert."""
     source, step = conversion.source, conversion.step
     names = source.class_names
-    schema = with_features(step.schema(flat_schema(source.schema)), names)
+    schema = touch.with_features(step.schema(flat_schema(source.schema)), names)
     row_bytes = source.row_bytes()
     per_shard = conversion.rows_per_shard or max(1, min(_MOST_ROWS_PER_SHARD, _SHARD_BYTES // row_bytes))
     per_group = conversion.rows_per_group or max(1, min(per_shard, _GROUP_BYTES // row_bytes))
@@ -113,7 +109,7 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
             work = _ConvertRows(shards[first : last + 1], starts[first], step, schema, conversion.pack)
             tasks.append(store.ShardTask(store.ShardName(split, index, len(chunks)), chunk, work))
     if not tasks:
-        raise InputError(
+        raise errors.InputError(
             f"nothing is left of {source.name!r} after {conversion.operation!r}", next="choose fewer filters"
         )
     spec = {
@@ -126,13 +122,13 @@ def plan_conversion(conversion: Conversion) -> store.BuildPlan:
     encodings: tuple[tuple[str, str], ...] = ()
     per_page = None
     if conversion.pack is None:
-        lists = [f"{name}.list.element" for name in MEDIA_COLUMN.values() if name in schema.names]
-        single = [name for name in schema.names if schema.field(name).type == MEDIA_TYPE]
+        lists = [f"{name}.list.element" for name in touch.MEDIA_COLUMN.values() if name in schema.names]
+        single = [name for name in schema.names if schema.field(name).type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in [*lists, *single])
         if lists:
             per_page = max(1, _PAGE_BYTES // source.media_bytes())
     return store.BuildPlan(
-        KIND.name,
+        kind.KIND.name,
         spec,
         tuple(source.shards),
         tuple(tasks),
@@ -173,4 +169,4 @@ def write_conversion(
         conversion = replace(conversion, options={**conversion.options, "unfinished": opened.unfinished})
     if origin == "imported" or (origin == "synthetic" and conversion.operation in ("frames", "export")):
         conversion = replace(conversion, options={**conversion.options, "touches": origin})
-    return store.build(folder, plan_conversion(conversion), write_card=write_card, **run)
+    return store.build(folder, plan_conversion(conversion), write_card=touch_card.write_card, **run)

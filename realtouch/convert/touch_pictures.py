@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -18,7 +17,7 @@ from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import read
-from tactile_toolkit.array_types import Float64, Floating, UInt8
+from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 
 # What exports and their readers know by other meanings.
 _OTHER_COLUMNS = (
@@ -75,10 +74,10 @@ def _pose_values(at: Poses, index: int | slice) -> Float64:
 
 def columns_of_touches(
     row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
-) -> dict[str, Any]:
+) -> dict[str, AnyArray | list[object]]:
     """Return the columns of a table of the touches of a round, as far as the source stores them."""
     label, count = row.label_value(), len(shown)
-    columns: dict[str, Any] = {
+    columns: dict[str, AnyArray | list[object]] = {
         "label": np.full(count, label),
         "label_name": [dict(enumerate(names)).get(label)] * count,
         "round_id": [row.name()] * count,

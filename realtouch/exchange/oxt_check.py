@@ -15,7 +15,7 @@ from realtouch.exchange.picture_arrays import StoredArray, columns_of
 from realtouch.exchange.zarr_arrays import ZarrGroup
 from realtouch.exchange.zarr_groups import ENDS
 from realtouch.exchange.zarr_recordings import DATA, data_arrays, episode_ends, group_in
-from realtouch.finding import Finding
+from realtouch.finding import RecordingFinding
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError
@@ -27,14 +27,14 @@ _Problem = tuple[str, str, str, str]
 """Rule, path of an array, what was found, and what was expected."""
 
 
-def oxt_findings(home: store.DataFolder, file: str = "") -> list[Finding]:
+def oxt_findings(home: store.DataFolder, file: str = "") -> list[RecordingFinding]:
     """Check a group of Zarr, in a folder or zip, against the contract of FTP-1; empty if it conforms.
 
     Every chunk is unpacked once. InputError if there is no group, or nothing in it.
     """
     group = group_in(store.open_folder(home.address(file)))
     return [
-        Finding(rule, found, expected, where, next=f"correct {where!r} in the program that wrote it")
+        RecordingFinding(rule, found, expected, where, next=f"correct {where!r} in the program that wrote it")
         for rule, where, found, expected in _problems(group)
     ]
 

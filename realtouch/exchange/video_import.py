@@ -150,7 +150,9 @@ def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
         ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
         left = sum(map(len, ranges))
         try:
-            for picture in video.encoded_pictures(store.open_folder(home), path, chain.from_iterable(ranges)):
+            for picture in video.pictures_of_video(
+                store.open_folder(home), path, chain.from_iterable(ranges)
+            ):
                 left -= 1
                 yield picture
         except ItemError as error:

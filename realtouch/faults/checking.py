@@ -10,20 +10,21 @@ from functools import partial
 
 import numpy as np
 
-from realtouch.convert.conversion import parts_of
-from realtouch.faults.comparisons import all_comparisons
-from realtouch.faults.rules import RULES, WHOLE_ROUND, Fault, Spot
+from realtouch import (
+    integrity,
+    kind,
+    picture_views,
+    schema,
+    stored_columns,
+    stored_round,
+    touch_dataset,
+    touch_options,
+)
+from realtouch.convert import conversion
+from realtouch.faults import comparisons, rules
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
-from realtouch.finding import MOST_NAMED, Finding
-from realtouch.integrity import agreeing_files, readable_rows
-from realtouch.kind import KIND
-from realtouch.picture_views import fitted
+from realtouch.finding import MOST_NAMED, RecordingFinding
 from realtouch.rounds import TouchSingleRound
-from realtouch.schema import origin_of
-from realtouch.stored_columns import Damage
-from realtouch.stored_round import stored_touch_counts
-from realtouch.touch_dataset import AnyDataset, dataset_of
-from realtouch.touch_options import CheckLimits
 from tactile_toolkit import catalog, pictures, places, read, run
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
@@ -50,15 +51,15 @@ class CheckResult:
         How many were checked.
     decoded : int
         How many pictures were decoded; the stored bytes of all were compared.
-    findings : tuple of Finding
+    findings : tuple of RecordingFinding
         What is wrong, in the order of the rules.
     """
 
     rounds: int
     touches: int
     decoded: int
-    findings: tuple[Finding, ...]
-    _faults: Mapping[str, Sequence[Fault]] = field(repr=False)
+    findings: tuple[RecordingFinding, ...]
+    _faults: Mapping[str, Sequence[rules.Fault]] = field(repr=False)
     _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
 
     @property
@@ -68,7 +69,7 @@ class CheckResult:
 
     def pictures(self) -> pictures.PicturePlan:
         """Plan a picture of each finding: its first touches."""
-        datasets = {split: dataset_of(files) for split, files in self._files.items()}
+        datasets = {split: touch_dataset.dataset_of(files) for split, files in self._files.items()}
         planned = [
             pictures.PlannedPicture(
                 f"{finding.rule}.png",
@@ -84,7 +85,7 @@ def check(
     name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
     *,
-    limits: CheckLimits | None = None,
+    limits: touch_options.CheckLimits | None = None,
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
 ) -> CheckResult:
@@ -117,27 +118,28 @@ def check(
     IntegrityError
         A file is damaged; :func:`realtouch.verify` lists what else is.
     """
-    chosen = limits or CheckLimits()
-    place = places.open_place(name).require(KIND, "check").require_complete(split)
+    chosen = limits or touch_options.CheckLimits()
+    place = places.open_place(name).require(kind.KIND, "check").require_complete(split)
     files = {
-        each: agreeing_files(place.shards(each, kind=KIND), place.name) for each in parts_of(place, split)
+        each: integrity.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
+        for each in conversion.parts_of(place, split)
     }
     shards = [shard for each in files.values() for shard in each]
     total = sum(map(len, shards))
-    touches = sum(int(stored_touch_counts(shard).sum()) for shard in shards)
+    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
     frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
-    is_rendered = origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
+    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
     look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
-    damaged: list[Fault] = []
+    damaged: list[rules.Fault] = []
     found = run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
     sections = list(_counted(found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
-    faults += all_comparisons(sections, chosen)
-    by_rule: dict[str, list[Fault]] = defaultdict(list)
+    faults += comparisons.all_comparisons(sections, chosen)
+    by_rule: dict[str, list[rules.Fault]] = defaultdict(list)
     for fault in faults:
         by_rule[fault.rule].append(fault)
     rounds = {each.spot: each for section in sections for each in section.rounds}
-    findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in RULES if rule in by_rule)
+    findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in rules.RULES if rule in by_rule)
     decoded = sum(section.decoded for section in sections)
     return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
 
@@ -152,16 +154,20 @@ def _counted(
         on_progress(done, total)
 
 
-def _placed_rows(files: Mapping[str, Sequence[read.Shard]], damaged: list[Fault]) -> Iterator[PlacedRow]:
+def _placed_rows(
+    files: Mapping[str, Sequence[read.Shard]], damaged: list[rules.Fault]
+) -> Iterator[PlacedRow]:
     """Yield all rows with their numbers in their splits; rows that cannot be read are faults."""
     for split, shards in files.items():
         starts = dict(
             zip((shard.path for shard in shards), np.cumsum([0, *map(len, shards)]).tolist(), strict=False)
         )
-        for found in readable_rows(read.row_groups(shards)):
-            if isinstance(found, Damage):
+        for found in integrity.readable_rows(read.row_groups(shards)):
+            if isinstance(found, stored_columns.Damage):
                 number = starts[found.file] + (found.row or 0)
-                damaged.append(Fault("unreadable-touches", Spot(split, number, WHOLE_ROUND), 0.0))
+                damaged.append(
+                    rules.Fault("unreadable-touches", rules.Spot(split, number, rules.WHOLE_ROUND), 0.0)
+                )
             else:
                 yield PlacedRow(split, starts[found.path] + found.number, found)
 
@@ -182,14 +188,17 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
 
 
 def _finding(
-    rule: str, faults: Sequence[Fault], rounds: Mapping[Spot, RoundSeen], limits: CheckLimits
-) -> Finding:
+    rule: str,
+    faults: Sequence[rules.Fault],
+    rounds: Mapping[rules.Spot, RoundSeen],
+    limits: touch_options.CheckLimits,
+) -> RecordingFinding:
     """Return what a rule found, over all splits."""
     splits = list(dict.fromkeys(fault.at.split for fault in faults))
     names: list[str] = []
     total = 0
     for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
-        whole = spot._replace(touch=WHOLE_ROUND)
+        whole = spot._replace(touch=rules.WHOLE_ROUND)
         known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
         named, count = f"{known.name}:{spot.touch}", 1
         if spot == whole:
@@ -197,15 +206,17 @@ def _finding(
             named = f"{known.name}:0-{count - 1}"
         names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
         total += count
-    said = RULES[rule]
+    said = rules.RULES[rule]
     found = said.found.format(value=max(fault.value for fault in faults))
     where = " and ".join(splits)
-    return Finding(
+    return RecordingFinding(
         rule, found, said.expected_text(limits), where, tuple(names[:MOST_NAMED]), total, said.next
     )
 
 
-def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyDataset]) -> UInt8:
+def _draw(
+    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, touch_dataset.AnyDataset]
+) -> UInt8:
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
     for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:
@@ -215,7 +226,9 @@ def _draw(finding: Finding, faults: Sequence[Fault], datasets: Mapping[str, AnyD
                 pixels = record.sensor_image[touch]
             else:
                 pixels = record.sensor_video[touch][spot.frame]
-            tiles.append(pictures.Tile(fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}"))
-    title = f"{RULES[finding.rule].title}: {finding.found}"
+            tiles.append(
+                pictures.Tile(picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}")
+            )
+    title = f"{rules.RULES[finding.rule].title}: {finding.found}"
     lines = (f"expected: {finding.expected}", f"{finding.where}: {with_count(finding.count, 'touches')}")
     return pictures.sheet(tiles, 4, title, lines)

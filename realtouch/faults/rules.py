@@ -63,7 +63,7 @@ class Fault(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True)
-class Rule:
+class FaultRule:
     """What a finding says; ``{value}`` is the greatest found, the other names are options and constants."""
 
     title: str
@@ -76,92 +76,92 @@ class Rule:
         return self.expected.format(**asdict(limits))
 
 
-RULES: dict[str, Rule] = {
-    "unreadable-touches": Rule(
+RULES: dict[str, FaultRule] = {
+    "unreadable-touches": FaultRule(
         "Touches that cannot be read",
         "damaged values or pictures",
         "touches that can be read",
         "run `realtouch verify`, which says what is wrong with each of them",
     ),
-    "empty-pictures": Rule(
+    "empty-pictures": FaultRule(
         "Empty arrays, and pictures without content",
         "no pictures, black ones, or {value:.0%} of the pixels with one value",
         f"at most {MAX_ONE_VALUE:.0%} of pixels with one value, and some above {MIN_BRIGHTEST:g} levels",
         "look at the camera and its cable, and leave these touches out",
     ),
-    "frozen-frames": Rule(
+    "frozen-frames": FaultRule(
         "Frozen frames",
         "{value:.0f} equal pictures in a row",
         "fewer than {frozen} equal pictures in a row",
         "read each frame of the camera once, and record these touches again or leave them out",
     ),
-    "dropped-frames": Rule(
+    "dropped-frames": FaultRule(
         "Dropped frames",
         "a time step of {value:.3g} times the median step of its clip",
         "steps of less than {gap:g} times the median step",
         "compare by time rather than by number of frame, or record with less load",
     ),
-    "exposure-jumps": Rule(
+    "exposure-jumps": FaultRule(
         "Exposure jumps",
         "nine tenths of the picture change by {value:.3g} levels or more, the same way",
         f"less than {{exposure:g}} levels, or than {NOISE_FACTOR:g} times the median step",
         "fix exposure and white balance of the camera; subtract the background of each part on its own",
     ),
-    "swapped-channels": Rule(
+    "swapped-channels": FaultRule(
         "Channels in another order",
         "colours fit with red and blue exchanged, by a correlation greater by {value:.2f}",
         f"colours in one order; a correlation greater by less than {MIN_GAIN:g}",
         "OpenCV gives blue, green, red: exchange the channels of these touches and make the set again",
     ),
-    "gel-drift": Rule(
+    "gel-drift": FaultRule(
         "Drift of the bare gel",
         "the bare gel changes by {value:.3g} levels over the session",
         "a change of less than {drift:g} levels",
         "subtract the background of each round, `realtouch.background(round)`, before you compare rounds",
     ),
-    "mixed-markers": Rule(
+    "mixed-markers": FaultRule(
         "Gels with and without markers",
         "{value:.0f} dots on the gel, and none in other rounds",
         "markers in all rounds or in none",
         "keep gels with and without markers in sets of their own",
     ),
-    "duplicate-pictures": Rule(
+    "duplicate-pictures": FaultRule(
         "Duplicates",
         "{value:.0f} touches with the same stored pictures",
         "each picture once in a split",
         "leave all but one of them out, and compare the poses of what you keep",
     ),
-    "shared-pictures": Rule(
+    "shared-pictures": FaultRule(
         "The same picture in two splits",
         "{value:.0f} touches of several splits with the same stored pictures",
         "no picture in two splits",
         "leave them out of all splits but one: results on the others would be too good",
     ),
-    "shared-objects": Rule(
+    "shared-objects": FaultRule(
         "The same object in two splits",
         "an object in {value:.0f} splits",
         "each object in one split",
         "keep all rounds of an object in one split: results on the others would be too good",
     ),
-    "still-poses": Rule(
+    "still-poses": FaultRule(
         "Poses that do not move with the pictures",
         "{value:.0f} poses in a row are the same while the pictures change",
         f"fewer than {MIN_STILL} equal poses while a part of the picture changes by {MIN_CHANGE:g} levels",
         "read the pose at the time of each picture, or leave the poses out",
     ),
-    "moving-poses": Rule(
+    "moving-poses": FaultRule(
         "Poses that move while pictures are frozen",
         "the gel moves by {value:.3g} mm while the picture is the same",
         "less than {motion_mm:g} mm while pictures are the same",
         "read each frame of the camera once, and record these touches again or leave them out",
     ),
-    "pose-jumps": Rule(
+    "pose-jumps": FaultRule(
         "Poses that jump",
         "a step of {value:.3g} times the limit",
         f"at most {{jump_mm:g}} mm and {MIN_TURN_DEG:g} degrees, or {JUMP_FACTOR:g} times most other steps",
         "look at units, at the order of the quaternion and at lost packets of the robot",
     ),
-    "times-run-back": Rule(
+    "times-run-back": FaultRule(
         "Times that are missing or run back",
         "times run back by {value:.3g} s, or are missing",
         "times that rise",

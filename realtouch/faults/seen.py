@@ -129,7 +129,7 @@ def count_markers(background: UInt8) -> int | None:
     return len(dots)
 
 
-def runs_of(same: Sequence[bool] | Bool, least: int) -> list[tuple[int, int]]:
+def spans_of(same: Sequence[bool] | Bool, least: int) -> list[tuple[int, int]]:
     """Return start and length of each run of at least ``least`` entries that equal their predecessor.
 
     ``same``, shape (n - 1,), states whether entry i + 1 equals entry i.

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from realtouch.faults.rules import JUMP_FACTOR, MIN_CHANGE, MIN_STILL, MIN_TURN_DEG, WHOLE_ROUND, Fault, Spot
-from realtouch.faults.seen import runs_of
+from realtouch.faults.seen import spans_of
 from realtouch.poses import Poses
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64
@@ -48,7 +48,7 @@ class Strip:
 def frozen(strip: Strip, limits: CheckLimits) -> Iterator[Fault]:
     """Yield runs of equal pictures, and how far the gel moves meanwhile."""
     same = [one == other != b"" for one, other in pairwise(strip.digests)]
-    for start, length in runs_of(same, limits.frozen):
+    for start, length in spans_of(same, limits.frozen):
         # A clip is named once, by the last of its frozen frames.
         repeats = {spot.touch: spot for spot in strip.spots[start + 1 : start + length]}.values()
         yield from (Fault("frozen-frames", spot, length) for spot in repeats)
@@ -65,7 +65,7 @@ def still(strip: Strip, limits: CheckLimits) -> Iterator[Fault]:
         return
     moved = np.abs(np.diff(strip.poses.position_m, axis=0)).max(axis=1, initial=0)
     turned = np.abs(np.diff(strip.poses.quaternion, axis=0)).max(axis=1, initial=0)
-    for start, length in runs_of((moved <= _SAME_M) & (turned <= _SAME_QUATERNION), MIN_STILL):
+    for start, length in spans_of((moved <= _SAME_M) & (turned <= _SAME_QUATERNION), MIN_STILL):
         inside = [each for number, each in strip.seen.items() if start <= number < start + length]
         if len(inside) < 2:
             continue

@@ -13,7 +13,7 @@ from realtouch.import_columns import ImportColumns, expected_counts
 from realtouch.importing.found_touches import FoundTouches
 from realtouch.importing.source_files import NUMBERED
 from realtouch.poses import bad_pose
-from tactile_toolkit import column_types
+from tactile_toolkit import column_types, spatial
 from tactile_toolkit.arithmetic import are_rigid
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError
@@ -150,11 +150,9 @@ def poses(fields: Fields, columns: ImportColumns) -> Float64:
     if wrong is not None:
         raise ItemError("pose", wrong[1])
     if columns.frame is not None:
-        from scipy.spatial.transform import Rotation
-
         turn, shift = _frame(columns)
         place = place @ turn.T + shift
-        turns = (Rotation.from_matrix(turn) * Rotation.from_quat(turns)).as_quat()
+        turns = (spatial.Rotation.from_matrix(turn) * spatial.Rotation.from_quat(turns)).as_quat()
     _require_metres(place, "pose")
     return np.hstack([place, turns])
 
@@ -207,24 +205,20 @@ def _ordered(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64
 
 def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of six numbers, with Euler angles or rotation vectors in radians."""
-    from scipy.spatial.transform import Rotation
-
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
-        return place, Rotation.from_euler(columns.euler, angles).as_quat()
+        return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
         raise ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
             "(--angle-unit states another unit)",
         )
-    return place, Rotation.from_rotvec(angles).as_quat()
+    return place, spatial.Rotation.from_rotvec(angles).as_quat()
 
 
 def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
-    from scipy.spatial.transform import Rotation
-
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not are_rigid(matrices):
         raise ItemError(
@@ -232,16 +226,14 @@ def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Fl
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
         )
-    return matrices[:, :3, 3], Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
+    return matrices[:, :3, 3], spatial.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
 def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and shift, in metres, from the frame of the source to that of the cell."""
-    from scipy.spatial.transform import Rotation
-
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
-    return Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
+    return spatial.Rotation.from_matrix(matrix[:3, :3]).as_matrix(), matrix[:3, 3] / per_metre
 
 
 def _require_metres(places: Float64, reason: str) -> None:

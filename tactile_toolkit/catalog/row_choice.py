@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from tactile_toolkit.array_types import AnyArray, Bool, Int64
 from tactile_toolkit.catalog.ids import GivenId, IdChoice, id_range, id_text
 from tactile_toolkit.errors import InputError
 
-D = TypeVar("D", bound=read.RecordDataset[Any])
+D = TypeVar("D", bound=read.AnyRecords)
 C = TypeVar("C", bound="Classified")
 
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import Any
 
 from tactile_toolkit.catalog.ids import IdChoice, parse_ids
 from tactile_toolkit.checked_fields import check_fields, integer, switch, text
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.parsed_text import comma_separated
 
 # Each is the default of all parameters and fields of its name: `dataclasses` notes the name in it.
@@ -32,7 +32,7 @@ class RowFilter:
     per_class: int | None = PER_CLASS
     limit: int | None = LIMIT
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> JsonDict:
         """Return the options by name; the split ``all`` becomes None."""
         named = {each.name: getattr(self, each.name) for each in fields(RowFilter)}
         return {**named, "split": None if self.split == "all" else self.split}

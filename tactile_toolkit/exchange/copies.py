@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from itertools import accumulate, chain, pairwise
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -17,7 +17,7 @@ from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_changes
 from tactile_toolkit.exchange.merge_changes import RowChanges
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
 from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
@@ -101,7 +101,7 @@ def merge_sets(
     """
     sources = [_open_source(kind, name, MERGE) for name in names]
     schema = _common_schema(sources)
-    options: dict[str, Any] = {}
+    options: JsonDict = {}
     renumbered = merge_changes.Renumbering({}, {})
     if renumber and "id" in schema.names:
         renumbered = merge_changes.renumber([source.table.files for source in sources])
@@ -133,7 +133,7 @@ def _common_schema(sources: Sequence[_Source]) -> pa.Schema:
         for split, shards in source.shards.items()
     ]
     for other, found in others:
-        differs = merge_changes.difference(schema, found, (name, other))
+        differs = merge_changes.schema_difference(schema, found, (name, other))
         if differs:
             raise InputError(f"{differs}; expected data sets made alike")
     return schema
@@ -215,7 +215,7 @@ def _build(
         catalog.refuse_source(folder, source.name, source.table.files)
     for split in dict.fromkeys(split for source in sources for split in source.shards):
         shards = found[split] = [shard for source in sources for shard in source.shards.get(split, ())]
-        parts: list[tuple[Any, Any]] = [
+        parts: list[tuple[pa.Table, pa.Schema]] = [
             (range(len(shard)), partial(_copy_file, shard, (changes or {}).get(shard.path)))
             for shard in shards
         ]

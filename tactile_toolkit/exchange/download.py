@@ -9,12 +9,12 @@ import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
 
 import msgspec
 
 from tactile_toolkit import cards, hub, places, run, store
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, SpecMismatchError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 
 # Files that are adapted to the splits of the folder.
@@ -302,7 +302,7 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
         "the whole data set.\n\n"
     )
 
-    def fit(head: dict[str, Any]) -> None:
+    def fit(head: JsonDict) -> None:
         head.update({name: here[name] for name in here if name in head or name == "configs"})
 
     return cards.with_head(card, fit, note if is_part else "")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import count, zip_longest
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -98,7 +97,7 @@ def _texts_like(text: str, position: int) -> Iterator[str]:
 def _ids_of(shard: read.Shard) -> list[int | str]:
     values = read.ShardedTable((shard,)).column("id")
     if values.dtype.kind in "iuf" and whole_numbers(values).all():
-        found: list[Any] = values.astype(np.int64).tolist()
+        found: list[int | str] = values.astype(np.int64).tolist()
         return found
     found = values.tolist()
     if not all(isinstance(each, str) for each in found):
@@ -138,7 +137,7 @@ def require_new_column(name: str, schema: pa.Schema) -> None:
         )
 
 
-def difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
+def schema_difference(one: pa.Schema, other: pa.Schema, names: tuple[str, str]) -> str:
     """Describe how rows of two data sets differ: the first column, class or metadata; empty if alike."""
     first, second = names
     types = [read.column_types(schema) for schema in (one, other)]

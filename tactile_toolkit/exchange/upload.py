@@ -16,6 +16,8 @@ from pathlib import Path
 from posixpath import normpath
 from typing import Any, TypeAlias
 
+import huggingface_hub
+
 from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
@@ -179,8 +181,6 @@ def prepare_upload(
     finished data set, an unusable option), IntegrityError (damage, a card that does not match the data) or
     HubError.
     """
-    from huggingface_hub import HfApi
-
     chosen, place = options or UploadOptions(), store.open_folder(folder)
     manifest = store.read_manifest(place)
     ask = _asking(repo_id, on_wait)
@@ -196,7 +196,7 @@ def prepare_upload(
         if dry_run:
             state, unasked = _state_if_known(ask, repo_id, chosen.branch)
         else:
-            ask(HfApi().whoami)
+            ask(huggingface_hub.HfApi().whoami)
             state = ask(partial(_state, repo_id, chosen.branch))
         manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
@@ -220,8 +220,6 @@ def prepare_files(
 
     ``what`` names them in the commit. Raises InputError (an unusable option) or HubError.
     """
-    from huggingface_hub import HfApi
-
     chosen, ask = options or UploadOptions(), _asking(repo_id, on_wait)
     with contextlib.ExitStack() as stack:
         scratch = stack.enter_context(store.scratch_folder())
@@ -231,7 +229,7 @@ def prepare_files(
         if dry_run:
             state, unasked = _state_if_known(ask, repo_id, chosen.branch)
         else:
-            ask(HfApi().whoami)
+            ask(huggingface_hub.HfApi().whoami)
             state = ask(partial(_state, repo_id, chosen.branch))
         local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
         prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
@@ -293,10 +291,10 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
-    from huggingface_hub import HfApi, errors
+    from huggingface_hub import errors
 
     try:
-        refs = HfApi().list_repo_refs(repo_id, repo_type="dataset")
+        refs = huggingface_hub.HfApi().list_repo_refs(repo_id, repo_type="dataset")
     except errors.RepositoryNotFoundError as error:
         # The client derives it from the error for a missing repository, but a gated one exists.
         if isinstance(error, errors.GatedRepoError):
@@ -376,9 +374,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     was lost. Raises HubError (files that were sent stay on the Hub, and the same call continues) or
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
-    from huggingface_hub import HfApi
-
-    api, ask, options, held = HfApi(), prepared.ask, prepared.options, prepared.held
+    api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
     here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
@@ -411,8 +407,6 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     Not with ``upload_folder``: it may make several commits, between which readers would find a part of the
     files; and it takes all files from one folder, while the card is in another.
     """
-    from huggingface_hub import CommitOperationAdd, CommitOperationDelete, HfApi
-
     options = prepared.options
     held = _state(prepared.repo_id, options.branch)[0]
     _refuse_public(prepared.repo_id, options, held)  # another upload may have created it meanwhile
@@ -422,11 +416,11 @@ def _send(prepared: PreparedUpload) -> tuple[str, str | None]:
     message = f"Upload {prepared.what}"
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # those of the client, that users cannot act on
-        made = HfApi().create_commit(
+        made = huggingface_hub.HfApi().create_commit(
             repo_id=prepared.repo_id,
             operations=[
-                *(CommitOperationDelete(path) for path in plan.removed),
-                *(CommitOperationAdd(each.path, each.place) for each in plan.to_send),
+                *(huggingface_hub.CommitOperationDelete(path) for path in plan.removed),
+                *(huggingface_hub.CommitOperationAdd(each.path, each.place) for each in plan.to_send),
             ],
             repo_type="dataset",
             commit_message=options.message or message,

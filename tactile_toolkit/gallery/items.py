@@ -12,6 +12,7 @@ from typing import Any
 import pyarrow as pa
 
 from tactile_toolkit import catalog, places, read
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import Column
 from tactile_toolkit.wording import class_name
@@ -30,7 +31,7 @@ class GalleryItem:
 
     id: str  # searched for by users
     title: str
-    values: Mapping[str, Any]
+    values: JsonObject
     thumbnail: bytes = field(repr=False)  # PNG
     # JSON values that the page loads when the item is opened: "notes" (pairs of a title and a text) and
     # either "mesh" (see packed_mesh) or "touches".
@@ -46,10 +47,10 @@ class RowsTask:
     ``item`` takes a record, the split, the class names, and the entry of ``known`` for the row.
     """
 
-    dataset: read.RecordDataset[Any]
+    dataset: read.AnyRecords
     split: str
     item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
-    known: tuple[Any, ...] = field(repr=False)
+    known: tuple[object, ...] = field(repr=False)
 
     @property
     def size(self) -> int:
@@ -91,7 +92,7 @@ def gallery_of_rows(
     columns: Sequence[Column],
     item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem],
     rows_per_task: int,
-    known: Callable[[Any, str], Sequence[Any]] = lambda rows, _: [None] * len(rows),
+    known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
 ) -> Gallery:
     """Plan a gallery of chosen rows of some splits; see :class:`RowsTask` for ``item``.
 

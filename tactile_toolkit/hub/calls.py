@@ -13,11 +13,13 @@ import inspect
 import os
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from functools import partial
 from importlib import import_module
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
+
+import huggingface_hub
 
 from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
@@ -137,7 +139,7 @@ def _traits(error: BaseException) -> str:
     return " ".join([str(status), no_room, cut_short, *names])
 
 
-def _requested_wait_s(headers: Any) -> float:
+def _requested_wait_s(headers: Mapping[str, str]) -> float:
     """Return the time that an answer asks to wait, seconds; 0 if it does not."""
     # Such as "api";r=0;t=55: no requests are left for 55 seconds.
     spent = re.search(r"\br=0\s*;\s*t=(\d+)", str(headers.get("RateLimit", "")))
@@ -180,8 +182,6 @@ def failure_of(
 
     With ``is_answer`` only an answer of the Hub was read, so an unreadable value is a failure, too.
     """
-    from huggingface_hub import get_token
-
     chain = store.cause_chain(error)
     if any(isinstance(link, ToolkitError) for link in chain):
         return None
@@ -204,7 +204,7 @@ def failure_of(
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
-            what, then = (redact(part.format(**values), get_token()) for part in sentence)
+            what, then = (redact(part.format(**values), huggingface_hub.get_token()) for part in sentence)
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
             return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
@@ -257,7 +257,7 @@ def _limit_session() -> None:
         session.send = partial(_send, session.send)
 
 
-def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **options: Any) -> Any:
+def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **options: object) -> Any:
     """Send a request of the client's session, and limit the time until the header of the answer arrives."""
     if request.method not in ("GET", "HEAD"):  # it may send a file
         return send(request, stream=stream, **options)
@@ -268,7 +268,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     return response
 
 
-def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[bytes]:
+def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: object) -> Iterator[bytes]:
     """Yield the pieces of an answer while it is fast enough; the time of the reader does not count."""
     waited_s, arrived, source = 0.0, 0, pieces(*arguments)
     while True:
@@ -282,7 +282,7 @@ def _timed(pieces: Callable[..., Iterator[bytes]], *arguments: Any) -> Iterator[
         yield piece
 
 
-def _check_answer(response: Any, **_: Any) -> None:
+def _check_answer(response: Any, **_: object) -> None:
     """Limit the body of an answer, and refuse one with a bad header."""
     request = response.request
     # The client names files in its cache by these.
@@ -305,7 +305,7 @@ def _check_answer(response: Any, **_: Any) -> None:
         name = "iter_bytes"
     pieces = getattr(response, name)
 
-    def limited(*args: Any, **options: Any) -> Iterator[bytes]:
+    def limited(*args: object, **options: object) -> Iterator[bytes]:
         arrived = 0
         for piece in pieces(*args, **options):
             arrived += len(piece)
@@ -318,7 +318,6 @@ def _check_answer(response: Any, **_: Any) -> None:
 
 def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
     """Return options with which the client reports the bytes of a file that have arrived, if it can."""
-    from huggingface_hub import hf_hub_download
     from huggingface_hub.utils.tqdm import tqdm
 
     class Bar(tqdm):
@@ -326,7 +325,7 @@ def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
 
         monitor_interval = 0  # no watching thread
 
-        def __init__(self, *_: Any, **__: Any) -> None:
+        def __init__(self, *_: object, **__: object) -> None:
             super().__init__(disable=True)  # type: ignore[no-untyped-call]
             count(0)
 
@@ -339,6 +338,6 @@ def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
 
         set_transfer_postfix_str = tqdm.set_postfix_str
 
-    if "tqdm_class" in inspect.signature(hf_hub_download).parameters:
+    if "tqdm_class" in inspect.signature(huggingface_hub.hf_hub_download).parameters:
         return {"tqdm_class": Bar}
     return {}

@@ -16,6 +16,8 @@ from multiprocessing.pool import ThreadPool
 from pathlib import Path
 from typing import Any
 
+import huggingface_hub
+
 from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, IntegrityError, require_public
 from tactile_toolkit.hub.calls import (
@@ -261,8 +263,6 @@ class HubRepository:
 
     def _fetch_checked(self, file: store.HubFile, folder: Path | None, count: Callable[[int], None]) -> Path:
         """Fetch a file into the Hub's cache or a folder, and check it; a damaged file is fetched again."""
-        from huggingface_hub import hf_hub_download
-
         path, digest = file.path, file.digest
         if self.is_cache or digest is None:
             raise not_cached(self.repo_id, repr(path))
@@ -273,7 +273,9 @@ class HubRepository:
             self._wait_for_another(path)
         # An intact file may have been fetched by another process meanwhile.
         for force in (folder is None and cached.exists() and not store.has_digest(cached, digest), True):
-            fetch = partial(hf_hub_download, self.repo_id, path, force_download=force, **options)
+            fetch = partial(
+                huggingface_hub.hf_hub_download, self.repo_id, path, force_download=force, **options
+            )
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
             if store.has_digest(place, digest):
@@ -330,10 +332,12 @@ def open_repository(
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     """Ask the Hub for all files of a revision; raises exceptions of its client."""
-    from huggingface_hub import HfApi, constants
+    from huggingface_hub import constants
 
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT
-    answer: Any = HfApi().dataset_info(repo_id, revision=revision, files_metadata=True, timeout=timeout_s)
+    answer: Any = huggingface_hub.HfApi().dataset_info(
+        repo_id, revision=revision, files_metadata=True, timeout=timeout_s
+    )
     files = {}
     for entry in answer.siblings or ():
         # Files that are stored in git have git's own digest.

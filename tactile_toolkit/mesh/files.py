@@ -12,17 +12,15 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import spatial, store
 from tactile_toolkit.array_types import Float64, Int32, Integers
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh.file_units import require_likely_size, require_unit
-from tactile_toolkit.mesh.gltf import pack_glb, read_glb
+from tactile_toolkit.mesh import file_units, gltf, threemf_writing
 from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
 from tactile_toolkit.mesh.obj import read_obj
 from tactile_toolkit.mesh.ply import read_ply
 from tactile_toolkit.mesh.stl import read_stl
 from tactile_toolkit.mesh.threemf import read_build
-from tactile_toolkit.mesh.threemf_writing import BuildItem, write_build
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import with_count
@@ -83,9 +81,9 @@ def read_mesh(path: str | Path, *, unit: str | None = None, below: Path | None =
 
 def parse_mesh(data: bytes, ending: str, unit: str | None) -> Mesh:
     """Read a mesh from the content of a file; raises as :func:`read_mesh`, without the name of the file."""
-    require_unit(unit)
+    file_units.require_unit(unit)
     mesh, stated = _unpacked(data, ending, unit)
-    require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
+    file_units.require_likely_size(float(np.ptp(mesh.bounds_m, axis=0).max()) * MM_PER_M, unit, stated)
     return mesh
 
 
@@ -144,7 +142,7 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
             items, notes, stated = read_build(data)
             mesh = Mesh(*joined([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
         elif ending == ".glb":
-            stated, mesh = "m", _welded(*merge_equal_vertices(*read_glb(data)))
+            stated, mesh = "m", _welded(*merge_equal_vertices(*gltf.read_glb(data)))
         else:
             vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
             mesh = _welded(vertices / (MM_PER_M / MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
@@ -191,10 +189,10 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     ``name`` is the name that slicers show, in formats that store names (3MF).
     """
     if ending == ".3mf":
-        return write_build([BuildItem(name, mesh)])
+        return threemf_writing.write_build([threemf_writing.BuildItem(name, mesh)])
     # GLB is in metres by its specification; the others state no unit, and slicers assume millimetres.
     if ending == ".glb":
-        return pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
+        return gltf.pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
     import trimesh
 
     packed = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])
@@ -232,7 +230,6 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
         return Mesh(vertices, faces)
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
-    from scipy.spatial import cKDTree
 
     # Ends of edges that do not occur in both directions.
     ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
@@ -241,7 +238,7 @@ def _welded(vertices: Float64, faces: Int32) -> Mesh:
     if len(torn) < 2:
         return Mesh(vertices, faces)
     reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
+    tree, count = spatial.cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
     found: Any = tree.query(vertices[torn], count, distance_upper_bound=reach_m)
     row, column = np.nonzero(np.isfinite(found[0]))
     graph = coo_array((np.ones(len(row)), (row, found[1][row, column])), (len(torn), len(torn)))

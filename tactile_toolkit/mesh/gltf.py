@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
+from tactile_toolkit import spatial
 from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.mesh.mesh import Surface, joined
 
 # glTF uses the numbers of OpenGL.
@@ -64,7 +66,7 @@ def read_glb(data: bytes) -> Surface:
 class _Document:
     """The JSON tree of a file, whose values may have any type, and its binary data."""
 
-    def __init__(self, tree: Any, content: bytes, file_bytes: int) -> None:
+    def __init__(self, tree: JsonValue, content: bytes, file_bytes: int) -> None:
         self._tree, self._content, self._file_bytes = tree, content, file_bytes
         self._placed_bytes = 0
         needed = str(tree["asset"].get("minVersion", tree["asset"]["version"]))
@@ -77,7 +79,7 @@ class _Document:
                     next="export it without that",
                 )
 
-    def _item(self, kind: str, number: Any) -> Any:
+    def _item(self, kind: str, number: JsonValue) -> JsonValue:
         items = self._tree.get(kind, [])
         # Python accepts negative indices.
         if not (isinstance(number, int) and 0 <= number < len(items)):
@@ -107,7 +109,7 @@ class _Document:
             if "mesh" in node:
                 yield from self._moved(node, self._item("meshes", node["mesh"]), whole)
 
-    def _moved(self, node: Any, mesh: Any, matrix: Float64) -> Iterator[Surface]:
+    def _moved(self, node: JsonValue, mesh: JsonValue, matrix: Float64) -> Iterator[Surface]:
         if any(node.get("weights", mesh.get("weights", ()))):
             raise InputError("a mesh is a blend of shapes (morph targets), which is not supported")
         is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
@@ -120,7 +122,7 @@ class _Document:
             require_unpackable(_PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes)
             yield moved(vertices, matrix[:3, :3].T) + matrix[:3, 3], faces[:, ::-1] if is_mirrored else faces
 
-    def _triangles(self, primitive: Any) -> Surface:
+    def _triangles(self, primitive: JsonValue) -> Surface:
         vertices = self._values(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
         corners = np.arange(len(vertices))
         if "indices" in primitive:
@@ -140,7 +142,7 @@ class _Document:
             rows = [first + 1, first + 2, np.zeros_like(first)]
         return vertices, corners[np.stack(rows, axis=1)].astype(np.int32)
 
-    def _values(self, number: Any, kind: str) -> AnyArray:
+    def _values(self, number: JsonValue, kind: str) -> AnyArray:
         """Return the values of an accessor, shape (count, width)."""
         accessor = self._item("accessors", number)
         if accessor["type"] != kind:
@@ -162,7 +164,7 @@ class _Document:
             return np.maximum(found / np.iinfo(component).max, -1.0)
         return found
 
-    def _view(self, at: Any, count: int, component: np.dtype[Any], width: int) -> AnyArray:
+    def _view(self, at: JsonValue, count: int, component: np.dtype[Any], width: int) -> AnyArray:
         """Return values from a part of the binary chunk, shape (count, width)."""
         view = self._item("bufferViews", at["bufferView"])
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:
@@ -180,7 +182,7 @@ class _Document:
         return np.ascontiguousarray(rows).view(component)
 
 
-def _matrix(node: Any) -> Float64:
+def _matrix(node: JsonValue) -> Float64:
     """Return the transform of a node, shape (4, 4), for column vectors."""
     found = np.eye(4)
     if "matrix" in node:
@@ -189,12 +191,10 @@ def _matrix(node: Any) -> Float64:
             raise InputError("a node has a matrix that distorts, or that stands next to parts of one")
         return found
     if "rotation" in node:
-        from scipy.spatial.transform import Rotation
-
         length = math.hypot(*node["rotation"])
         if not abs(length - 1) <= _LENGTH_TOLERANCE:
             raise InputError(f"a node is turned by a quaternion of length {length:.4g}; expected length one")
-        found[:3, :3] = Rotation.from_quat(node["rotation"]).as_matrix()
+        found[:3, :3] = spatial.Rotation.from_quat(node["rotation"]).as_matrix()
     found[:3, :3] *= np.array(node.get("scale", (1, 1, 1)), np.float64)
     found[:3, 3] = node.get("translation", (0, 0, 0))
     return found

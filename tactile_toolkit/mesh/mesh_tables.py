@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pyarrow as pa
 
@@ -18,7 +16,7 @@ MESH = "mesh"
 SIZES = ("size_x_m", "size_y_m", "size_z_m")
 
 
-def flat_table(rows: read.RecordDataset[Any]) -> pa.Table:
+def flat_table(rows: read.AnyRecords) -> pa.Table:
     """Return an Arrow table: all stored columns but the mesh, then class name, size and GLB file."""
     stored = rows.to_hf()
     kept = [name for name in stored.column_names if name not in (VERTICES, FACES)]

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import manifold3d
 import numpy as np
 
-from tactile_toolkit.array_types import Float64, Int32, Int64
+from tactile_toolkit.array_types import AnyArray, Float64, Int32, Int64
 from tactile_toolkit.errors import InputError
 
 # The time for a polygon that crosses itself grows with the square of its number of corners.
@@ -74,6 +73,6 @@ def _cut_equal(vertices: Float64, polygons: Int64) -> Int64:
     middle = np.arange(1, polygons.shape[1] - 1)
     fan = np.stack([np.zeros_like(middle), middle, middle + 1], axis=1)
     found = [polygons[is_convex][:, fan].reshape(-1, 3)]
-    cut: Callable[..., Any] = manifold3d.triangulate
+    cut: Callable[..., AnyArray] = manifold3d.triangulate
     found += [polygons[row][np.asarray(cut([flat[row]]))] for row in np.flatnonzero(~is_convex).tolist()]
     return np.concatenate(found)

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import pyarrow as pa
 
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import column, columns, row
 
 WARNINGS = ("thin-wall", "separate-bodies", "overhang", "small-contact", "larger-than-plate", "too-tall")
@@ -89,7 +89,7 @@ class PrintReport:
         """Bounding box along x, y, z."""
         return self.size_x_mm, self.size_y_mm, self.size_z_mm
 
-    def to_row(self) -> dict[str, Any]:
+    def to_row(self) -> JsonDict:
         """Return the values of the report by column, as Python objects; lists for ``warnings`` and ``notes``.
 
         Returns

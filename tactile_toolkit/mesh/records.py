@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
-D = TypeVar("D", bound=read.RecordDataset[Any])
+D = TypeVar("D", bound=read.AnyRecords)
 W = TypeVar("W", bound="RecordStream[Any]")
 
 

@@ -118,9 +118,9 @@ Representation = Literal["points", "voxels", "height_map", "mesh"]
 REPRESENTATIONS: tuple[Representation, ...] = get_args(Representation)
 """Representations of items; see :class:`SolidTensors`."""
 
-Target = str | Callable[[Any], Any] | None
+Target = str | Callable[[Any], object] | None
 
-TARGETS: dict[str, Callable[[Any], Any]] = {
+TARGETS: dict[str, Callable[[SolidRecord], object]] = {
     "label": lambda record: record.label,
     "id": lambda record: record.id,
     "volume_m3": lambda record: torch.tensor(record.volume_m3, dtype=torch.float32),
@@ -205,7 +205,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: read.RecordDataset[Any],
+        dataset: read.AnyRecords,
         representation: Representation = "points",
         *,
         points: int = 1024,
@@ -243,7 +243,7 @@ class SolidTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         self._epoch.fill_(epoch)
 
     @property
-    def sequence(self) -> read.RecordDataset[Any]:
+    def sequence(self) -> read.AnyRecords:
         """The solids, in order of the items."""
         return self.dataset
 

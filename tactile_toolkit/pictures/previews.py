@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import partial
-from typing import Any, Generic, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from tactile_toolkit.pictures.picture_files import PlannedPicture, file_stem
 from tactile_toolkit.pictures.sheets import Tile, bar_length_mm, in_rows, sheet, with_scale_bar
 from tactile_toolkit.wording import with_count
 
-D = TypeVar("D", bound=read.RecordDataset[Any])
+D = TypeVar("D", bound=read.AnyRecords)
 
 
 class MeshPreviews(Generic[D]):

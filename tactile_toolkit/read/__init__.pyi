@@ -9,6 +9,7 @@ from .arrow_views import (
     vectors_type as vectors_type,
 )
 from .dataset import (
+    AnyRecords as AnyRecords,
     RecordDataset as RecordDataset,
 )
 from .features import (

@@ -8,26 +8,30 @@ import operator
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from copy import copy
 from functools import reduce
-from typing import Any, ClassVar, Generic, Self, TypeVar, overload
+from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeVar, overload
 
 import numpy as np
 import pyarrow as pa
 
+from tactile_toolkit import builtin_values, checked_fields, shown_text
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.builtin_values import is_integer, to_builtin_number
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, ToolkitError
-from tactile_toolkit.read.indexing import flattened, picks_several, positions
-from tactile_toolkit.read.integer_columns import whole_numbers
+from tactile_toolkit.read import (
+    indexing,
+    integer_columns,
+    random_parts,
+    schemas,
+    shard,
+    sharded_table,
+    source,
+)
 from tactile_toolkit.read.order import StoredParts
-from tactile_toolkit.read.random_parts import random_order, random_parts
 from tactile_toolkit.read.record import Record, Row
-from tactile_toolkit.read.schemas import column_types
-from tactile_toolkit.read.shard import Shard
-from tactile_toolkit.read.sharded_table import ShardedTable
-from tactile_toolkit.read.source import RowSource
-from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import class_name, with_count
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from datasets import Dataset
 
 T = TypeVar("T")
 
@@ -61,7 +65,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     def __init__(
         self,
-        table: ShardedTable,
+        table: sharded_table.ShardedTable,
         rows: range | Int64 | None = None,
         label_names: Sequence[str] = (),
     ) -> None:
@@ -78,7 +82,7 @@ class RecordDataset(Sequence[T], Generic[T]):
     def ids(self) -> AnyArray:
         """Id of each row, shape (len,); reads the id column only."""
         values = self.column("id")
-        are_whole = values.dtype.kind == "f" and whole_numbers(values).all()
+        are_whole = values.dtype.kind == "f" and integer_columns.whole_numbers(values).all()
         return values.astype(np.int64) if are_whole else values
 
     @property
@@ -87,9 +91,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         return tuple(self._types)
 
     @property
-    def _types(self) -> dict[str, Any]:
+    def _types(self) -> dict[str, pa.DataType]:
         """Arrow type of each column that joined sets share, by dotted name, without structs."""
-        found, *others = [column_types(schema) for schema in self.table.schemas] or [{}]
+        found, *others = [schemas.column_types(schema) for schema in self.table.schemas] or [{}]
         return {
             name: each
             for name, each in found.items()
@@ -97,7 +101,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         }
 
     def _stores(self, name: str) -> list[bool]:
-        return [name in column_types(schema) for schema in self.table.schemas]
+        return [name in schemas.column_types(schema) for schema in self.table.schemas]
 
     def has_column(self, name: str) -> bool:
         """Return whether all rows have a stored column, by dotted name."""
@@ -117,7 +121,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         large = (pa.types.is_nested, pa.types.is_binary)
         return tuple(name for name, each in self._types.items() if not any(test(each) for test in large))
 
-    def to_hf(self) -> Any:
+    def to_hf(self) -> Dataset:
         """Return the rows as a data set of the library `datasets`, with their features.
 
         Nothing is copied if the cache can be written: the result views unpacked rows, and only row groups
@@ -181,7 +185,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             A value is missing, not an integer, or does not fit into 64 bits; names file and row.
         """
         values = self.column(name)
-        usable = whole_numbers(values)
+        usable = integer_columns.whole_numbers(values)
         if usable.all():
             return np.ascontiguousarray(values, np.int64)
         # A missing value in any row makes large ones inexact, so they are read from the row itself.
@@ -196,7 +200,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return self.table.identity
 
     @property
-    def files(self) -> tuple[Shard, ...]:
+    def files(self) -> tuple[shard.Shard, ...]:
         """The Parquet files that the data set was opened from, whichever rows of them it holds."""
         return self.table.files
 
@@ -259,8 +263,8 @@ class RecordDataset(Sequence[T], Generic[T]):
             return self._item(index)
         if isinstance(index, slice):
             return self._select(index)
-        if picks_several(index):
-            return self._select(positions(index, len(self)))
+        if indexing.picks_several(index):
+            return self._select(indexing.positions(index, len(self)))
         return self._item(operator.index(index))
 
     def by_id(self, id: int | str) -> T:
@@ -276,7 +280,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             No item has this id, or the items have no ids.
         """
-        number = to_builtin_number(id)
+        number = builtin_values.to_builtin_number(id)
         places = np.flatnonzero(self.ids == number)
         if not len(places):
             # Ids of items, because touches have other ids than their rounds.
@@ -297,9 +301,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         TypeError
             An index is not an integer.
         """
-        return self._select(positions(indices if picks_several(indices) else list(indices), len(self)))
+        return self._select(
+            indexing.positions(indices if indexing.picks_several(indices) else list(indices), len(self))
+        )
 
-    def filter(self, function: Callable[[T], Any]) -> Self:
+    def filter(self, function: Callable[[T], object]) -> Self:
         """Return the items for which a function is true, in order.
 
         Only fields that the function accesses are read.
@@ -317,7 +323,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             A class is not one of :attr:`label_names`.
         """
-        wanted = list(map(self._label_number, flattened(labels)))
+        wanted = list(map(self._label_number, indexing.flattened(labels)))
         return self._select(np.flatnonzero(np.isin(self.labels, wanted)))
 
     def by_label(self) -> dict[str, Self]:
@@ -341,7 +347,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             The seed is not an integer, or negative.
         """
-        return self._select(random_order(seed, len(self)))
+        return self._select(random_parts.random_order(seed, len(self)))
 
     def sample(self, n: int, seed: int) -> Self:
         """Return ``n`` items, drawn at random without repetition.
@@ -361,8 +367,8 @@ class RecordDataset(Sequence[T], Generic[T]):
         InputError
             There are fewer items, or a number is negative or not an integer.
         """
-        count = checked_integer(n, "n, the size of a sample,", 0, len(self))
-        return self._select(random_order(seed, len(self))[:count])
+        count = checked_fields.checked_integer(n, "n, the size of a sample,", 0, len(self))
+        return self._select(random_parts.random_order(seed, len(self))[:count])
 
     def split(self, *parts: float, seed: int, stratify: bool = False) -> tuple[Self, ...]:
         """Divide the items at random into disjoint parts.
@@ -397,10 +403,12 @@ class RecordDataset(Sequence[T], Generic[T]):
         that matters.
         """
         labels = self.labels if stratify else None
-        parts_of = random_parts([to_builtin_number(part) for part in parts], len(self), seed, labels)
+        parts_of = random_parts.random_parts(
+            [builtin_values.to_builtin_number(part) for part in parts], len(self), seed, labels
+        )
         return tuple(self._select(part) for part in parts_of)
 
-    def to_pandas(self) -> Any:
+    def to_pandas(self) -> pd.DataFrame:
         """Return the plain columns as a table with one row for each item.
 
         Meshes, images and other lists are left out; ``to_hf().to_pandas()`` includes them.
@@ -445,7 +453,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             return NotImplemented
         if len(self) != len(other) or self.label_names != other.label_names:
             return False
-        if self.identity == other.identity and np.array_equal(self._rows, other._rows):
+        if self.identity == other.identity and np.array_equal(self.row_numbers, other.row_numbers):
             return True
         return all(one == another for one, another in zip(self, other, strict=True))
 
@@ -454,7 +462,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         return hash((type(self), len(self), self.label_names))
 
     def __repr__(self) -> str:
-        return printable(
+        return shown_text.printable(
             f"{type(self).__name__}({', '.join([*self.description(), self._classes_in_words()])})"
         )
 
@@ -465,9 +473,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         for position in np.linspace(0, len(self) - 1, min(len(self), _SHOWN_PICTURES)).round().tolist():
             try:
                 item: Any = self._item(int(position))
-                pictures.append(item._tile_html())
+                pictures.append(item.tile_html())
             except (ToolkitError, ValueError, OSError) as error:
-                problems[f"<div>{html.escape(printable(str(error)))}</div>"] = None  # each once
+                problems[f"<div>{html.escape(shown_text.printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
         return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}{''.join(problems)}</div>"
 
@@ -481,7 +489,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     def _concat(self, other: Self) -> Self:
         joined = self._view(np.concatenate([self.row_numbers, other.row_numbers + len(self.table)]))
-        joined.table = ShardedTable((*self.table.shards, *other.table.shards))
+        joined.table = sharded_table.ShardedTable((*self.table.shards, *other.table.shards))
         return joined
 
     def stored_parts(self) -> StoredParts:
@@ -492,7 +500,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         order = np.argsort(self.row_numbers, kind="stable")
         return StoredParts(np.unique(np.searchsorted(self.row_numbers[order], starts)), order)
 
-    def row_groups(self, chosen: Int64) -> list[tuple[RowSource, int]]:
+    def row_groups(self, chosen: Int64) -> list[tuple[source.RowSource, int]]:
         """Return the row groups of rows at positions (n,), each once: a source, and a number in it."""
         rows = self._rows
         numbers = np.unique(rows.start + rows.step * chosen if isinstance(rows, range) else rows[chosen])
@@ -506,11 +514,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Yield position and item, in the fastest order, for reading small fields."""
         return enumerate(self)
 
-    def _label_number(self, label: Any) -> int:
-        known, number = self.label_names, to_builtin_number(label)
+    def _label_number(self, label: int | str) -> int:
+        known, number = self.label_names, builtin_values.to_builtin_number(label)
         if number in known:
             return known.index(number)
-        if is_integer(number) and 0 <= number < len(known):
+        if builtin_values.is_integer(number) and 0 <= number < len(known):
             return int(number)
         if not known:
             raise InputError(f"no class {label!r}; the data set has no labels")
@@ -534,3 +542,7 @@ class RecordDataset(Sequence[T], Generic[T]):
         further = len(names) - _MOST_NAMES
         shown = names if further <= 0 else [*names[:_MOST_NAMES], f"{further:,} more"]
         return f"{'class' if len(names) == 1 else 'classes'} {', '.join(shown)}"
+
+
+AnyRecords: TypeAlias = RecordDataset[Any]
+"""A data set of records of any class."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import Any, TypeVar
+from collections.abc import Sequence
+from typing import TypeVar
 
 import msgspec
 import pyarrow as pa
 
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 N = TypeVar("N", tuple[str, ...], None)
 
@@ -22,7 +23,7 @@ class _Label(msgspec.Struct):
 
 
 class _Info(msgspec.Struct):
-    features: dict[str, Any] | None = None
+    features: JsonDict | None = None
 
 
 class _Metadata(msgspec.Struct):
@@ -34,17 +35,17 @@ def dtype_name(data_type: pa.DataType) -> str:
     return _DTYPES.get(str(data_type), str(data_type))
 
 
-def label_feature(names: Sequence[str]) -> dict[str, Any]:
+def label_feature(names: Sequence[str]) -> JsonDict:
     """Describe the label column to `datasets`."""
     return {"names": list(names), "_type": "ClassLabel"}
 
 
-def feature_metadata(features: Mapping[str, Any]) -> dict[str, str]:
+def feature_metadata(features: JsonObject) -> dict[str, str]:
     """Return schema metadata from which `datasets` reads the features of a Parquet file."""
     return {"huggingface": json.dumps({"info": {"features": dict(features)}})}
 
 
-def stored_features(schema: pa.Schema, where: str) -> dict[str, Any]:
+def stored_features(schema: pa.Schema, where: str) -> JsonDict:
     """Return the features that `datasets` stored in a schema, by column; empty if there are none.
 
     Raises IntegrityError, which names the file ``where``, when the metadata do not describe features.

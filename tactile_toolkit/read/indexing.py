@@ -17,7 +17,7 @@ def checked_index(index: int, length: int, of: str, things: str) -> int:
     return index + length if index < 0 else index
 
 
-def flattened(values: Iterable[Any]) -> Iterator[Any]:
+def flattened(values: Iterable[object]) -> Iterator[Any]:
     """Yield the values of nested collections."""
     for value in values:
         if isinstance(value, Iterable) and not isinstance(value, (str, bytes)):
@@ -26,14 +26,14 @@ def flattened(values: Iterable[Any]) -> Iterator[Any]:
             yield value
 
 
-def picks_several(index: Any) -> bool:
+def picks_several(index: object) -> bool:
     """Return whether an index selects several items: a slice, list, array or tensor."""
     if isinstance(index, (slice, list, tuple)):
         return True
     return hasattr(index, "__array__") and np.ndim(index) > 0
 
 
-def positions(index: Any, length: int) -> Int64:
+def positions(index: object, length: int) -> Int64:
     """Convert a slice, ints or a boolean mask to positions, shape (n,), from 0 to below a length.
 
     Raises IndexError for a mask of another length and for ints out of range, and TypeError for other types.

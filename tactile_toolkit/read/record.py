@@ -133,7 +133,7 @@ class Record:
             number = None
         return hash((type(self), number))
 
-    def _tile_html(self) -> str:
+    def tile_html(self) -> str:
         """Return HTML for notebooks of a small picture of the record, if there is any."""
         return ""
 

@@ -24,27 +24,11 @@ from typing import IO, TYPE_CHECKING, Any, TypeAlias
 
 import pyarrow as pa
 
-from tactile_toolkit import store
-from tactile_toolkit.bounds import cache_limit_bytes, require_unpackable
-from tactile_toolkit.cache import LOCKS, MemoryCache, cache_folder
-from tactile_toolkit.errors import BusyError, IntegrityError, ToolkitError
-from tactile_toolkit.read.blocks import (
-    BLOCKS,
-    HELD_UP,
-    IN_MEMORY,
-    LAYOUT,
-    UNPACKED,
-    Key,
-    are_kept,
-    block_file,
-    map_block,
-    stat_key,
-    write_block,
-)
+from tactile_toolkit import bounds, cache, errors, store
+from tactile_toolkit.read import blocks, supported_types
 from tactile_toolkit.read.features import class_names
 from tactile_toolkit.read.row_group import RowGroup
 from tactile_toolkit.read.schemas import column_types
-from tactile_toolkit.read.supported_types import supported_schema, supported_table
 
 if TYPE_CHECKING:
     from pyarrow import parquet
@@ -59,7 +43,7 @@ Footer: TypeAlias = "tuple[parquet.FileMetaData, pa.Schema]"
 
 # Metadata and Arrow schema by content and stated rows, some hundred kB for a large shard. The schema object
 # of the metadata is not kept, because both refer to each other and would wait for the garbage collector.
-_FOOTERS: MemoryCache[tuple[str, int | None], Footer] = MemoryCache(128)
+_FOOTERS: cache.MemoryCache[tuple[str, int | None], Footer] = cache.MemoryCache(128)
 
 
 @dataclass(frozen=True)
@@ -81,7 +65,7 @@ class Shard:
     def __post_init__(self) -> None:
         # The identity of local files is cheap and noted now; a missing file is an error when it is read.
         if not self.is_remote:
-            with contextlib.suppress(ToolkitError):
+            with contextlib.suppress(errors.ToolkitError):
                 _ = self.identity
 
     @property
@@ -96,7 +80,7 @@ class Shard:
         """
         return self._footer[0]
 
-    def column_chunks(self) -> Iterator[Any]:
+    def column_chunks(self) -> Iterator[pa.ChunkedArray]:
         """Yield what the footer says of each column chunk."""
         groups = map(self.metadata.row_group, range(self.metadata.num_row_groups))
         return (group.column(index) for group in groups for index in range(group.num_columns))
@@ -143,7 +127,9 @@ class Shard:
             self._require_bounded(index)
         with self._named_damage():
             # No threads of Arrow, because shards are already read in parallel.
-            return supported_table(parquet.read_row_groups(list(wanted), columns=columns, use_threads=False))
+            return supported_types.supported_table(
+                parquet.read_row_groups(list(wanted), columns=columns, use_threads=False)
+            )
 
     def column(self, name: str) -> pa.Array:
         """Read one column of all rows as an Arrow array, by dotted name; KeyError if it does not exist."""
@@ -153,7 +139,7 @@ class Shard:
         """Return the row group, or block of one, that holds a row, and the index of the row in it."""
         group = bisect_right(self.group_starts, row) - 1
         number, index = divmod(row - self.group_starts[group], self.block_rows[group])
-        return BLOCKS.get((self.digest, group, number)) or self.block(group, number), index
+        return blocks.BLOCKS.get((self.digest, group, number)) or self.block(group, number), index
 
     def block(self, index: int, number: int) -> RowGroup:
         """Map one block of a row group into memory, unpacking the row group into the cache on its first use.
@@ -167,20 +153,20 @@ class Shard:
             mapped = self._mapped(key) or (self._mapped(key) if self._unpacked(index) else None)
             return mapped or self._decoded(index, number)
 
-        return BLOCKS.get_or_make(key, make)
+        return blocks.BLOCKS.get_or_make(key, make)
 
-    def _mapped(self, key: Key) -> RowGroup | None:
+    def _mapped(self, key: blocks.Key) -> RowGroup | None:
         """Map a block of the cache; None if it is missing, or damaged and therefore removed."""
-        file = block_file(key)
+        file = blocks.block_file(key)
         try:
-            table, size_bytes = map_block(file)
+            table, size_bytes = blocks.map_block(file)
         except FileNotFoundError:
             return None
         except (ValueError, OSError) as error:
             if store.resource_shortage(error) is None:
-                UNPACKED.drop(file)
+                blocks.UNPACKED.drop(file)
             return None
-        UNPACKED.mark_used(file)
+        blocks.UNPACKED.mark_used(file)
         _, index, number = key
         first_row = self.group_starts[index] + number * self.block_rows[index]
         return RowGroup(table, self.path, first_row, size_bytes)
@@ -195,32 +181,32 @@ class Shard:
 
     def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]
-        blocks = range(-(-rows // self.block_rows[index]))
-        files = [block_file((self.digest, index, number)) for number in blocks]
-        if UNPACKED.is_given_up or are_kept(files):
-            return not UNPACKED.is_given_up
+        numbers = range(-(-rows // self.block_rows[index]))
+        files = [blocks.block_file((self.digest, index, number)) for number in numbers]
+        if blocks.UNPACKED.is_given_up or blocks.are_kept(files):
+            return not blocks.UNPACKED.is_given_up
         with contextlib.ExitStack() as stack:
             # 256 lock files for all row groups, because lock files stay in the cache.
-            lock = cache_folder() / LOCKS / self.digest[:2]
+            lock = cache.cache_folder() / cache.LOCKS / self.digest[:2]
             try:
                 lock.parent.mkdir(parents=True, exist_ok=True)
-                patience_s = 0.0 if lock in HELD_UP else None
+                patience_s = 0.0 if lock in blocks.HELD_UP else None
                 stack.enter_context(store.locked(lock, patience_s=patience_s, is_patient=True))
             except OSError:
                 pass  # without locks, processes do not wait
-            except BusyError as error:
-                if lock not in HELD_UP:
+            except errors.BusyError as error:
+                if lock not in blocks.HELD_UP:
                     warnings.warn(
                         f"{error.what}; this process stops waiting for it", RuntimeWarning, stacklevel=2
                     )
-                HELD_UP.add(lock)
+                blocks.HELD_UP.add(lock)
             # Read each time, because a notebook may set the variable at any time.
-            UNPACKED.limit_bytes = cache_limit_bytes()
+            blocks.UNPACKED.limit_bytes = bounds.cache_limit_bytes()
             # The previous holder of the lock may have unpacked all or part of it.
-            return are_kept(files) or all(
+            return blocks.are_kept(files) or all(
                 file.exists()
-                or UNPACKED.write(
-                    file.name, int(group.table.nbytes), partial(write_block, file.name, group.table)
+                or blocks.UNPACKED.write(
+                    file.name, int(group.table.nbytes), partial(blocks.write_block, file.name, group.table)
                 )
                 for file, group in zip(files, self.blocks(index), strict=True)
             )
@@ -229,17 +215,17 @@ class Shard:
         """Decode a block, and some blocks before and after it in the row group."""
         found: RowGroup
         for reached, group in enumerate(self.blocks(index)):
-            BLOCKS.put((self.digest, index, reached), group)
+            blocks.BLOCKS.put((self.digest, index, reached), group)
             if reached == number:
                 found = group
-            if reached + 1 == number + IN_MEMORY:
+            if reached + 1 == number + blocks.IN_MEMORY:
                 break
         return found
 
     @cached_property
     def digest(self) -> str:
         """Digest of the identity of the file when it was first accessed."""
-        return hashlib.sha256(repr((LAYOUT, self.identity)).encode()).hexdigest()[:32]
+        return hashlib.sha256(repr((blocks.LAYOUT, self.identity)).encode()).hexdigest()[:32]
 
     def blocks(self, index: int, columns: Sequence[str] | None = None) -> Iterator[RowGroup]:
         """Decode the blocks of a row group one by one, without caching; all columns or those named."""
@@ -251,7 +237,7 @@ class Shard:
         if first_row != self.group_starts[index + 1]:  # a damaged page may end early without an error
             found, expected = first_row - self.group_starts[index], self.metadata.row_group(index).num_rows
             problem = f" is damaged, row group {index} holds {found} rows; expected {expected} by its footer"
-            raise IntegrityError.in_file(self.path, problem)
+            raise errors.IntegrityError.in_file(self.path, problem)
 
     def _require_bounded(self, index: int) -> None:
         """Refuse rows that would exceed the limit when unpacked, according to the footer."""
@@ -270,7 +256,7 @@ class Shard:
         stored = sum(column.total_compressed_size for column in columns)
         if size_bytes <= _MOST_EXPANSION * stored:
             size_bytes //= max(group.num_rows, 1)
-        require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
+        bounds.require_unpackable(size_bytes, f"{self.path!r}, rows from {self.group_starts[index]}:")
 
     def _block_tables(self, index: int, columns: Sequence[str] | None) -> Iterator[pa.Table]:
         rows = self.block_rows[index]
@@ -278,7 +264,7 @@ class Shard:
         with self._named_damage():
             for batch in self._open()[0].iter_batches(rows, [index], columns, use_threads=False):
                 # The reader may return fewer rows than requested; blocks must be complete to be found again.
-                table = supported_table(pa.Table.from_batches([batch]))
+                table = supported_types.supported_table(pa.Table.from_batches([batch]))
                 waiting = table if waiting is None else pa.concat_tables([waiting, table])
                 while len(waiting) >= rows:
                     yield waiting.slice(0, rows).combine_chunks()
@@ -300,7 +286,7 @@ class Shard:
 
     def _found_now(self) -> tuple[Any, ...]:
         """Return the identity of the local file now."""
-        device, *others = stat_key(os.stat(self.path))  # noqa: PTH116
+        device, *others = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
         # With the name, because machines that share a cache may have other files with the same numbers.
         return device, self.path.rpartition("/")[2], *others
 
@@ -394,13 +380,15 @@ class Shard:
         for unit, stated in (("rows", self.rows), ("bytes", self.size_bytes)):
             if stated not in (None, found[unit]):  # such as a shard of a set that is being overwritten
                 problem = f": {found[unit]} {unit}; expected {stated} by the manifest"
-                raise IntegrityError.in_file(self.path, problem)
-        return parquet, footer or _FOOTERS.put(key, (metadata, supported_schema(parquet.schema_arrow)))
+                raise errors.IntegrityError.in_file(self.path, problem)
+        return parquet, footer or _FOOTERS.put(
+            key, (metadata, supported_types.supported_schema(parquet.schema_arrow))
+        )
 
     def _require_same(self, found: tuple[object, ...], known: tuple[object, ...]) -> None:
         # Without the device, which differs between machines that share a file system.
         if found[1:] != known[1:]:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{self.path!r} was replaced or changed after the data set was loaded: none of its rows were "
                 "read, because old and new ones would mix",
                 next="load the data set again",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 from tactile_toolkit.builtin_values import is_integer, to_builtin_number
 from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.errors import InputError, needs_extra
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.read.dataset import RecordDataset
 from tactile_toolkit.read.order import GlobalOrder, Prefetcher, RankSampler
 
@@ -213,7 +214,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         finally:
             ahead.close()
 
-    def state_dict(self) -> dict[str, Any]:
+    def state_dict(self) -> JsonDict:
         """Return the state of this process in its pass, for ``StatefulDataLoader``.
 
         A job saves ``state_dict()`` of the ``StatefulDataLoader``, because workers are ahead of the job;
@@ -236,7 +237,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
             )
         return {**self._identity, **(self._current or self._planned(0)), **self._division(worker)}
 
-    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+    def load_state_dict(self, state_dict: JsonObject) -> None:
         """Resume a pass, on any number of ranks and workers.
 
         Parameters
@@ -278,7 +279,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._set(epoch, reached)
 
     @property
-    def _identity(self) -> dict[str, Any]:
+    def _identity(self) -> JsonDict:
         return {_FORMAT: _VERSION, "order": self._order.fingerprint}
 
     def _planned(self, row: int) -> dict[str, int]:
@@ -290,7 +291,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         workers = 0 if worker is None else worker.num_workers
         return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
 
-    def _reached(self, states: Sequence[Mapping[str, Any]], further_batches: int) -> tuple[int, int]:
+    def _reached(self, states: Sequence[JsonObject], further_batches: int) -> tuple[int, int]:
         """Return epoch and number of items that all ranks have received, from the states of all workers."""
         first = states[0]
         workers = max(first["workers"], 1)
@@ -320,7 +321,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         )
 
 
-def _holding(key: str, found: Any) -> Iterator[Mapping[str, Any]]:
+def _holding(key: str, found: object) -> Iterator[JsonObject]:
     """Yield nested mappings with a key, in order: loaders nest our states in theirs."""
     if isinstance(found, Mapping):
         if key in found:

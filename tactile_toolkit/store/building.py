@@ -15,30 +15,21 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Unpack
 
-from tactile_toolkit.errors import BusyError, InputError, IntegrityError, StorageError, ToolkitError
+from tactile_toolkit import errors
 from tactile_toolkit.run import runner_for
-from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, DataFolder
+from tactile_toolkit.store import data_folder, parquet, pending, replacing, run_options
 from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
 from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
-from tactile_toolkit.store.parquet import REPORT_STYLE, ParquetStyle, encode_parquet, sha256_hex
-from tactile_toolkit.store.pending import (
-    pending_records,
-    remove_leftovers,
-    remove_pending,
-    write_shard_record,
-)
 from tactile_toolkit.store.plan import BuildPlan
-from tactile_toolkit.store.replacing import prepare_next, promote, require_replaceable, resume_promotion
 from tactile_toolkit.store.reports import merge_reports
-from tactile_toolkit.store.run_options import Progress, RunKeywords, RunOptions
 from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
 from tactile_toolkit.store.task import AnyTask
 
 _CAUSES_SHOWN = 3
 
-WriteCard = Callable[[DataFolder, Manifest], None]
+WriteCard = Callable[[data_folder.DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
 
 
@@ -46,25 +37,25 @@ WriteCard = Callable[[DataFolder, Manifest], None]
 class _WriteShard:
     """Make one shard of a job, and write it with its record; picklable."""
 
-    folder: DataFolder
+    folder: data_folder.DataFolder
     identity: str
-    style: ParquetStyle = field(repr=False)
+    style: parquet.ParquetStyle = field(repr=False)
     libraries: tuple[str, ...]
 
     def __call__(self, task: AnyTask) -> ShardRecord:
         """Write rows, then report rows, then further files, then the record that proves all of them."""
         folder, shard = self.folder, task.shard
         content = task.make()
-        data = content.encoded or encode_parquet(content.table, self.style)
+        data = content.encoded or parquet.encode_parquet(content.table, self.style)
         report = report_sha256 = report_bytes = None
         if content.report is not None:
-            report = encode_parquet(content.report, REPORT_STYLE)
-            report_sha256, report_bytes = sha256_hex(report), len(report)
+            report = parquet.encode_parquet(content.report, parquet.REPORT_STYLE)
+            report_sha256, report_bytes = parquet.sha256_hex(report), len(report)
         record = ShardRecord.of(
             shard,
             len(content.table),
             len(data),
-            sha256_hex(data),
+            parquet.sha256_hex(data),
             report_sha256=report_sha256,
             skipped=content.skipped,
             statistics=content.statistics,
@@ -79,16 +70,16 @@ class _WriteShard:
                 folder.write_bytes(shard.report_path, report)
             for path, further in content.files.items():
                 folder.write_bytes(path, further)
-            write_shard_record(folder, record, self.identity, report_bytes)
+            pending.write_shard_record(folder, record, self.identity, report_bytes)
         return record
 
 
 def build(
-    folder: DataFolder,
+    folder: data_folder.DataFolder,
     plan: BuildPlan,
     *,
     write_card: WriteCard | None = None,
-    **run: Unpack[RunKeywords],
+    **run: Unpack[run_options.RunKeywords],
 ) -> Manifest:
     """Make what is missing in the folder of the plan and return the manifest.
 
@@ -105,7 +96,7 @@ def build(
     MissingPartsError
         The set cannot be finished yet, or the runner has not made all shards; those that it made stay.
     """
-    options = RunOptions(**run)
+    options = run_options.RunOptions(**run)
     with _begun(folder, plan, options) as (job, hold):
         if _needs_no_lock(job, options):
             return job.manifest
@@ -116,13 +107,13 @@ def build(
             manifest = _finish(job, records, write_card)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
-                promote(folder)
+                replacing.promote(folder)
         return manifest
 
 
 @contextlib.contextmanager
 def _begun(
-    folder: DataFolder, plan: BuildPlan, options: RunOptions
+    folder: data_folder.DataFolder, plan: BuildPlan, options: run_options.RunOptions
 ) -> Iterator[tuple[BuildJob, contextlib.ExitStack]]:
     """Begin a job, in ``.next`` where it replaces a data set, and roll it back if it fails without a row.
 
@@ -133,21 +124,23 @@ def _begun(
     target, had_manifest = folder, True
     with contextlib.ExitStack() as hold:
         try:
-            resume_promotion(folder)
+            replacing.resume_promotion(folder)
             # Parts begin under the lock for shards: with many at once, the folder would never be free.
             with folder.locked(shared=options.part is not None):
-                is_replaced = options.overwrite and require_replaceable(folder, plan)
+                is_replaced = options.overwrite and replacing.require_replaceable(folder, plan)
                 if is_replaced and isinstance(folder, LocalFolder):
-                    target, existed = prepare_next(folder, plan), False
-                    hold.enter_context(locked(folder.local_path(NEXT_FOLDER), shared=True, patience_s=0.0))
+                    target, existed = replacing.prepare_next(folder, plan), False
+                    hold.enter_context(
+                        locked(folder.local_path(data_folder.NEXT_FOLDER), shared=True, patience_s=0.0)
+                    )
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
-            patience_s = 0.0 if isinstance(error, BusyError) else None
+            patience_s = 0.0 if isinstance(error, errors.BusyError) else None
             # The first error is the one to report, even if the disk does not let us remove anything.
-            with contextlib.suppress(ToolkitError, OSError), folder.locked(patience_s=patience_s):
+            with contextlib.suppress(errors.ToolkitError, OSError), folder.locked(patience_s=patience_s):
                 if options.is_whole:
                     _roll_back(target, plan, had_manifest)
                 hold.close()
@@ -156,22 +149,22 @@ def _begun(
             raise
 
 
-def _needs_no_lock(job: BuildJob, options: RunOptions) -> bool:
+def _needs_no_lock(job: BuildJob, options: run_options.RunOptions) -> bool:
     """Return whether a set in a store is finished, by names and sizes alone; manifests are written last."""
     if job.folder.is_local or options.check or job.remaining:
         return False
-    return job.manifest.complete and not job.folder.names(PENDING_FOLDER)
+    return job.manifest.complete and not job.folder.names(data_folder.PENDING_FOLDER)
 
 
-def _work(job: BuildJob, options: RunOptions) -> Iterator[ShardRecord]:
+def _work(job: BuildJob, options: run_options.RunOptions) -> Iterator[ShardRecord]:
     tasks = job.remaining
     sizes = {task.shard: task.size for task in tasks}
     done, total = 0, sum(sizes.values())
-    options.on_progress(Progress(done, total))
+    options.on_progress(run_options.Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
     for record in runner_for(options.workers).run(work, tasks):
         done += sizes[record.shard]
-        options.on_progress(Progress(done, total, record))
+        options.on_progress(run_options.Progress(done, total, record))
         yield record
 
 
@@ -182,7 +175,7 @@ def _finish_partial_run(job: BuildJob, records: Sequence[ShardRecord]) -> Manife
         listed = {record.shard for record in current.shards}
         if current.complete and all(task.shard in listed for task in job.tasks):
             with job.folder.locked(is_patient=True):
-                remove_leftovers(job.folder, require_same_job(job.folder, job.manifest.identity))
+                pending.remove_leftovers(job.folder, require_same_job(job.folder, job.manifest.identity))
             return current
     _require_records(job, records)
     return replace(job.manifest.with_shards(records), complete=False)
@@ -213,15 +206,15 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
     if current != finished:
         write_manifest(folder, finished)
         if read_manifest(folder) != finished:
-            raise StorageError(
+            raise errors.StorageError(
                 f"{folder.address(MANIFEST_FILE)!r} is not what was written there a moment ago",
                 next="run the same command again, and check the disk",
             )
-    remove_leftovers(folder, finished)
+    pending.remove_leftovers(folder, finished)
     return finished
 
 
-def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
+def _roll_back(folder: data_folder.DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     """Roll back a run that failed before any row was written.
 
     Otherwise a run that cannot finish (scenes that do not fit, an unreadable source) would leave an empty
@@ -233,18 +226,18 @@ def _roll_back(folder: DataFolder, plan: BuildPlan, had_manifest: bool) -> None:
     if manifest.identity != plan.new_manifest().identity:
         return
     listed = {record.shard for record in manifest.shards}
-    pending = pending_records(folder, manifest.identity)
-    if any(record.rows for shard, record in pending.items() if shard not in listed):
+    recorded = pending.pending_records(folder, manifest.identity)
+    if any(record.rows for shard, record in recorded.items() if shard not in listed):
         return
     # Shards without rows are quickly made again.
-    for shard in pending.keys() - listed:
+    for shard in recorded.keys() - listed:
         for path in (shard.record_path, shard.report_path, shard.data_path):
             folder.remove(path)
     folder.remove_empty(DATA_FOLDER)
     if not had_manifest and not folder.names(DATA_FOLDER):
         folder.remove(MANIFEST_FILE)
-        remove_pending(folder)
-    folder.remove_empty(PENDING_FOLDER)
+        pending.remove_pending(folder)
+    folder.remove_empty(data_folder.PENDING_FOLDER)
 
 
 def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:
@@ -263,7 +256,7 @@ def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
     if skipped and not any(rows for rows, _ in shards):
         first = {item.reason: item.message for item in reversed(skipped)}
         causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
-        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(
+        raise (errors.IntegrityError if set(first) == {DAMAGED} else errors.InputError)(
             f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
             f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
             next="correct the source, or choose another one",

@@ -6,13 +6,14 @@ import contextlib
 import errno
 import os
 from abc import abstractmethod
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
 from pathlib import Path, PurePosixPath
-from typing import IO, Any, ClassVar, Protocol, TypeVar
+from typing import IO, ClassVar, Protocol, TypeVar
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import IntegrityError, StorageError
+from tactile_toolkit.json_types import JsonObject
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
@@ -71,7 +72,7 @@ class DataFolder(Protocol):
         return self.problem() or f"no {what} in {self.root!r}"
 
     @abstractmethod
-    def info(self, path: str) -> Mapping[str, Any] | None:
+    def info(self, path: str) -> JsonObject | None:
         """Return type and size of a file or folder, and values that change with it; None if there is none."""
 
     def exists(self, path: str = "") -> bool:

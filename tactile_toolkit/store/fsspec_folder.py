@@ -6,17 +6,21 @@ Objects appear whole; nothing is moved or locked, and no bucket is ever made.
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import IO, Any, ClassVar, TypeVar
+from typing import IO, TYPE_CHECKING, ClassVar, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store.addresses import scheme_of
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.files import named_failures, scratch_folder
 from tactile_toolkit.store.remote import ask_store, client_of, has_buckets, open_in_store
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 T = TypeVar("T")
 
@@ -32,7 +36,7 @@ class FsspecFolder(DataFolder):
         return FsspecFolder, (self.root,)  # without open connections
 
     @cached_property
-    def _client(self) -> Any:
+    def _client(self) -> AbstractFileSystem:
         return client_of(self.root)
 
     def _ask(self, action: Callable[[], T], doing: str, path: str, size_bytes: int = 0) -> T:
@@ -49,13 +53,13 @@ class FsspecFolder(DataFolder):
             return f"the bucket {bucket!r} of {self.root!r} does not exist"
         return ""
 
-    def info(self, path: str) -> Mapping[str, Any] | None:
+    def info(self, path: str) -> JsonObject | None:
         """Return type and size of a file or folder, and values that change with it; None if there is none."""
         return self._info(self._key(path), path)
 
-    def _info(self, key: str, path: str) -> Mapping[str, Any] | None:
+    def _info(self, key: str, path: str) -> JsonObject | None:
         with contextlib.suppress(FileNotFoundError):
-            found: Mapping[str, Any] = self._ask(lambda: self._client.info(key), "reading", path)
+            found: JsonObject = self._ask(lambda: self._client.info(key), "reading", path)
             return found
         return None
 
@@ -105,7 +109,7 @@ class FsspecFolder(DataFolder):
         with contextlib.suppress(FileExistsError):
             self._put(path, len(content), lambda key: self._client.pipe_file(key, content, **options))
 
-    def _in_one_request(self, content: bytes) -> dict[str, Any]:
+    def _in_one_request(self, content: bytes) -> JsonDict:
         """Return what keeps a killed writer from leaving pieces, which cost money and are not listed."""
         if scheme_of(self.root) == "s3":
             return {"chunksize": len(content) + 1}

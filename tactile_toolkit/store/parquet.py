@@ -72,7 +72,7 @@ def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: Parquet
     """
     digest = hashlib.sha256()
 
-    def write(content: bytes) -> None:
+    def write(content: Any) -> None:
         digest.update(content)
         stream.write(content)
 
@@ -228,7 +228,7 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
                 raise pa.ArrowInvalid("the footer does not match its checksum")
 
 
-def sha256_hex(content: bytes) -> str:
+def sha256_hex(content: Any) -> str:
     """Return the SHA-256 of bytes in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 

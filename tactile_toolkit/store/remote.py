@@ -16,11 +16,15 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from functools import partial
 from threading import Thread
-from typing import IO, Any, TypeVar, cast
+from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.addresses import scheme_of
+
+if TYPE_CHECKING:
+    from fsspec import AbstractFileSystem
 
 ASKED_WAIT_S = 120.0
 """Longest total time to wait because a server asks for it, seconds."""
@@ -167,7 +171,7 @@ def has_buckets(address: str) -> bool:
     return scheme_of(address) in _PACKAGES
 
 
-def client_of(address: str) -> Any:
+def client_of(address: str) -> AbstractFileSystem:
     """Return the client of a store; folders in the same kind of store share it in this process."""
     import fsspec
 
@@ -192,7 +196,7 @@ def client_of(address: str) -> Any:
     return client
 
 
-def _options(scheme: str) -> dict[str, Any]:
+def _options(scheme: str) -> JsonDict:
     """Return options for the client of a store: no listings are kept, because others write there, too."""
     if scheme == "hf":
         return {}  # a commit never changes
@@ -215,7 +219,7 @@ def ask_store(action: Callable[[], T], doing: str, address: str, size_bytes: int
     return with_retry(partial(in_time, action, size_bytes), failure, _WAITS_S, patience_s=_PATIENCE_S)
 
 
-def open_in_store(client: Any, key: str, address: str) -> IO[bytes]:
+def open_in_store(client: AbstractFileSystem, key: str, address: str) -> IO[bytes]:
     """Open a file for reading piece by piece; FileNotFoundError if there is none."""
     stream = ask_store(lambda: client.open(key, "rb", block_size=_READ_AHEAD_BYTES), "reading", address)
     # `tactile_toolkit.hub` has the messages for failures of the Hub.
@@ -228,7 +232,7 @@ class _Stream(io.BufferedIOBase):
     def __init__(self, stream: Any, address: str) -> None:
         super().__init__()
         self._stream, self._address = stream, address
-        self.details: Mapping[str, Any] | None = getattr(stream, "details", None)
+        self.details: JsonObject | None = getattr(stream, "details", None)
         self.seek, self.tell = stream.seek, stream.tell  # type: ignore[method-assign]
 
     def read(self, size: int | None = -1) -> bytes:

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 import msgspec
 
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.redaction import redact
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.store.data_folder import PENDING_FOLDER
@@ -130,7 +130,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
     sha256: Sha256
     report_sha256: Sha256 | None = None
     skipped: tuple[Skipped, ...] = ()
-    statistics: dict[str, Any] | None = None
+    statistics: JsonDict | None = None
     unpacked_bytes: Count = 0
     source_digest: Sha256 | None = None
 
@@ -152,9 +152,9 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
         """Return whether ``sizes``, those of the files in ``data``, has the shard's file with its size."""
         return sizes.get(self.file.rpartition("/")[2]) == self.bytes
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
-        values: dict[str, Any] = msgspec.to_builtins(self)
+        values: JsonDict = msgspec.to_builtins(self)
         for name in ("statistics", "source_digest"):
             if values[name] is None:
                 del values[name]
@@ -169,14 +169,14 @@ class Finding:
     problem: str
 
 
-def add_up(parts: Sequence[JsonObject]) -> dict[str, Any]:
+def add_up(parts: Sequence[JsonObject]) -> JsonDict:
     """Add the counts of several shards, key by key; lists add by index, a missing entry counts 0.
 
     Values are numbers, lists of numbers, or mappings of them by name; keys keep the order of their first
     occurrence.
     """
     names = dict.fromkeys(name for part in parts for name in part)
-    total: dict[str, Any] = {}
+    total: JsonDict = {}
     for name in names:
         values = [part[name] for part in parts if name in part]
         if isinstance(values[0], Mapping):

@@ -15,16 +15,8 @@ from typing import IO, NamedTuple
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import run
-from tactile_toolkit.errors import InputError, IntegrityError, UnfinishedError
-from tactile_toolkit.store.data_folder import DataFolder
-from tactile_toolkit.store.download_record import (
-    RECORD_FILE,
-    HubFile,
-    digest_algorithm,
-    digest_like,
-    read_download_record,
-)
+from tactile_toolkit import errors, run
+from tactile_toolkit.store import data_folder, download_record
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
 from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import named_damage, open_checked
@@ -50,11 +42,11 @@ class Verification:
 
 
 def verify(
-    folder: DataFolder,
+    folder: data_folder.DataFolder,
     schema: pa.Schema | None = None,
     on_file: Callable[[str], None] = lambda _: None,
     *,
-    check_card: Callable[[DataFolder], Iterable[Finding]] | None = None,
+    check_card: Callable[[data_folder.DataFolder], Iterable[Finding]] | None = None,
     workers: int = 1,
 ) -> Verification:
     """Check every checksum, row count, schema and the uniqueness of ids over all splits.
@@ -91,7 +83,7 @@ def verify(
         files, reference = _recorded_files(folder, manifest), MANIFEST_FILE
         findings = _incomplete(folder, manifest)
 
-    def announced() -> Iterator[HubFile]:
+    def announced() -> Iterator[download_record.HubFile]:
         for path, file in files.items():
             on_file(path)
             yield file
@@ -109,26 +101,30 @@ def verify(
     return Verification(len(files), rows, size, tuple(findings), reference)
 
 
-def _recorded_files(folder: DataFolder, manifest: Manifest) -> dict[str, HubFile]:
+def _recorded_files(folder: data_folder.DataFolder, manifest: Manifest) -> dict[str, download_record.HubFile]:
     """Return the files that a manifest lists, by path."""
-    files = {each.file: HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards}
+    files = {
+        each.file: download_record.HubFile(each.file, each.bytes, each.sha256) for each in manifest.shards
+    }
     for path, sha256 in manifest.files.items():
         # Files for the Hub's page may be left out, as in a cache of the rows alone; others may still arrive.
         is_required = manifest.complete and not path.startswith(f"{VIEWER_FOLDER}/")
         if is_required or folder.exists(path):
-            files[path] = HubFile(path, 0, sha256)
+            files[path] = download_record.HubFile(path, 0, sha256)
     return files
 
 
-def _downloaded_files(folder: DataFolder) -> tuple[dict[str, HubFile], list[Finding], str]:
+def _downloaded_files(
+    folder: data_folder.DataFolder,
+) -> tuple[dict[str, download_record.HubFile], list[Finding], str]:
     """Return the files that a download recorded, further files among the shards, and the commit."""
-    record = read_download_record(folder)
+    record = download_record.read_download_record(folder)
     if record is None:
-        raise InputError(
+        raise errors.InputError(
             folder.missing_message(f"{MANIFEST_FILE} and no record of a download"),
             next="give the folder of a generated or downloaded data set",
         )
-    findings = _unlisted(folder, record.files, RECORD_FILE)
+    findings = _unlisted(folder, record.files, download_record.RECORD_FILE)
     return record.files, findings, f"{record.repo_id} at {record.commit[:12]}"
 
 
@@ -141,7 +137,10 @@ class _Checked(NamedTuple):
 
 
 def _check_file(
-    folder: DataFolder, schema: pa.Schema | None, shards: Mapping[str, ShardRecord], file: HubFile
+    folder: data_folder.DataFolder,
+    schema: pa.Schema | None,
+    shards: Mapping[str, ShardRecord],
+    file: download_record.HubFile,
 ) -> _Checked:
     """Check the content of a file, and a shard also against its record and the schema."""
     path, address = file.path, folder.address(file.path)
@@ -159,7 +158,7 @@ def _check_file(
                 findings.append(Finding(path, "holds no column 'id' of one value for each row"))
             else:
                 ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
-    except IntegrityError as error:
+    except errors.IntegrityError as error:
         return _Checked([Finding(path, error.what)], 0 if record is None else record.rows)
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
@@ -176,7 +175,7 @@ def _check_file(
     return _Checked(findings, record.rows, ids)
 
 
-def problem_of_place(folder: DataFolder, path: str) -> str:
+def problem_of_place(folder: data_folder.DataFolder, path: str) -> str:
     """Return why a path is not a file of the folder itself; empty if it is.
 
     A link may lead to another file of the folder, or from a snapshot of the Hub's cache to its contents. No
@@ -195,7 +194,7 @@ def problem_of_place(folder: DataFolder, path: str) -> str:
     return "is not a file (it is a folder, a pipe or a device)"
 
 
-def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
+def _incomplete(folder: data_folder.DataFolder, manifest: Manifest) -> list[Finding]:
     """Find shards that a manifest lacks, and files that it does not list."""
     if not manifest.complete:  # a run may be about to record further shards
         return [Finding(MANIFEST_FILE, _not_finished(folder, manifest))]
@@ -210,22 +209,22 @@ def _incomplete(folder: DataFolder, manifest: Manifest) -> list[Finding]:
     return findings + _unlisted(folder, {record.file for record in manifest.shards}, MANIFEST_FILE, others)
 
 
-def require_finished(folder: DataFolder) -> None:
+def require_finished(folder: data_folder.DataFolder) -> None:
     """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
     manifest = manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
-        raise UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
+        raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
 
 
-def _not_finished(folder: DataFolder, manifest: Manifest) -> str:
-    record = read_download_record(folder)
+def _not_finished(folder: data_folder.DataFolder, manifest: Manifest) -> str:
+    record = download_record.read_download_record(folder)
     if record is not None:
         return f"not finished; next: download {record.repo_id} there again, it continues where it stopped"
     return f"not finished: {manifest.progress}; the same command continues"
 
 
 def _unlisted(
-    folder: DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
+    folder: data_folder.DataFolder, listed: Collection[str], where: str, others: Collection[str] = ()
 ) -> list[Finding]:
     """Find files in the data folder that are not listed, except those of other splits and hidden ones."""
     findings = []
@@ -238,19 +237,21 @@ def _unlisted(
 
 
 @contextlib.contextmanager
-def _intact(folder: DataFolder, file: HubFile) -> Iterator[IO[bytes]]:
+def _intact(folder: data_folder.DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
     """Open a file with this digest or size; IntegrityError states the problem of any other."""
     problem = problem_of_place(folder, file.path)
     if problem:
-        raise IntegrityError(problem)
+        raise errors.IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.
     with folder.open(file.path) if folder.is_local else io.BytesIO(folder.read_bytes(file.path)) as stream:
-        found = None if file.digest is None else digest_like(stream, file.digest)
+        found = None if file.digest is None else download_record.digest_like(stream, file.digest)
         if found != file.digest:
-            raise IntegrityError(f"{digest_algorithm(str(found))} is {found}, expected {file.digest}")
+            raise errors.IntegrityError(
+                f"{download_record.digest_algorithm(str(found))} is {found}, expected {file.digest}"
+            )
         size = stream.seek(0, io.SEEK_END)
         if file.digest is None and size != file.size_bytes:
-            raise IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
+            raise errors.IntegrityError(f"has {size:,} bytes, expected {file.size_bytes:,}")
         yield stream
 
 

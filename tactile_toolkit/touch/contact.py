@@ -44,7 +44,7 @@ def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False)
     return [f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."]
 
 
-def size_option(default: Any, shown: str = "") -> Any:
+def size_option(default: object, shown: str = "") -> Any:
     """Declare the option of the size of images, in pixels; ``shown`` is the default in help texts."""
     return text(
         default,

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import pyarrow as pa
 
 from tactile_toolkit import read
+from tactile_toolkit.json_types import JsonObject
 
 Kind = Literal["seq", "single"]
 MEDIA_COLUMN: dict[Kind, str] = {"seq": "sensor_video", "single": "sensor_image"}
@@ -28,7 +29,7 @@ def with_features(schema: pa.Schema, label_names: Sequence[str] | None) -> pa.Sc
     return schema.with_metadata(read.feature_metadata(features))
 
 
-def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> Mapping[str, Any]:
+def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | None) -> JsonObject:
     if name == "label" and label_names is not None:
         return read.label_feature(label_names)
     if read.list_depth(data_type)[0]:

@@ -444,9 +444,11 @@ def test_other_formats(
 ) -> None:
     asked: list[tuple[str, str]] = []
 
-    def findings(home: store.DataFolder, file: str) -> list[realtouch.Finding]:
+    def findings(home: store.DataFolder, file: str) -> list[realtouch.RecordingFinding]:
         asked.append((Path(home.address()).name, file))
-        return [realtouch.Finding("dtype", "uint8", "float32", "data/x", next="correct it")] * bool(file)
+        return [realtouch.RecordingFinding("dtype", "uint8", "float32", "data/x", next="correct it")] * bool(
+            file
+        )
 
     monkeypatch.setattr("cli.touch_checks._OXT_FINDINGS", findings)
     (tmp_path / "task.zip").write_bytes(b"zip")

@@ -16,7 +16,7 @@ import pytest
 import realtouch
 from realtouch.exchange.video_import import describe_conversion, encoded_frames, find_video
 from realtouch.importing.recordings import Recording, touches_of
-from realtouch.video import encoded_pictures, open_video
+from realtouch.video import open_video, pictures_of_video
 from tactile_toolkit.errors import InputError, ItemError, MissingExtraError
 from tactile_toolkit.store import open_folder
 from tactile_toolkit.touch import decode_image
@@ -77,7 +77,7 @@ def made(home: Path, name: str, count: int = COUNT) -> Path:
 
 def pictures_of(path: Path) -> list[bytes | ItemError]:
     folder = open_folder(str(path.parent))
-    return list(encoded_pictures(folder, path.name, range(len(open_video(folder, path.name)))))
+    return list(pictures_of_video(folder, path.name, range(len(open_video(folder, path.name)))))
 
 
 def recordings(home: Path, table: str | None = None, **columns: Any) -> list[Recording]:
@@ -111,10 +111,12 @@ def test_pictures_do_not_depend_on_how_they_are_divided(name: str, tmp_path: Pat
     path = made(tmp_path, name)
     folder, whole = open_folder(str(tmp_path)), pictures_of(path)
     for step in (1, 7, 15):
-        parts = [encoded_pictures(folder, name, range(COUNT)[at : at + step]) for at in range(0, COUNT, step)]
+        parts = [
+            pictures_of_video(folder, name, range(COUNT)[at : at + step]) for at in range(0, COUNT, step)
+        ]
         assert [each for part in parts for each in part] == whole
     for numbers in (range(0, COUNT, 3), [30, 31, 5, 6, 6, 39, 0], range(COUNT - 1, -1, -9)):
-        assert list(encoded_pictures(folder, name, numbers)) == [whole[number] for number in numbers]
+        assert list(pictures_of_video(folder, name, numbers)) == [whole[number] for number in numbers]
 
 
 @pytest.mark.parametrize("name", LOSSLESS)
@@ -279,7 +281,7 @@ def test_damage_of_a_picture_stays_in_its_group(name: str, tmp_path: Path) -> No
     assert lost
     assert max(lost) - min(lost) < 14, "pictures of other groups are whole"
     folder = open_folder(str(tmp_path))
-    parts = [encoded_pictures(folder, name, range(at, at + 5)) for at in range(0, COUNT, 5)]
+    parts = [pictures_of_video(folder, name, range(at, at + 5)) for at in range(0, COUNT, 5)]
     assert [str(each) for part in parts for each in part] == [str(each) for each in pictures]
 
 

@@ -1,0 +1,26 @@
+"""Types of what goes into environments and comes out of them, as gymnasium has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+from tactile_toolkit.array_types import AnyArray
+
+if TYPE_CHECKING:
+    import gymnasium as gym  # ids of environments are listed without it
+
+Space: TypeAlias = "gym.Space[Any]"
+"""The valid values of an action, an observation or a part of one."""
+
+Action: TypeAlias = Mapping[str, Any]
+"""Parts of an action by name: arrays, or further parts."""
+
+Observation: TypeAlias = dict[str, AnyArray]
+"""Parts of an observation by name."""
+
+Info: TypeAlias = dict[str, Any]
+"""What a step tells next to its observation; arrays, and dictionaries of them."""
+
+Options: TypeAlias = Mapping[str, Any]
+"""Options of a reset by name."""
