@@ -196,6 +196,10 @@ def _declaration(name: str, rule: Rule, default: Any) -> Any:
             value = text["read"](value)
         return check_value(replace(rule, expected=expected), value, label)
 
+    def complete(incomplete: str) -> list[str]:
+        """Return the words that shells offer, beside values of other forms."""
+        return [word for word in text.get("complete", ()) if word.startswith(incomplete)]
+
     settings: dict[str, Any] = {
         "help": text.get("help"),
         "metavar": metavar,
@@ -203,6 +207,8 @@ def _declaration(name: str, rule: Rule, default: Any) -> Any:
         "rich_help_panel": text.get("panel"),
         "callback": check,
     }
+    if "complete" in text:
+        settings["autocompletion"] = complete
     if is_argument:
         return typer.Argument(**settings)
     return typer.Option(*names, **settings)
