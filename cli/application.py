@@ -27,7 +27,7 @@ EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 
 # Line length of the help on wide terminals.
-_SETTINGS = {"max_content_width": 100}
+_SETTINGS: dict[str, Any] = {"max_content_width": 100, "help_option_names": ["--help", "-h"]}
 # Headings of the help, by type of parameter.
 _PANELS = {"argument": "Arguments", "option": "Options"}
 
@@ -117,20 +117,23 @@ class _Command(TyperCommand):
         return f"{option or first}{space}{rest}"
 
 
-def command(app: typer.Typer, name: str | None = None, **known: Any) -> Callable[[F], F]:
+def command(
+    app: typer.Typer, name: str | None = None, *, asks_hub: bool = True, **known: Any
+) -> Callable[[F], F]:
     """Return a decorator that adds a function as a command, by its own name or another one.
 
     The default of a parameter declares its option, as in `tactile_toolkit.checked_fields`. A parameter whose
     type is a dataclass is a group of options, and the function gets the object; if it is marked with
     :class:`OptionsOf`, the function gets a dict of the options that were given. The function also gets those
-    ``known`` arguments that it has parameters for. All parameters are keyword-only.
+    ``known`` arguments that it has parameters for. All parameters are keyword-only. A command that never asks
+    the Hub has no ``--token``.
     """
 
     def add(function: F) -> F:
         # The whole first paragraph: Typer would cut it to one line of the list of commands.
         summary = (function.__doc__ or "").partition("\n\n")[0]
         settings = {"cls": _Command, "short_help": summary, "context_settings": _SETTINGS}
-        app.command(name, **settings)(with_options(function, known))  # type: ignore[arg-type]
+        app.command(name, **settings)(with_options(function, known, asks_hub=asks_hub))  # type: ignore[arg-type]
         return function
 
     return add

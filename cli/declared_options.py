@@ -65,8 +65,13 @@ Version = Annotated[
 _TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face Hub, in place of HF_TOKEN.")
 
 
-def with_options(function: Callable[..., None], known: Mapping[str, object]) -> Callable[..., None]:
-    """Return a function for Typer, which takes each field of an option group as an option."""
+def with_options(
+    function: Callable[..., None], known: Mapping[str, object], *, asks_hub: bool
+) -> Callable[..., None]:
+    """Return a function for Typer, which takes each field of an option group as an option.
+
+    One that may ask the Hub has ``--token``.
+    """
     # Annotations are strings. Those of a group name types of its own module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
     taken = inspect.signature(function).parameters
@@ -95,7 +100,8 @@ def with_options(function: Callable[..., None], known: Mapping[str, object]) -> 
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
         for name, hint in eager.items()
     ]
-    parameters = [context, *options, _parameter("token", _TOKEN), *global_options]
+    token = [_parameter("token", _TOKEN)] * asks_hub
+    parameters = [context, *options, *token, *global_options]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {
         name: each.annotation for name, each in inspect.signature(call).parameters.items()
@@ -190,6 +196,10 @@ def _declaration(name: str, rule: Rule, default: object) -> Any:
             value = text["read"](value)
         return check_value(replace(rule, expected=expected), value, label)
 
+    def complete(incomplete: str) -> list[str]:
+        """Return the words that shells offer, beside values of other forms."""
+        return [word for word in text.get("complete", ()) if word.startswith(incomplete)]
+
     settings: dict[str, Any] = {
         "help": text.get("help"),
         "metavar": metavar,
@@ -197,6 +207,8 @@ def _declaration(name: str, rule: Rule, default: object) -> Any:
         "rich_help_panel": text.get("panel"),
         "callback": check,
     }
+    if "complete" in text:
+        settings["autocompletion"] = complete
     if is_argument:
         return typer.Argument(**settings)
     return typer.Option(*names, **settings)

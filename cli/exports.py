@@ -57,6 +57,7 @@ class ExportOptions:
     )
     plate: str | None = text(
         metavar="256x256|prusa-mk4",
+        complete=tuple(printing.BEDS_MM),
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
     calibration_plate: bool = switch(

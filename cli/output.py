@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 import shutil
 import sys
@@ -36,7 +37,7 @@ class Sink:
     def document(self, content: Any) -> None:
         """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:
-            sys.stdout.write(printable_json(content) + "\n")
+            sys.stdout.write(_encodable(printable_json(content)) + "\n")
 
     def line(self, text: str = "") -> None:
         """Print a line of the result."""
@@ -87,6 +88,15 @@ class Sink:
             quiet_s = math.inf
         with shown_progress(what, unit, quiet_s) as update:
             yield update
+
+
+def _encodable(document: str) -> str:
+    """Return a JSON document with its own escapes of what the encoding of stdout lacks."""
+    try:
+        document.encode(sys.stdout.encoding or "utf-8")
+    except UnicodeEncodeError:
+        return json.dumps(json.loads(document), indent=2)
+    return document
 
 
 def _cell(value: object) -> str:

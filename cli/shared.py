@@ -35,6 +35,9 @@ _COMMANDS: dict[str, Any] = {
     "export": export,
 }
 
+_LOCAL = ("cache",)
+"""Commands that never ask the Hub."""
+
 
 def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
     """Add the shared commands to the application of a kind.
@@ -44,4 +47,4 @@ def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], *
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:
-            command(app, name, kind=kind, **known)(function)
+            command(app, name, asks_hub=name not in _LOCAL, kind=kind, **known)(function)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import os
 import sys
 from collections.abc import Callable
@@ -14,6 +15,22 @@ from tactile_toolkit.errors import (
 
 # 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
 _EXIT_CLOSED_PIPE = 141
+# What stands for characters that an encoding lacks, such as the code page of a console; others are escaped.
+_IN_ASCII = str.maketrans(
+    {"─": "-", "━": "#", "…": "...", "µ": "u", "\N{MULTIPLICATION SIGN}": "x", "²": "^2", "³": "^3"}
+    | {"°": " deg", "±": "+-", "→": "->", "\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-"}
+)
+
+
+def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:
+    """Return what is written for characters that a stream cannot encode, and where to continue."""
+    if not isinstance(error, UnicodeEncodeError):
+        raise error
+    text = error.object[error.start : error.end].translate(_IN_ASCII)
+    return text.encode("ascii", "backslashreplace").decode(), error.end
+
+
+codecs.register_error("tactile_toolkit.ascii", _in_ascii)
 
 
 class _Output:
@@ -26,6 +43,8 @@ class _Output:
     def __init__(self, stream: Any) -> None:
         # Python's stream is None if the caller closed it.
         self._stream = stream or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
+        if hasattr(self._stream, "reconfigure"):  # not of streams that take text in memory
+            self._stream.reconfigure(errors="tactile_toolkit.ascii")
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._stream, name)

@@ -79,11 +79,14 @@ def cache_folder() -> Path:
 @cache
 def _temporary_cache() -> Path:
     """Return a private cache folder in the system's temporary folder, and warn once."""
-    path = Path(tempfile.gettempdir()) / f"tactile-toolkit-{os.getuid()}"
+    # Windows has no numbers of users; its folder for temporary files belongs to one.
+    user = getattr(os, "getuid", lambda: 0)()
+    path = Path(tempfile.gettempdir()) / f"tactile-toolkit-{user}"
     path.mkdir(mode=0o700, exist_ok=True)
     found = path.lstat()
     # Files of another user would be read as data; a link leads anywhere.
-    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+    is_open_to_others = os.name != "nt" and bool(found.st_mode & 0o077)
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != user or is_open_to_others:
         path = Path(tempfile.mkdtemp(prefix="tactile-toolkit-"))
     warnings.warn(
         f"no home folder is known: the cache is {str(path)!r}; next: set {CACHE_VARIABLE} to another folder",

@@ -29,7 +29,7 @@ class OptionText(TypedDict, total=False):
 
     ``name`` replaces ``--NAME-OF-THE-FIELD``, ``shown`` is the text of a default that follows from others,
     ``panel`` is a section of the help, ``read`` converts the text to a value. An ``argument`` is positional;
-    with ``several`` it may be repeated.
+    with ``several`` it may be repeated. Shells offer the words of ``complete``.
     """
 
     argument: bool
@@ -40,6 +40,7 @@ class OptionText(TypedDict, total=False):
     several: bool
     shown: str
     read: Callable[[str], Any]
+    complete: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)

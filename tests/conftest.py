@@ -75,6 +75,21 @@ _LONG = (
 _SECOND_HALF = ("tests/realtouch", "tests/tactile_toolkit", "tests/unchanged")
 
 
+# Windows lets most users make no symbolic links.
+_NO_PRIVILEGE = 1314
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call() -> Generator[None, Any, Any]:
+    """Skip a test that makes a symbolic link where the user may make none."""
+    try:
+        return (yield)
+    except OSError as error:
+        if getattr(error, "winerror", None) == _NO_PRIVILEGE:
+            pytest.skip("this user may make no symbolic links")
+        raise
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Leave one case of each test that asks for it to the desk, and begin with the longest tests.

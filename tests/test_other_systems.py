@@ -5,6 +5,7 @@ Python runs without the modules and functions missing on Windows, and without ``
 
 from __future__ import annotations
 
+import ast
 import json
 import os
 import re
@@ -140,3 +141,78 @@ with locked(Path({str(tmp_path / "lock")!r})):
         with pytest.raises(subprocess.TimeoutExpired):
             other.communicate(timeout=1)
     assert other.communicate()[0] == "got it\n"
+
+
+def test_every_test_file_is_collected_on_every_system() -> None:
+    """A test that needs a module of some systems asks with ``pytest.importorskip``, or in its process."""
+    asked = {
+        path.relative_to(ROOT).as_posix()
+        for path in (ROOT / "tests").rglob("*.py")
+        if (names := _imports(path) & {*POSIX_MODULES, "termios", "tty", "msvcrt"})
+        for node in ast.parse(path.read_text(encoding="utf-8")).body
+        if isinstance(node, ast.Import) and names & {each.name for each in node.names}
+    }
+    assert not asked
+
+
+@pytest.mark.parametrize("encoding", ["cp1252", "ascii", "cp437", "utf-8"])
+def test_output_fits_every_encoding(tmp_path: Path, encoding: str) -> None:
+    """A stream that is no console has an encoding of its own; what it lacks is written in ASCII."""
+    code = """
+import sys
+from cli import application
+from cli.output import Sink
+app = application.new_app("told", "Tells.")
+@application.command(app)
+def tell(*, sink: Sink) -> None:
+    "Tell."
+    sink.document({"name": "\\u03b1 \\u4e2d\\U0001f9ff"})
+    sink.table(["name", "size \\u2192 \\u00b5m"], [["\\u03b1", 1]])
+    sink.warn("3 \\u00d7 4 mm\\u2026 \\u4e2d")
+application.run(app)
+"""
+    printed = {}
+    for option in ("--json", "--debug"):
+        printed[option] = subprocess.run(
+            [sys.executable, "-c", code, "tell", option],
+            cwd=ROOT,
+            env={**os.environ, "PYTHONIOENCODING": encoding},
+            capture_output=True,
+            check=False,
+        )
+        assert printed[option].returncode == 0, printed[option].stderr
+    document = json.loads(printed["--json"].stdout.decode(encoding))
+    assert document == {"name": "\u03b1 \u4e2d\U0001f9ff"}
+    table, told = (getattr(printed["--debug"], each).decode(encoding) for each in ("stdout", "stderr"))
+    if encoding == "utf-8":
+        assert "\u2500\u2500" in table
+        assert "\u03b1" in table
+    if encoding == "ascii":
+        assert table.splitlines() == ["name  size -> um", "----  ---------", r"\u03b1             1"]
+        assert told == "3 x 4 mm... \\u4e2d\n"
+
+
+def test_a_file_is_flushed_as_windows_wants_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Windows flushes no file that was opened for reading."""
+    from tactile_toolkit import store
+
+    fcntl = pytest.importorskip("fcntl")
+    modes = []
+    monkeypatch.setattr(
+        "os.fsync", lambda handle: modes.append(fcntl.fcntl(handle, fcntl.F_GETFL) & os.O_RDWR)
+    )
+    monkeypatch.setattr("tactile_toolkit.store.files._FLUSHABLE", os.O_RDWR)
+    (tmp_path / "file").write_bytes(b"x")
+    store.sync_file(tmp_path / "file")
+    assert modes == [os.O_RDWR]
+    assert (tmp_path / "file").read_bytes() == b"x"
+
+
+def test_no_more_workers_than_windows_waits_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tactile_toolkit.run import processes
+
+    monkeypatch.setattr(processes.sys, "platform", "win32")
+    assert processes._most_workers(100) == 61
+    assert processes._most_workers(4) == 4
+    monkeypatch.setattr(processes.sys, "platform", "linux")
+    assert processes._most_workers(100) == 100

@@ -279,8 +279,7 @@ class HubRepository:
             doing = f"fetching {path!r} of"
             place = Path(call_with_retry(fetch, self.repo_id, doing, on_wait=self.on_wait))
             if store.has_digest(place, digest):
-                with place.open("rb") as stream:
-                    os.fsync(stream.fileno())  # a power cut must not empty a file that counts as intact
+                store.sync_file(place)  # a power cut must not empty a file that counts as intact
                 count(file.size_bytes)
                 return place
             # Also the target of its link in the cache: damaged content must not be found again.

@@ -27,6 +27,7 @@ from .physics import (
     Physics as Physics,
 )
 from .plate_spec import (
+    BEDS_MM as BEDS_MM,
     PlateSpec as PlateSpec,
 )
 from .plates import (

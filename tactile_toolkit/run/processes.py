@@ -19,7 +19,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from functools import cache, lru_cache
 from itertools import islice
-from multiprocessing.connection import Connection, wait
+from multiprocessing.connection import wait
 from multiprocessing.process import BaseProcess
 from queue import SimpleQueue
 from typing import Any, Protocol, TypeVar
@@ -30,6 +30,13 @@ from tactile_toolkit.system import usable_cores, working_folder
 
 # Each takes about 300 MB of memory.
 _MOST_FREE_WORKERS = 16
+# Windows waits for at most 63 handles at a time, of which Python needs some.
+_MOST_WAITED_FOR = {"win32": 61}
+
+if sys.platform == "win32":
+    from multiprocessing.connection import PipeConnection as Connection
+else:
+    from multiprocessing.connection import Connection
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -101,9 +108,10 @@ class ProcessRunner:
         workers: dict[Connection, BaseProcess] = {}  # by our end of the pipe
         held: dict[Connection, tuple[T, int]] = {}  # the task of each worker, and which attempt it is
         answers: list[bytes] = []
+        most = _most_workers(self.workers)
         try:
             while True:
-                while len(workers) < min(self.workers, len(waiting) + len(held)):
+                while len(workers) < min(most, len(waiting) + len(held)):
                     pipe, process = _start_worker(called, is_main_needless)
                     workers[pipe] = process
                 for pipe in list(islice(workers.keys() - held.keys(), len(waiting))):
@@ -150,6 +158,11 @@ def free_workers() -> int:
     if multiprocessing.current_process().daemon:
         return 1
     return min(usable_cores(), _MOST_FREE_WORKERS)
+
+
+def _most_workers(wanted: int) -> int:
+    """Return how many of the workers the system can wait for at a time."""
+    return min(wanted, _MOST_WAITED_FOR.get(sys.platform, wanted))
 
 
 def _start_worker(function: bytes, is_main_needless: bool) -> tuple[Connection, BaseProcess]:

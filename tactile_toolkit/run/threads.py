@@ -57,17 +57,16 @@ def limit_threads() -> None:
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
     # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
-    # that the process may use.
-    if not hasattr(os, "sched_setaffinity"):
-        return
-    allowed = os.sched_getaffinity(0)
-    os.sched_setaffinity(0, {min(allowed)})
-    try:
-        import manifold3d
+    # that the process may use. Other systems cannot be told which.
+    if sys.platform == "linux" and hasattr(os, "sched_setaffinity"):
+        allowed = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {min(allowed)})
+        try:
+            import manifold3d
 
-        manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
-    finally:
-        os.sched_setaffinity(0, allowed)
+            manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
+        finally:
+            os.sched_setaffinity(0, allowed)
 
 
 def keep_memory() -> None:

@@ -35,6 +35,7 @@ from .files import (
     remove_drafts as remove_drafts,
     resource_shortage as resource_shortage,
     scratch_folder as scratch_folder,
+    sync_file as sync_file,
     write_file as write_file,
 )
 from .foreign_files import (

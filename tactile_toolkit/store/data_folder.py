@@ -8,12 +8,13 @@ import os
 from abc import abstractmethod
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import IO, ClassVar, Protocol, TypeVar
 
 from tactile_toolkit import run
 from tactile_toolkit.errors import IntegrityError, StorageError
 from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.store.names import leads_elsewhere
 
 PENDING_FOLDER = ".pending"
 """Holds the records and report rows of finished shards until the manifest has them."""
@@ -58,8 +59,7 @@ class DataFolder(Protocol):
         """
         if not path:
             return self.root
-        # Most paths have no dots: splitting the paths of 50,000 files takes a while.
-        if path.startswith("/") or "\0" in path or (".." in path and ".." in PurePosixPath(path).parts):
+        if leads_elsewhere(path):
             raise StorageError(f"{path!r} leads out of {self.root!r} or is not a path; nothing was done")
         return f"{self.root}/{path}"
 

@@ -23,6 +23,8 @@ T = TypeVar("T")
 
 _TRIES = 10
 _BUFFER_BYTES = 1 << 13
+# How a file is opened to be flushed: Windows flushes only what may be written.
+_FLUSHABLE = {"nt": os.O_RDWR}.get(os.name, os.O_RDONLY)
 _OF_THE_PROCESS = (errno.EMFILE, errno.ENFILE, errno.ENOMEM, errno.EINTR)
 
 
@@ -119,6 +121,15 @@ def open_regular(path: str | Path, below: Path | None = None) -> IO[bytes]:
             f"{str(path)!r} is not a file (it is a pipe or a device); nothing was read from it"
         )
     return stream
+
+
+def sync_file(path: Path) -> None:
+    """Flush a file to the disk, so that a power cut does not empty it."""
+    handle = os.open(path, _FLUSHABLE)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)
 
 
 def sync_folder(folder: Path) -> None:

@@ -56,7 +56,7 @@ def read_inside(folder: DataFolder, path: str, size: int, known: set[str] | None
     parent = path.rpartition("/")[0]
     if folder.is_local and no_link and known is not None and (not parent or parent in known):
         with suppress(OSError):  # of a link, or of what is no file: the other way says what it is
-            handle = os.open(folder.address(path), os.O_RDONLY | no_link | os.O_NONBLOCK)
+            handle = os.open(folder.address(path), os.O_RDONLY | no_link | getattr(os, "O_NONBLOCK", 0))
             try:
                 content = os.read(handle, size) if stat.S_ISREG(os.fstat(handle).st_mode) else b""
             finally:

@@ -10,6 +10,7 @@ import errno
 import os
 import shlex
 import socket
+import sys
 import time
 from collections.abc import Iterator
 from importlib import import_module
@@ -22,7 +23,7 @@ from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.files import open_regular
 
 LOCK_FILE = ".lock"
-"""Marks a folder as held if the system or the file system has no locks of folders."""
+"""Is locked in place of its folder, or marks it as held, where the system has no locks of folders."""
 PATIENCE_S = 60.0
 """How long to wait for a lock, seconds; a stopped process (Ctrl-Z) never releases the one it holds."""
 
@@ -30,6 +31,8 @@ _LOOK_AGAIN_S = 0.02
 _STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # process states of Linux
 _LONGEST_NOTE_BYTES = 300
 _LONGEST_COMMAND = 60
+# Windows lets nobody read a byte that is locked: the one that is lies behind the name of the holder.
+_LOCKED_BYTE = 1 << 20
 
 
 @contextlib.contextmanager
@@ -39,9 +42,9 @@ def locked(
     """Wait for the lock of a file, which is created, or of an existing folder, and hold it.
 
     The lock belongs to the open file: threads wait for one another too, and a killed process releases it. Any
-    number of processes hold it ``shared`` at once, if the system supports that. A folder that cannot be
-    locked is held by a file in it, which a killed process leaves behind; a file that cannot be locked is not
-    waited for.
+    number of processes hold it ``shared`` at once, except on Windows, which knows no such locks. There a
+    folder is locked by a file in it. A folder of a file system without locks is held by a file that a killed
+    process leaves behind; a file that cannot be locked is not waited for.
 
     Raises BusyError, which names the holder, after ``patience_s`` (:data:`PATIENCE_S` by default); with
     ``is_patient`` it waits on while the holder is known to be at work. Raises OSError if the file cannot be
@@ -97,11 +100,12 @@ def _holders_of(path: Path) -> list[_Holder]:
         ):
             pid, host = note.read(_LONGEST_NOTE_BYTES).decode().split()
             return [_Holder(str(int(pid)), host)]
-        found = path.stat()
-        name = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
-        # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; of one who waits, "1: -> FLOCK ...".
-        lines = [line.split() for line in Path("/proc/locks").read_text().splitlines()]
-        return [_Holder(line[4], socket.gethostname()) for line in lines if line[1::4] == ["FLOCK", name]]
+        if sys.platform == "linux":
+            found = path.stat()
+            name = f"{os.major(found.st_dev):02x}:{os.minor(found.st_dev):02x}:{found.st_ino}"
+            # A line is "1: FLOCK  ADVISORY  WRITE 4711 fe:00:2146526 0 EOF"; of who waits, "1: -> FLOCK ...".
+            lines = [line.split() for line in Path("/proc/locks").read_text(encoding="ascii").splitlines()]
+            return [_Holder(line[4], socket.gethostname()) for line in lines if line[1::4] == ["FLOCK", name]]
     return []
 
 
@@ -112,10 +116,9 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
     if stopped:
         state = ", which was stopped,"
         first = f"continue it (kill -CONT {stopped[0].pid})"
-    left = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
     then = ""
-    if (path / LOCK_FILE).exists():
-        then = left
+    if (path / LOCK_FILE).exists() and _module("msvcrt") is None:
+        then = f", or remove {str(path / LOCK_FILE)!r} if no process is at work there"
     waited = ""
     if patience_s:
         waited = f", and has done so for {patience_s:.0f} s"
@@ -128,42 +131,85 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
 @contextlib.contextmanager
 def _locked_now(path: Path, shared: bool) -> Iterator[None]:
     fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
-    needs_file = is_folder and fcntl is None  # Windows opens no folders
     with contextlib.ExitStack() as stack:
-        if not needs_file:
-            handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
-            stack.callback(os.close, handle)
-            try:
-                if fcntl is not None:
-                    fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
-                    # Not left to closing: a forked child may have the file open, too.
-                    stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
-                elif msvcrt is not None:
-                    msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
-            except OSError as error:
-                if isinstance(error, BlockingIOError) or fcntl is None:
-                    raise BlockingIOError from error
-                needs_file = is_folder
-            if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
-                raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
-        if needs_file:
+        has_locks = msvcrt is not None
+        if fcntl is not None:
+            has_locks = _lock_handle(path, fcntl, shared, stack)
+        elif has_locks:
+            stack.enter_context(_lock_byte(path, msvcrt))
+        if is_folder and not has_locks:
             stack.enter_context(_lock_file(path / LOCK_FILE))
         yield
+
+
+def _lock_handle(path: Path, fcntl: Any, shared: bool, stack: contextlib.ExitStack) -> bool:
+    """Lock a file or folder until the stack ends; return whether its file system has locks."""
+    is_folder = path.is_dir()
+    handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
+    stack.callback(os.close, handle)
+    has_locks = True
+    try:
+        fcntl.flock(handle, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+        # Not left to closing: a forked child may have the file open, too.
+        stack.callback(fcntl.flock, handle, fcntl.LOCK_UN)
+    except BlockingIOError:
+        raise
+    except OSError:
+        has_locks = False
+    if is_folder and not os.path.samestat(os.fstat(handle), path.stat()):
+        raise FileNotFoundError(errno.ENOENT, os.strerror(errno.ENOENT), str(path))
+    return has_locks
+
+
+@contextlib.contextmanager
+def _lock_byte(path: Path, msvcrt: Any) -> Iterator[None]:
+    """Lock a byte of a file, or of one in a folder, as on Windows, which frees those of killed processes."""
+    is_folder = path.is_dir()
+    file = path
+    if is_folder:
+        file = path / LOCK_FILE
+    handle = -1
+    try:
+        handle = os.open(file, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOINHERIT", 0), 0o666)
+        os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
+        msvcrt.locking(handle, msvcrt.LK_NBLCK, 1)
+    except OSError as error:
+        if handle >= 0:
+            os.close(handle)
+        if isinstance(error, PermissionError):  # another holds it, or is removing the file
+            raise BlockingIOError(error.errno, error.strerror) from error
+        raise
+    try:
+        if is_folder:
+            os.lseek(handle, 0, os.SEEK_SET)
+            os.write(handle, _note().ljust(_LONGEST_NOTE_BYTES).encode())
+        yield
+    finally:
+        os.lseek(handle, _LOCKED_BYTE, os.SEEK_SET)
+        with contextlib.suppress(OSError):
+            msvcrt.locking(handle, msvcrt.LK_UNLCK, 1)
+        os.close(handle)
+        if is_folder:
+            with contextlib.suppress(OSError):  # another has opened it already
+                file.unlink()
 
 
 @contextlib.contextmanager
 def _lock_file(path: Path) -> Iterator[None]:
     try:
-        with path.open("x") as note:
-            note.write(f"{os.getpid()} {socket.gethostname()}\n")
-    except (FileExistsError, PermissionError) as error:  # Windows refuses what is being removed
-        if isinstance(error, PermissionError) and os.name != "nt":
-            raise
+        with path.open("x", encoding="utf-8") as note:
+            note.write(_note())
+    except FileExistsError as error:
         raise BlockingIOError from error
     try:
         yield
     finally:
         path.unlink(missing_ok=True)
+
+
+def _note() -> str:
+    """Return how a lock file names its holder."""
+    return f"{os.getpid()} {socket.gethostname()}\n"
 
 
 def _module(name: str) -> Any:

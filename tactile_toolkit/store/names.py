@@ -13,9 +13,9 @@ from tactile_toolkit.wording import shortened
 _LONGEST_BYTES = 1024
 # File systems take 255 bytes; while a file is written, its name has a prefix.
 _LONGEST_PART_BYTES = 150
-_DRIVE = re.compile("[A-Za-z]:")
-_PORTS = frozenset(f"{port}{number}" for port in ("com", "lpt") for number in "0123456789¹²³")
-_WINDOWS_DEVICES = _PORTS | {"con", "prn", "aux", "nul", "conin$", "conout$"}
+_DEVICE = r"(?:con|prn|aux|nul|conin\$|conout\$|(?:com|lpt)[0-9¹²³])\s*(?:[.:/]|\Z)"
+# One search for the whole path: an import asks for 50,000 of them.
+_ELSEWHERE = re.compile(rf"\A/|[\0\\]|(?:\A|/)(?:\.\.(?:/|\Z)|[a-z]:|{_DEVICE})", re.IGNORECASE)
 _SHOWN = 80
 _STEPS = frozenset({".", ".."})
 # Files that systems leave in folders and archives, in lower case; names with a leading dot are hidden anyway.
@@ -66,11 +66,17 @@ def _is_plain_part(part: str) -> bool:
     return not (
         part.startswith(".")
         or part.endswith((".", " "))
-        or "\\" in part
-        or _DRIVE.match(part)
-        or part.partition(".")[0].rstrip().casefold() in _WINDOWS_DEVICES
+        or leads_elsewhere(part)
         or not 0 < len(part.encode(errors="replace")) <= _LONGEST_PART_BYTES
     )
+
+
+def leads_elsewhere(path: str) -> bool:
+    """Return whether a path with slashes leads out of a folder, or to a drive or a device, on any system.
+
+    Windows takes a backslash for a slash, and some names for devices, in every folder and with every ending.
+    """
+    return _ELSEWHERE.search(path) is not None
 
 
 def names_inside(names: Iterable[object], where: str) -> tuple[str, ...]:

@@ -222,7 +222,9 @@ def test_shells_complete_commands_options_and_choices(package, monkeypatch, caps
     assert script.err == ""
     assert f"complete -o default -F _{name.replace('-', '_')}_completion {name}" in script.out
     monkeypatch.setenv(f"_{name.replace('-', '_').upper()}_COMPLETE", "complete_bash")
-    for line, word in ((f"{name} verif", "verify"), (f"{name} verify --j", "--json")):
+    lines = [(f"{name} verif", "verify"), (f"{name} verify --j", "--json")]
+    lines += [(f"{name} export --plate prusa-mk", "prusa-mk4")] * (name == "mnist3d")
+    for line, word in lines:
         monkeypatch.setenv("COMP_WORDS", line)
         monkeypatch.setenv("COMP_CWORD", str(line.count(" ")))
         assert call(name) == 0

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import logging
 import os
-import pty
 import re
 import subprocess
 from collections.abc import Iterator
@@ -19,6 +18,8 @@ from tests.hub_server import HubServer, hub
 from tests.processes import PATIENCE_S
 from tests.tactile_toolkit.exchange.upload_client import logged_in
 from tests.tactile_toolkit.hub.client import run_here, run_python, settings
+
+pty = pytest.importorskip("pty")
 
 NAME = "someone/stars"
 

@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
-import pty
 import re
 import struct
 import subprocess
 import sys
-import termios
 
 import pytest
 
@@ -17,6 +14,10 @@ from cli.nested_values import flat_lines
 from cli.output import Sink
 from tactile_toolkit.quantities import BYTES, bytes_text, duration_text, rate_text
 from tactile_toolkit.wording import did_you_mean
+
+fcntl = pytest.importorskip("fcntl")
+pty = pytest.importorskip("pty")
+termios = pytest.importorskip("termios")
 
 HEADER = ("mesh", "solid", "volume mm³", "size mm", "bodies", "thinnest wall mm", "findings")
 ROWS = [

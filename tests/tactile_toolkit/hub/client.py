@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import io
 import os
-import resource
 import subprocess
 import sys
 import time
@@ -15,11 +14,14 @@ from pathlib import Path
 from unittest import mock
 
 import huggingface_hub
+import pytest
 
 from tactile_toolkit.hub import calls
 from tests.forked import Forked, start_forked
 from tests.hub_server import HubServer
 from tests.processes import PATIENCE_S
+
+resource = pytest.importorskip("resource")  # so that what needs it is left out elsewhere
 
 __all__ = ["as_client", "forget_sessions", "run_here", "run_python", "settings", "start_here", "start_python"]
 

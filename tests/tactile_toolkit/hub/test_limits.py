@@ -5,7 +5,6 @@ from __future__ import annotations
 import gzip
 import inspect
 import json
-import resource
 import time
 from collections.abc import Iterator
 from pathlib import Path
@@ -20,6 +19,8 @@ from tests.hub_server import HubServer
 from tests.tactile_toolkit.hub import client
 from tests.tactile_toolkit.hub.client import run_here, settings
 from tests.tactile_toolkit.hub.sets import BIG, CONTENT, SHARD, fetch, script, two_sets
+
+resource = pytest.importorskip("resource")
 
 LISTING = f"/api/datasets/{BIG}*"
 

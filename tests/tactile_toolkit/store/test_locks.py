@@ -211,3 +211,61 @@ def test_a_stopped_download_keeps_no_other_waiting(tmp_path: Path, clock: Clock)
             assert "which was stopped, holds" in words
         assert 60 <= clock.now_s < 62
         assert Path(fetch(server, tmp_path, script(BIG))[0], SHARD).read_bytes() == CONTENT
+
+
+# As the C library of Windows: a lock of bytes of an open file, for one holder, which ends with its process.
+_MSVCRT = """
+import errno, fcntl, os, struct, types
+from tactile_toolkit.store import locks
+def locking(handle, mode, count):
+    kind = fcntl.F_UNLCK if mode == 0 else fcntl.F_WRLCK
+    start = os.lseek(handle, 0, os.SEEK_CUR)
+    try:
+        fcntl.fcntl(handle, fcntl.F_OFD_SETLK, struct.pack("hhqqi4x", kind, os.SEEK_SET, start, count, 0))
+    except BlockingIOError:
+        raise PermissionError(errno.EACCES, "Permission denied") from None
+windows = {"msvcrt": types.SimpleNamespace(locking=locking, LK_NBLCK=2, LK_UNLCK=0)}
+locks._module = windows.get
+"""
+
+
+@pytest.fixture
+def windows(monkeypatch: pytest.MonkeyPatch) -> None:
+    import fcntl
+
+    if not hasattr(fcntl, "F_OFD_SETLK"):
+        pytest.skip("asks Linux for locks that belong to an open file")
+    monkeypatch.setattr(locks, "_module", locks._module)  # so that it is undone
+    exec(_MSVCRT, {})
+
+
+@pytest.mark.parametrize("name", ["", "file"])
+def test_on_windows_an_open_file_is_locked(tmp_path: Path, windows: None, name: str) -> None:
+    place = tmp_path / name
+    for shared in (False, True):  # shared locks do not exist there
+        with locked(place, shared=shared):
+            with (
+                pytest.raises(BusyError, match="holds") as caught,
+                locked(place, patience_s=0, shared=shared),
+            ):
+                pytest.fail("two hold it")
+            if not name:
+                assert f"process {os.getpid()} on {socket.gethostname()}" in str(caught.value)
+            assert "or remove" not in str(caught.value)
+        assert [each.name for each in tmp_path.iterdir()] == [name] * bool(name)
+
+
+def test_on_windows_a_killed_process_leaves_no_lock(tmp_path: Path, windows: None) -> None:
+    program = [sys.executable, "-c", _MSVCRT + _HOLD, str(tmp_path), "alone"]
+    with subprocess.Popen(
+        program, cwd=Path(__file__).parents[3], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        with pytest.raises(BusyError, match=f"process {process.pid} "), locked(tmp_path, patience_s=0):
+            pytest.fail("two hold it")
+        process.kill()
+    assert (tmp_path / LOCK_FILE).exists(), "it leaves the file"
+    with locked(tmp_path, patience_s=0):
+        pass
+    assert list(tmp_path.iterdir()) == []

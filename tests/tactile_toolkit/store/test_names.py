@@ -219,7 +219,23 @@ def test_a_folder_does_nothing_outside_of_itself(tmp_path, action, remote):
     """The last line: even a name that was not checked leads nowhere."""
     folder = open_folder("memory://bucket/set" if remote else str(tmp_path / "set"))
     (tmp_path / "victim").write_text("years of work")
-    for path in ("../victim", "data/../../victim", str(tmp_path / "victim"), "data/x\0y"):
+    windows = (
+        r"..\victim",
+        r"data\..\..\victim",
+        "C:victim",
+        "data/c:/victim",
+        "NUL",
+        "data/com1.txt",
+        "Aux /x",
+    )
+    for path in (
+        "../victim",
+        "data/../../victim",
+        str(tmp_path / "victim"),
+        "data/x\0y",
+        "data/..",
+        *windows,
+    ):
         with pytest.raises(StorageError, match="leads out of"):
             action(folder, path)
     assert folder_bytes(tmp_path) == {"victim": b"years of work"}
