@@ -285,7 +285,7 @@ def draw_elements(axes: Any) -> list[Row]:
             target = (elements.DEPTH_M - (heights.max() - heights)).ravel()
             force_n, sunk_m = elements.elements(compliance, target, friction > 0)
             case = f"digit {patch[0]}, {words}: force"
-            found_rows.append(row(case, "finite elements", force_n, contact.force_n[2], "N", "3 %"))
+            found_rows.append(row(case, "finite elements", force_n, contact.force_n[2], "N", "2 %"))
             if patch == elements.PATCHES[0] and friction == 0:
                 line = int(contact.displacement_m[..., 2].std(1).argmax())
                 x = 1e3 * elements.PIXEL_M * np.arange(elements.COUNT)

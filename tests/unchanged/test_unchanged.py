@@ -31,7 +31,8 @@ RECORD = recorded()
 
 UNFROZEN = re.compile(r"^@dataclass\b(?!.*frozen=True).*\n(?:@.*\n)*class (\w+)", re.MULTILINE)
 CHANGING = {"_Run", "DiskCache", "_Object", "_Row", "MeshPool", "Section", "Fit"}
-"""Dataclasses that change: a training, a cache, part of a file, a row of a plate, a growing pool, a check, a fit."""
+"""Dataclasses that change: a training, a cache, part of a file, a row of a plate, a growing pool, a check, a
+fit."""
 
 
 @pytest.mark.parametrize("package", PACKAGES)
