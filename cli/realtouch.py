@@ -18,7 +18,6 @@ from cli.output import Sink
 from cli.previews import preview_touches
 from cli.runs import print_set
 from cli.shared import add_shared
-from cli.touch_calibration import calibrate_published
 from cli.touch_checks import check
 from cli.touch_conversions import (
     ClipsToImages,
@@ -43,6 +42,8 @@ app = new_app(
     "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
 )
 
+
+_calibrate_published = lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
 
 # How thoroughly `verify` checked images, by --quick.
 _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
@@ -174,7 +175,7 @@ def reproduce(
     place = opening.open(sink, name).require(KIND, "reproduce")
     announce_fetching(sink, place, None)
     if calibrate is not None:
-        calibrate_published(sink, place, solids, calibrate)
+        _calibrate_published(sink, place, solids, calibrate)
         return
     source = realtouch.Source.open(place)
     numbers = realtouch.paper_numbers(

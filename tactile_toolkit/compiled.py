@@ -26,13 +26,16 @@ _SETTINGS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 def compiled(function: F) -> F:
     """Compile on first use; kept next to the file or in the user's cache folder, where one can be written.
 
-    Of several processes, one compiles a function, and the others take what it has kept.
+    Of several processes, one compiles a function, and the others take what it has kept. A debugger sees plain
+    Python where ``NUMBA_DISABLE_JIT`` is set.
     """
     jit: Any = numba.njit
     try:
         kernel: Any = jit(cache=True, **_SETTINGS)(function)
     except RuntimeError:  # numba finds no folder for its cache
         return jit(**_SETTINGS)(function)  # type: ignore[no-any-return]
+    if kernel is function:  # where NUMBA_DISABLE_JIT is set
+        return function
     compile_or_load = kernel.compile
 
     def compile_once(signature: Any) -> Any:

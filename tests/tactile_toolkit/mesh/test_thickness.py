@@ -136,7 +136,7 @@ def test_a_thin_stroke_of_a_digit_is_found(ink_px: int, angle: float) -> None:
         draw.ellipse((x - 45, y - 45, x + 45, y + 45), fill=0)
     ends = [(175 + side * 60 * cosine, 175 + side * 60 * sine) for side in (-1, 1)]
     draw.line(ends, fill=0, width=ink_px)
-    mesh = solidify(np.asarray(picture))
+    mesh = solidify(np.asarray(picture), pixel_mm=0.2)
     vertices_mm = mesh.vertices_m.astype(float) * 1000
     whole = thinnest_wall_mm(vertices_mm, mesh.faces.astype(np.int64), 2.5)
     assert inspect(mesh).thinnest_wall_mm == whole < 2.5
