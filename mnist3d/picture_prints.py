@@ -59,7 +59,7 @@ class PrintSpec:
 class PrintedPicture:
     """A file that was made from a picture: its names, the report about the solid, and notes on the picture.
 
-    ``state`` is as in :class:`tactile_toolkit.printing.Made`.
+    ``state`` is as in ``tactile_toolkit.printing.Made``.
     """
 
     picture: str
@@ -96,7 +96,7 @@ def print_pictures(
     spec : PrintSpec
         How pictures become solids.
     overwrite, dry_run, workers, on_progress
-        As for :func:`tactile_toolkit.printing.export_files`.
+        As for ``tactile_toolkit.printing.export_files``.
 
     Returns
     -------

@@ -89,7 +89,7 @@ class ElasticPress:
     gel : Gel
         Material and friction of the gel.
     force_n : tuple of float, optional
-        Normal force at which the sensor stops, newtons; :data:`FORCE_N` unless ``press_m`` is given. It stops
+        Normal force at which the sensor stops, newtons; 5 unless ``press_m`` is given. It stops
         at half the thickness of the gel at the latest.
     press_m : tuple of float, optional
         How far the highest point under the gel is pressed in, metres; in place of a force.

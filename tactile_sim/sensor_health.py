@@ -106,7 +106,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     Raises
     ------
     InputError
-        The sensor has no twin, or there are less than :data:`LEAST_IMAGES` images.
+        The sensor has no twin, or there are fewer than five images.
     """
     size_px = (model.width_px, model.height_px)
     seen = [scaled(np.asarray(each)[None], size_px)[0] for each in images]
