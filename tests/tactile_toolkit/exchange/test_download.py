@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor, wait
 from pathlib import Path
 
 import pytest
-from huggingface_hub import constants, file_download
+from huggingface_hub import __version__ as client_version, constants, file_download
 
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.exchange import plan_download, run_download
@@ -246,6 +246,9 @@ def test_an_interrupted_folder_is_not_taken_for_a_data_set(server, tmp_path):
     assert verify(open_folder(str(out)), SCHEMA).ok
 
 
+@pytest.mark.skipif(
+    client_version.startswith("0."), reason="locks of clients before 1.0 are held in other places"
+)
 def test_what_a_failed_download_still_does_changes_no_later_one(server, tmp_path, monkeypatch):
     """The first failure ends a download; the thread of another file, about to write it, goes on later."""
     out, going = tmp_path / "out", threading.Event()
