@@ -137,7 +137,8 @@ def solidify(
     _print_files(sink, made.files, spec)
     verb = "would write" if job.dry_run else "wrote"
     size_text = bytes_text(sum(file.bytes for file in made.files))
-    sink.line(f"{verb} {with_count(len(made.files), 'files')} ({size_text}), each checked to be a solid")
+    if made.files:
+        sink.line(f"{verb} {with_count(len(made.files), 'files')} ({size_text}), each checked to be a solid")
     for failed in made.failed:
         sink.warn(f"failed: {failed.name}: {failed.detail}")
     if made.failed:

@@ -35,6 +35,6 @@ class SolidSize:
         given = [each.name for each in fields(self) if getattr(self, each.name) is not None]
         if len(given) > 1:
             raise InputError(
-                f"{given[0]} and {given[1]} are given; expected one size, since the picture keeps its shape",
+                f"two sizes are given, {given[0]} and {given[1]}; expected one: pictures keep their shape",
                 next=f"leave out {given[1]}",
             )

@@ -9,12 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow as pa
 
 from tactile_sim.generation import open_split
 from tactile_sim.given_solids import given_solids
 from tactile_sim.kind import KIND
 from tactile_sim.twin.recordings import Recordings
-from tactile_toolkit import places, store, touch
+from tactile_toolkit import column_types, places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, as_mesh
@@ -141,7 +142,14 @@ def _of_folder(root: Path, images: list[Path], table: str | PathLike[str] | None
     except OSError as error:
         raise InputError(f"{str(where)!r} cannot be read ({error.strerror})") from error
     columns = read.names
-    lines = [dict(zip(columns, row, strict=True)) for row in zip(*read.columns(), strict=True)]
+    lines: list[dict[str, Any]] = [
+        dict(zip(columns, row, strict=True)) for row in zip(*read.columns(), strict=True)
+    ]
+    for name in columns:
+        if name in _OBJECT_NAMES or stated_unit(name):
+            numbers = _numbers([line[name] for line in lines], name, repr(str(where)), read.separator)
+            for line, number in zip(lines, numbers, strict=True):
+                line[name] = number
     if "file" not in columns:
         raise InputError(
             f"{str(where)!r} has the columns {', '.join(columns)[:200]}; expected file, and of each touch "
@@ -155,23 +163,32 @@ def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
     numbers: dict[str, float] = {}
     object_id = None
     for name, value in line.items():
-        if name is None or value in (None, ""):
+        if value in (None, ""):
             continue
         stem, unit = name.rpartition("_")[0], stated_unit(name)
         for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
             if ours in (*_SENSOR, *_OBJECT) and unit in per:
-                numbers[ours] = _number(value, name, where) / per[unit]
+                numbers[ours] = value / per[unit]
         if name in _OBJECT_NAMES:
-            object_id = int(_number(value, name, where))
+            object_id = int(value)
+            if object_id != value:
+                raise InputError(f"{where}: {name} is {value!r}; expected the id of a solid, an integer")
     name = str(line["file"])
     return _Touched(name, read_image(root / name, root), object_id, numbers)
 
 
-def _number(value: Any, name: str, where: str) -> float:
+def _numbers(texts: Sequence[str], name: str, where: str, separator: str) -> list[float | None]:
+    """Return the numbers of a column, None for an empty cell; InputError for anything else."""
+    column = column_types.from_text(pa.array(texts, pa.string()), decimal_commas=separator != ",")
     try:
-        return float(str(value).replace(",", "."))
-    except ValueError as error:
-        raise InputError(f"{where}: {name} is {value!r}; expected a number") from error
+        numbers = column_types.floats_of(column)
+    except ValueError:
+        numbers = np.full((len(texts), 0), np.nan)
+    is_number = np.isfinite(numbers) if numbers.ndim == 1 else np.zeros(len(texts), bool)
+    for row, text in enumerate(texts):
+        if text.strip() and not is_number[row]:
+            raise InputError(f"{where}, line {row + 2}: {name} is {text!r}; expected a number")
+    return [float(number) if text.strip() else None for number, text in zip(numbers, texts, strict=True)]
 
 
 def spaced(count: int, most: int) -> list[int]:
@@ -181,6 +198,7 @@ def spaced(count: int, most: int) -> list[int]:
 
 def _of_data_set(place: places.Place) -> list[_Touched]:
     """Read touches of a data set, of all splits; their poses, or columns of the names of a table."""
+    place.require(KIND, "calibrate")
     parts = [KIND.load(place, split).touches() for split in place.splits]
     flat = [(each, number) for each in parts for number in range(len(each))]
     return [_of_touch(flat[place][0][flat[place][1]]) for place in spaced(len(flat), MOST_TOUCHES)]

@@ -199,7 +199,7 @@ def test_a_digit_of_a_data_set_is_the_digit_of_solidify() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"height_mm": 60, "width_mm": 60}, "height_mm and width_mm are given"),
+        ({"height_mm": 60, "width_mm": 60}, "two sizes are given, height_mm and width_mm"),
         ({"height_mm": -1}, "height_mm of the size of the solid is -1"),
         ({"base_mm": 0}, "base_mm is 0"),
         ({"threshold": "some"}, "threshold is 'some'; expected one of auto, local, global"),
