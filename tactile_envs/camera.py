@@ -12,10 +12,6 @@ from tactile_sim import make_optics
 from tactile_sim.pressing import depth_image
 from tactile_toolkit.array_types import Float32, Floating, Int64
 
-OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
-"""Optics of each simulated sensor."""
-
-
 class Camera:
     """Renders images of touches.
 
@@ -42,7 +38,9 @@ class Camera:
     """
 
     def __init__(self, config: Config, weights: str | Path | None = None) -> None:
-        self._optics = make_optics(OPTICS[config.sensor_type], weights, **config.optics_options)
+        self._optics = config.sensor_model.optics
+        if config.optics_name != "twin" or weights is not None:
+            self._optics = make_optics(config.optics_name, weights, **config.optics_options)
         self.sees_depth = config.sensor_type != "depth"
         self.channels = 1 + 2 * self.sees_depth
         self._size = config.sensor_output_size

@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, TypedDict, TypeVar
 import tactile_sim
 from tactile_envs.gym_types import Options
 from tactile_sim.press_spec import gel_named
-from tactile_sim.sensor import GEL_M
+from tactile_sim.sensor import GEL_M, sensor_of_model
+from tactile_sim.sensor_models import GELSIGHT_MINI, checked_sensor
 from tactile_sim.sensor_noise import checked_noise
 from tactile_toolkit import checked_fields
 from tactile_toolkit.errors import InputError
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 SENSORS = {"taxim": "", "depth": "-Depth", "cycle_gan": "-CycleGAN"}
 """Simulated sensors, and the part of an id that names them."""
+
+OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
+"""Optics of each simulated sensor."""
 
 DIRECT = "direct"
 """The sensor that shows recorded images as they are."""
@@ -137,9 +141,13 @@ class Config(EpisodeConfig):
         Whether actions turn the sensor, by at most ``max_tilt_angle`` (radians) from upright.
     angular_velocity, angular_acceleration : float
         How far the sensor turns from touch to touch: radians, seconds.
+    sensor_model : tactile_sim.SensorModel or str, optional
+        The sensor, as ``--sensor`` takes it: a known name, a JSON file, or the folder of a calibrated sensor,
+        whose images are then shown in place of Taxim's. By default the GelSight Mini.
     gel_thickness, penetration_depth : float
         Thickness of the gel, and how far the highest point under it is pressed in, metres; ``gel_m`` and
-        ``press_m`` of :class:`tactile_sim.Sensor`. The published environments have no such settings.
+        ``press_m`` of :class:`tactile_sim.Sensor`, those of ``sensor_model`` by default. The published
+        environments have no such settings.
     elastic_gel : tactile_sim.Gel, str, path or mapping, optional
         A gel that gives way: also ``"elastic"``, a JSON file, or a mapping with values of attributes of
         :class:`tactile_sim.Gel`. Images then show its surface, and ``force`` is observed: that of the object
@@ -181,6 +189,7 @@ class Config(EpisodeConfig):
     angular_velocity: float = checked_fields.real(pi / 2, 0, 1000)
     angular_acceleration: float = checked_fields.real(10 * pi, above=0, most=1e6)
     max_tilt_angle: float = checked_fields.real(pi / 4, 0, pi / 4)
+    sensor_model: tactile_sim.SensorModel = GELSIGHT_MINI
     gel_thickness: float = checked_fields.real(GEL_M, above=0, most=0.1)
     penetration_depth: float = checked_fields.real(PRESS_DEPTH_M, above=0, most=0.1)
     elastic_gel: tactile_sim.Gel | None = None
@@ -196,6 +205,7 @@ class Config(EpisodeConfig):
     def __post_init__(self) -> None:
         EpisodeConfig.__post_init__(self)
         object.__setattr__(self, "sensor_noise", _noise_of(self.sensor_noise))
+        self._take_sensor()
         self.sensor(self.sensor_output_size)
         object.__setattr__(self, "elastic_gel", _gel_of(self.elastic_gel))
         self._check_press()
@@ -204,6 +214,24 @@ class Config(EpisodeConfig):
                 f"sensor_type of the environment is {DIRECT!r}; expected one of {', '.join(SENSORS)}",
                 next="choose an id with RealSnap, which shows recorded images",
             )
+
+    def _take_sensor(self) -> None:
+        """Resolve the sensor, and take its gel where none was given; InputError if it lacks the images."""
+        model = checked_sensor(self.sensor_model)
+        object.__setattr__(self, "sensor_model", model)
+        if model == GELSIGHT_MINI:
+            return
+        model.require_optics(self.optics_name)
+        if (self.gel_thickness, self.penetration_depth) == (GEL_M, PRESS_DEPTH_M):
+            object.__setattr__(self, "gel_thickness", model.gel_mm / 1e3)
+            object.__setattr__(self, "penetration_depth", model.press_m)
+
+    @property
+    def optics_name(self) -> str:
+        """Name of the optics: those of the sensor in place of Taxim's."""
+        if self.sensor_type == "taxim":
+            return self.sensor_model.optics_name
+        return OPTICS[self.sensor_type]
 
     def _check_press(self) -> None:
         """Refuse settings that the gel cannot have (InputError)."""
@@ -221,6 +249,8 @@ class Config(EpisodeConfig):
     def sensor(self, size_px: tuple[int, int]) -> tactile_sim.Sensor:
         """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
         view = tactile_sim.center_view(*size_px)
+        if self.sensor_model != GELSIGHT_MINI:
+            view = sensor_of_model(self.sensor_model, "center", size_px)
         return replace(view, gel_m=self.gel_thickness, press_m=self.penetration_depth)
 
     @property

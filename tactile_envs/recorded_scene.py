@@ -15,8 +15,8 @@ from PIL import Image
 
 import realtouch
 import tactile_sim
-from tactile_envs import camera, drawing, gym_types, motion, recorded_sets, reset_options, scene
-from tactile_envs.config import DIRECT, RecordedConfig
+from tactile_envs import drawing, gym_types, motion, recorded_sets, reset_options, scene
+from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
 from tactile_sim import optics
 from tactile_toolkit import cache, errors, kind, run
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
@@ -231,7 +231,7 @@ class RecordedImages:
         self._optics: optics.Optics | None = None
         if config.sensor_type != DIRECT:
             self._optics = tactile_sim.make_optics(
-                camera.OPTICS[config.sensor_type], weights, **config.optics_options
+                OPTICS[config.sensor_type], weights, **config.optics_options
             )
             estimator = kind.lazy("tactile_sim.learned:DepthEstimator")
             self._estimator: DepthEstimator = estimator(**config.network_options)

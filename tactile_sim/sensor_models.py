@@ -136,6 +136,20 @@ class SensorModel:
         found: Optics = _make_optics(self.optics_name) if self.twin is None else _twin_optics(self.twin)
         return found
 
+    def require_optics(self, name: str) -> None:
+        """Refuse optics that do not make images of this sensor (InputError)."""
+        if name == "twin" and self.twin is None:
+            raise InputError(
+                f"the optics are 'twin', and the sensor {self.name!r} was not calibrated",
+                next="give the folder of a calibrated sensor",
+            )
+        if self != GELSIGHT_MINI and name not in ("depth", self.optics_name):
+            raise InputError(
+                f"the optics {name!r} are calibrated for the GelSight Mini; expected {self.optics_name!r} for "
+                f"the sensor {self.name!r}",
+                next=f"add --optics {self.optics_name}; of environments, choose an id with -Depth",
+            )
+
     @property
     def background(self) -> Float32:
         """Image without contact, levels, shape (H, W, 3)."""

@@ -261,20 +261,10 @@ class GenerateSpec:
                 next="add --optics taxim, or give the standard deviation of another noise, such as 0.005",
             )
         object.__setattr__(self, "sensor", checked_sensor(self.sensor))
-        if self.optics == "twin" and self.sensor.twin is None:
-            raise InputError(
-                f"the optics are 'twin', and the sensor {self.sensor.name!r} was not calibrated",
-                next="give the folder of a calibrated sensor",
-            )
+        self.sensor.require_optics(self.optics)
         self._check_press()
         if not self.has_other_sensor:
             return
-        if self.optics not in ("depth", self.sensor.optics_name):
-            raise InputError(
-                f"the optics {self.optics!r} are calibrated for the GelSight Mini; expected "
-                f"{self.sensor.optics_name!r} for the sensor {self.sensor.name!r}",
-                next=f"add --optics {self.sensor.optics_name}",
-            )
         most = _MOST_PIXELS // (self.sensor.width_px * self.sensor.height_px)
         if self.plan.touches > most:
             raise InputError(

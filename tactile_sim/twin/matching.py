@@ -1,8 +1,10 @@
 """Finds where touches without poses were.
 
-A grid of turns and places is searched by normalised cross-correlation: first for slopes of the solid where
-the image changes, then, once the clearest touches tell which colours stand for which slopes, for their
-directions. Straight strokes look alike in many places: a touch counts if one place is better than all others.
+Places on the solid are searched whose slopes explain an image, whatever the colours. True places agree about
+the colours, wrong ones do not: the colours that explain most of all images decide. With them, the touches
+whose place stands out give a first twin, by which more touches are found, and so on. A touch that fits badly,
+or as well in another place, is left out. On a straight stroke only the layers of the print and the lens tell
+places apart; the fit reports such directions.
 """
 
 from __future__ import annotations
@@ -13,158 +15,256 @@ from typing import TypeAlias
 import numpy as np
 
 from tactile_sim.sensor_models import SensorModel
-from tactile_sim.twin.fitting import Fit, shrunk
+from tactile_sim.twin import gel
+from tactile_sim.twin.fitting import Fit
+from tactile_sim.twin.gel import Shape
+from tactile_sim.twin.place_search import (
+    Paint,
+    Places,
+    alike_places,
+    changes_of,
+    free_places,
+    matching_places,
+)
 from tactile_sim.twin.recordings import Recordings
-from tactile_sim.twin.rounds_of_fit import set_levels, start_fit
-from tactile_toolkit.array_types import Bool, Float32, Float64
+from tactile_sim.twin.rounds_of_fit import start_fit
+from tactile_toolkit.array_types import Bool, Float64
 
-_WIDTH_PX = 40  # of the images that are compared
-_TURNS = 72
-_APART_M, _APART_RAD = 2e-3, 0.3  # places that are closer than this are one
-_SMOOTH_PX = 1.0
-_ROUNDS = 3  # of directions of slopes
-_CLEAREST = 0.15  # share of the touches that colours are taken from, for each round so far
-_LIKELY, _CLEAR = 0.6, 0.03  # least correlation, and how far it is above that of any other place
-_EMPTY = 1e-9
+_SEARCH_PX, _FIT_PX = 40, 80  # widths of the images that are searched, and fitted
+_HYPOTHESES, _FINALISTS = 25, 8  # colours that each touch proposes, and that are refined
+_TIMES = 6
+_RIDGE_OF_COLOURS = 0.03
+_PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # tried in each round, in parts of the usual press depth
+_SEEDS = 5
+_LEARNING = 4
+_GEOMETRY = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.WIDTH, Shape.CONTACT)
+_USUAL = 0.9  # part of the press depth that is tried first
+_RIDGES = (0.1, 0.03, 0.01)  # of each round; what few touches do not show follows from what they show
+_TRIED, _GOOD = 16, 5  # places of a touch that are refined by two steps, and further
+_STEP = np.array([6e-5, 6e-5, 0.008, 3e-5])
+_FARTHEST = np.array([1e-3, 1e-3, 0.1, 4e-4])  # of one step
+_SPREAD = np.array([1.5e-3, 1.5e-3, 0.12, 8e-4])
+_HUBER = 3.0
+_OTHER = (1e-3, 0.17)  # places farther apart than this are different
+_EXPLAINED = 0.75  # least share of the change of an image
+_SURE = 1.3
+_STANDS_OUT = 1.1  # by how much the error of any other place must be larger
+_LIKE_OTHERS = 2.5  # errors, in parts of the median
 
-Maps: TypeAlias = list[Float64]
+
+_Tried: TypeAlias = tuple[float, Float64, float]
+"""The error of a pose, levels, the pose, and the level of the sensor that it is stated with."""
 
 
-@dataclass(frozen=True, slots=True)
-class _Place:
-    """A place on a solid: x and y, metres, turn, and how well its slopes agree with an image."""
+@dataclass(eq=False)
+class _Found:
+    """Places of a touch (n, 4: x, y, turn, press depth), the best one first; its error and that of the best
+    one that is elsewhere, and what explains nothing would leave, levels."""
 
-    x_m: float
-    y_m: float
-    turn_rad: float
-    agreement: float
+    all_at: Float64
+    error: float
+    other: float
+    change: float
+
+    @property
+    def at(self) -> Float64:
+        return np.asarray(self.all_at[0])
+
+    @property
+    def explained(self) -> float:
+        return 1 - (self.error / self.change) ** 2
+
+    @property
+    def stands_out(self) -> float:
+        return self.other / self.error
 
 
 def matched_places(recordings: Recordings, start: SensorModel) -> tuple[Float64, Bool]:
-    """Return points under the sensor with turns (N, 3), and which of them are likely (N,)."""
-    fit = start_fit(recordings, np.zeros((len(recordings), 3)), None, start)
-    fit.look(max(1, recordings.size_px[0] // _WIDTH_PX))
-    changes = [_smooth(fit.image(each)[0] - fit.behind) for each in range(len(recordings))]
-    wanted = [[np.linalg.norm(each, axis=-1)] for each in changes]
-    wanted = [[each - each.mean()] for (each,) in wanted]
-    best, margins = _search(fit, wanted, start, is_signed=False)
-    for number in range(_ROUNDS):
-        share = _CLEAREST * (1 + number)
-        clear = np.flatnonzero(margins >= np.quantile(margins, 1 - share))
-        for touch, place in enumerate(best):
-            fit.poses[touch] = place.x_m, place.y_m, place.turn_rad, 0.0
-        set_levels(fit, clear, start)
-        slopes = np.concatenate([np.stack(_slopes_of(fit, int(each)), -1).reshape(-1, 2) for each in clear])
-        shown = np.concatenate([changes[each].reshape(-1, 3) for each in clear])
-        colours = np.linalg.lstsq(slopes, shown, rcond=None)[0]
-        back = np.linalg.pinv(colours)
-        wanted = [list(np.moveaxis(each @ back, -1, 0)) for each in changes]
-        best, margins = _search(fit, wanted, start, is_signed=True)
-    places = np.array([[each.x_m, each.y_m, each.turn_rad] for each in best])
-    agreement = np.array([each.agreement for each in best])
-    return places, (agreement >= _LIKELY) & (margins >= _CLEAR)
+    """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,)."""
+    count = len(recordings)
+    fit = start_fit(recordings, np.zeros((count, 3)), None, start)
+    press_m = start.gel_mm / 1e3 - start.press_m
+    _look(fit, _SEARCH_PX)
+    changes = changes_of(fit, range(count))
+    colours = _common_colours(list(free_places(fit, changes, press_m).values()))
+
+    def slopes(surface: Float64, pitch_m: Float64) -> Float64:
+        return np.asarray(np.stack(np.gradient(surface, *pitch_m[::-1]), axis=2) @ colours)
+
+    places = matching_places(fit, changes, slopes, (_USUAL * press_m,), press_m)
+    best = np.array([places[touch].at[0] for touch in range(count)])
+    margins = np.array([places[touch].margin for touch in range(count)])
+    likely = np.isin(np.arange(count), np.argsort(-margins)[:_SEEDS])
+    found: dict[int, _Found] = {}
+    for shares, fit.ridge in zip(_PRESSES, _RIDGES, strict=True):
+        _learn(fit, best, likely)
+        sure = [touch for touch, each in found.items() if likely[touch] and each.stands_out >= _SURE]
+        open_ = [touch for touch in range(count) if touch not in sure]
+        places = _search(fit, open_, best, tuple(share * press_m for share in shares), press_m)
+        _look(fit, _FIT_PX)
+        found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in places.items()}
+        best = np.array([best[touch] if touch in sure else found[touch].at for touch in range(count)])
+        likely = _likely([found[touch] for touch in range(count)])
+    return best, likely
 
 
-def _smooth(image: Float32) -> Float64:
-    from scipy import ndimage  # takes a tenth of a second to import
-
-    return np.asarray(ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
-
-
-def _slopes_of(fit: Fit, touch: int) -> Maps:
-    """Return the slopes of the solid down and across the image at the pose of a touch."""
-    return _slopes(fit.indentation(touch, fit.poses[touch], fit.shape))
-
-
-def _slopes(reached: Float64) -> Maps:
-    from scipy import ndimage  # takes a tenth of a second to import
-
-    return list(np.gradient(ndimage.gaussian_filter(reached, 1.5 * _SMOOTH_PX)))
+def _look(fit: Fit, width_px: int) -> None:
+    fit.look(max(1, fit.recordings.size_px[0] // width_px))
 
 
 def _search(
-    fit: Fit, wanted: list[Maps], start: SensorModel, *, is_signed: bool
-) -> tuple[list[_Place], Float64]:
-    """Return the best place of each touch, and how far its agreement is above that of any other place."""
-    ids = fit.recordings.object_ids
-    found: list[list[_Place]] = [[] for _ in wanted]
-    for key in fit.reliefs:
-        for turn in np.arange(_TURNS) * (2 * np.pi / _TURNS):
-            grid = _Grid.of(fit, key, float(turn), start)
-            maps = grid.slopes if is_signed else [np.hypot(*grid.slopes)]
-            energy = sum(grid.window_mean(each**2) for each in maps)
-            if not is_signed:
-                energy = energy - grid.window_mean(maps[0]) ** 2
-            for touch in np.flatnonzero(ids == key):
-                found[touch] += grid.best(maps, wanted[touch], np.asarray(energy))
-    best, margins = [], []
-    for places in found:
-        places.sort(key=lambda each: -each.agreement)
-        others = [each.agreement for each in places if not _alike(each, places[0])]
-        best.append(places[0])
-        margins.append(places[0].agreement - max(others, default=0.0))
-    return best, np.array(margins)
+    fit: Fit, touches: list[int], best: Float64, presses_m: tuple[float, ...], most_m: float
+) -> dict[int, Float64]:
+    """Return places (n, 4) that look like the images of touches, and that are worth another look."""
+    _look(fit, _SEARCH_PX)
+    found = matching_places(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m)
+    chosen = {}
+    for touch, places in found.items():
+        tried = np.concatenate([best[touch][None], places.at[:_TRIED]])
+        chosen[touch] = _refined(fit, touch, tried, 0, 0).all_at[:_GOOD]
+    return chosen
 
 
-def _alike(one: _Place, other: _Place) -> bool:
-    turn = abs((one.turn_rad - other.turn_rad + np.pi) % (2 * np.pi) - np.pi)
-    return bool(np.hypot(one.x_m - other.x_m, one.y_m - other.y_m) < _APART_M and turn < _APART_RAD)
+def _likely(found: list[_Found]) -> Bool:
+    errors = np.array([each.error for each in found])
+    explained = np.array([each.explained for each in found]) >= _EXPLAINED
+    out = np.array([each.stands_out for each in found]) >= _STANDS_OUT
+    likely = explained & out
+    if likely.any():
+        likely &= errors <= _LIKE_OTHERS * np.median(errors[likely])
+    return np.asarray(likely)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Grid:
-    """Slopes of a turned solid on the pixels of images that are shifted over it, of the size (H, W)."""
+def _common_colours(places: list[Places]) -> Float64:
+    """Return the colours of slopes down and across (2, 3) that explain most of all images."""
+    cuts = np.cumsum([len(each.alike) for each in places])[:-1]
+    products = np.concatenate([each.products for each in places])
+    squares = np.concatenate([each.squares for each in places])
+    eye = _RIDGE_OF_COLOURS * np.trace(squares, axis1=1, axis2=2).max() * np.eye(2)
 
-    slopes: Maps
-    x_m: Float64
-    y_m: Float64
-    turn_rad: float
-    size: tuple[int, int]
+    def explained(colours: Float64) -> Float64:
+        mixed = (squares @ colours) * colours
+        return np.asarray(2 * (products * colours).sum(axis=(1, 2)) - mixed.sum(axis=(1, 2)))
 
-    @classmethod
-    def of(cls, fit: Fit, key: int, turn: float, start: SensorModel) -> _Grid:
-        """Press all of a solid into the gel, everywhere as deep as usual."""
-        from scipy import ndimage  # takes a tenth of a second to import
+    def total(colours: Float64) -> float:
+        return float(sum(max(part.max(), 0.0) for part in np.split(explained(colours), cuts)))
 
-        relief, pitch_m = fit.reliefs[key], float(fit.pitch_m(fit.shape).mean())
-        small = shrunk(relief.heights_m, max(1, round(pitch_m / relief.corner[2])))
-        sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
-        middle_m = relief.corner[:2] + sides_m / 2
-        reach = int(np.hypot(*sides_m) / pitch_m / 2)
-        half_x, half_y = reach + fit.size[1] // 2, reach + fit.size[0] // 2
-        # Rows of an image go down.
-        down, across = np.mgrid[-half_y : half_y + 1, -half_x : half_x + 1] * pitch_m
-        cosine, sine = np.cos(turn), np.sin(turn)
-        x_m, y_m = cosine * across - sine * down, -sine * across - cosine * down
-        per_m = np.array(small.shape[::-1]) / sides_m
-        at = [y_m * per_m[1] + (small.shape[0] - 1) / 2, x_m * per_m[0] + (small.shape[1] - 1) / 2]
-        heights = ndimage.map_coordinates(small.astype(np.float64), at, order=1)
-        top = ndimage.maximum_filter(heights, fit.size)
-        press_m = start.gel_mm / 1e3 - start.press_m
-        slopes = _slopes(np.maximum(heights - (top - press_m), 0))
-        return cls(slopes, middle_m[0] + x_m, middle_m[1] + y_m, turn, fit.size)
+    proposed = [
+        np.linalg.solve(each.squares[rank] + eye, each.products[rank])
+        for each in places
+        for rank in range(min(_HYPOTHESES, len(each.alike)))
+    ]
+    finalists = sorted(proposed, key=total, reverse=True)[:_FINALISTS]
+    for number, colours in enumerate(finalists):
+        for _ in range(_TIMES):
+            parts = np.split(explained(colours), cuts)
+            winners = [int(part.argmax()) for part in parts]
+            weights = [max(part[winner], 0.0) ** 2 for part, winner in zip(parts, winners, strict=True)]
+            chosen = list(zip(places, winners, weights, strict=True))
+            square = sum(weight * each.squares[winner] for each, winner, weight in chosen)
+            product = sum(weight * each.products[winner] for each, winner, weight in chosen)
+            colours = np.linalg.solve(square, product)
+        finalists[number] = colours
+    return np.asarray(max(finalists, key=total))
 
-    def window_mean(self, values: Float64) -> Float64:
-        """Return means over images around each place."""
-        from scipy import ndimage  # takes a tenth of a second to import
 
-        return np.asarray(ndimage.uniform_filter(values, self.size, mode="constant"))
+def _place(fit: Fit, touch: int, at: Float64) -> None:
+    """Put a touch at a place with its press depth."""
+    fit.poses[touch] = *at[:3], 0.0
+    # Nothing lies below this level, so heights come back as they are.
+    fit.level_m[touch] = fit.shape[Shape.GEL]
+    highest_m = fit.indentation(touch, fit.poses[touch], fit.shape).max()
+    fit.level_m[touch] = highest_m - at[3] + fit.shape[Shape.GEL]
 
-    def best(self, maps: Maps, wanted: Maps, energy: Float64) -> list[_Place]:
-        """Return the two best places of an image, by the correlation of its maps with those of the solid."""
-        from scipy import signal  # takes a tenth of a second to import
 
-        size = np.sqrt(sum(float((each**2).sum()) for each in wanted)) + _EMPTY
-        score = sum(
-            signal.fftconvolve(one, other[::-1, ::-1], mode="same")
-            for one, other in zip(maps, wanted, strict=True)
-        )
-        least = 0.02 * float(energy.max())
-        score = np.asarray(score) / np.sqrt(np.maximum(energy, least) * wanted[0].size) / size
-        found = []
-        for _ in range(2):
-            row, column = (int(each) for each in np.unravel_index(int(np.argmax(score)), score.shape))
-            place = float(self.x_m[row, column]), float(self.y_m[row, column])
-            found.append(_Place(*place, self.turn_rad, float(score[row, column])))
-            score[max(row - 4, 0) : row + 5, max(column - 4, 0) : column + 5] = -1
-        return found
+def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
+    """Fit colours and geometry to the touches whose place is likely."""
+    _look(fit, _FIT_PX)
+    for touch in range(len(at)):
+        _place(fit, touch, at[touch])
+    fit.pose_guess = fit.poses.copy()
+    fit.used = likely.copy()
+    fit.step()
+    for _ in range(_LEARNING):
+        fit.step(_GEOMETRY)
+    fit.step()
+    for touch in np.flatnonzero(likely):
+        at[touch] = *fit.poses[touch, :3], _press_m(fit, int(touch))
+
+
+def _press_m(fit: Fit, touch: int) -> float:
+    return float(fit.indentation(touch, fit.poses[touch], fit.shape).max())
+
+
+def _paint_of(fit: Fit) -> Paint:
+    """Return how the fit colours a surface, the same everywhere."""
+    coefficients = fit.coefficients.copy()
+    coefficients[:, 1:] = 0.0
+
+    def paint(surface: Float64, pitch_m: Float64) -> Float64:
+        seen = gel.seen_features(surface, pitch_m)
+        size = (surface.shape[0], surface.shape[1])
+        return gel.response(seen, size, coefficients, fit.shape[Shape.BLUR] / pitch_m, gel.WHOLE)
+
+    return paint
+
+
+def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _Found:
+    """Return the best place of a touch, by two steps from each place, and more from the good ones."""
+    image, dull = fit.image(touch)
+    change = (image - fit.behind)[dull]
+    tried = []
+    for at in places:
+        _place(fit, touch, at)
+        pose, level_m = fit.poses[touch].copy(), float(fit.level_m[touch])
+        tried.append((*_stepped(fit, touch, pose, change, dull, 2), level_m))
+    tried = _different(tried)
+    for rank, (_, pose, level_m) in enumerate(tried[:good]):
+        fit.level_m[touch] = level_m
+        tried[rank] = (*_stepped(fit, touch, pose, change, dull, steps), level_m)
+    tried = _different(tried)
+    at = np.empty((len(tried), 4))
+    for rank, (_, pose, level_m) in enumerate(tried):
+        fit.poses[touch], fit.level_m[touch] = pose, level_m
+        at[rank] = *pose[:3], _press_m(fit, touch)
+    errors = [*(each[0] for each in tried), np.inf]
+    return _Found(at, errors[0], errors[1], float(np.sqrt(np.mean(change * change))))
+
+
+def _different(tried: list[_Tried]) -> list[_Tried]:
+    """Return places in the order of their errors, of those that are close together the best one."""
+    kept: list[_Tried] = []
+    for each in sorted(tried, key=lambda each: each[0]):
+        others = np.array([other[1] for other in kept]).reshape(-1, 4)
+        if not alike_places(others, each[1], _OTHER).any():
+            kept.append(each)
+    return kept
+
+
+def _stepped(
+    fit: Fit, touch: int, pose: Float64, change: Float64, dull: Bool, steps: int
+) -> tuple[float, Float64]:
+    """Move a pose by Gauss-Newton steps; return its error, levels, and itself."""
+    guess, best = pose, (np.inf, pose)
+    for number in range(steps + 1):
+        base = fit.rendered(touch, pose, fit.shape)[dull]
+        left = change - base
+        error = float(np.sqrt(np.mean(left * left)))
+        if error < best[0]:
+            best = (error, pose)
+        elif error > 1.02 * best[0]:
+            break
+        if number == steps:
+            break
+        moves = np.empty((len(_STEP), left.size))
+        for own, step in enumerate(_STEP):
+            moved = pose.copy()
+            moved[own] += step
+            moves[own] = ((fit.rendered(touch, moved, fit.shape)[dull] - base) / step).ravel()
+        bound = _HUBER * max(error, 1.0)
+        weights = np.repeat(1 / np.maximum(1, np.abs(left).max(axis=1) / bound), 3)
+        variance = 20 * max(error, 1.0) ** 2 / np.square(_SPREAD)
+        square = (moves * weights) @ moves.T + np.diag(variance)
+        slope = (moves * weights) @ left.ravel() - variance * (pose - guess)
+        pose = pose + np.clip(np.linalg.solve(square, slope), -_FARTHEST, _FARTHEST)
+    return best

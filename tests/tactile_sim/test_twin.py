@@ -19,26 +19,12 @@ from tactile_sim.twin.fitting import COEFFICIENTS, Fit
 from tactile_sim.twin.gel import Shape
 from tactile_sim.twin.matching import matched_places
 from tactile_sim.twin.rounds_of_fit import start_fit
-from tactile_sim.twin.twin import Twin, TwinOptics
+from tactile_sim.twin.twin import TwinOptics
 from tactile_toolkit.errors import InputError
 from tests.tactile_sim.hidden_sensors import digits, draw_sensor
+from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, made_up_twin
 from tests.tactile_sim.solids import ball, block
 from tests.tactile_sim.twin_scores import recordings_of, score
-
-HALF_M = np.array([0.00944, 0.00708])
-SHAPE = np.array([0.0, 0.0, 0.02, 0.00425, 9e-4, 6e-5, 0.6, 1e-4])
-
-
-def made_up_twin(seed: int = 0) -> Twin:
-    """A twin with random colours, and a reader that reads nothing."""
-    rng = np.random.default_rng(seed)
-    coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)).astype(np.float32)
-    rest = (gel_kernels.NODES // 2) * (gel_kernels.NODES + 1)
-    coefficients[rest] = 0
-    background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
-    weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
-    return Twin(SHAPE, HALF_M, coefficients, background, weights, {"mm_per_px": 0.295})
-
 
 def hills() -> np.ndarray:
     """How far two balls reach into the gel, metres, (48, 64)."""

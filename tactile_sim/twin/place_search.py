@@ -1,0 +1,253 @@
+"""Searches a solid for places that look like an image: all turns of a grid, all places by correlation.
+
+The solid is pressed into the gel as a whole, everywhere as deep as usual, and turned. Sums of products over
+all windows of the size of an image come from its Fourier transform. What is compared is either an image that
+the solid would give (:func:`matching_places`), or, while no colours are known, the slopes of the gel in
+whatever mixture of them explains the image best (:func:`free_places`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import TypeAlias
+
+import numpy as np
+
+from tactile_sim.twin import gel
+from tactile_sim.twin.fitting import Fit, shrunk
+from tactile_sim.twin.gel import Shape
+from tactile_toolkit.array_types import Bool, Float32, Float64
+
+TURNS = 72
+_SMOOTH_PX = 1.0
+_PEAK_PX = 5
+_PEAKS = 4  # of one turn
+_MOST_PLACES = 120
+_APART_M, _APART_RAD = 8e-4, 0.15  # places that are closer than this are one
+_FAINT = 0.03  # of the strongest window: less of the solid cannot explain an image
+_LEAST_GAIN, _MOST_GAIN = 0.6, 1.6  # of how strong an image is against one of the usual press depth
+
+Changes: TypeAlias = Mapping[int, Float32]
+"""How images of touches differ from the gel at rest, (3, h, w), by their numbers."""
+
+Paint: TypeAlias = Callable[[Float64, Float64], Float64]
+"""Makes the change of an image (h, w, 3) of a gel's surface (h, w), metres, and the size of a pixel."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Places on a solid that look like one image, the most alike first.
+
+    ``at`` (n, 4) are x and y, metres, the turn and the press depth; ``alike`` (n,) is the share of the change
+    of the image that is explained. Of slopes, ``products`` (n, 2, 3) with the image, and ``squares``
+    (n, 2, 2), in parts of the square of that change.
+    """
+
+    at: Float64
+    alike: Float64
+    products: Float64
+    squares: Float64
+
+    @property
+    def margin(self) -> float:
+        """How far the best place is above the next one."""
+        return float(self.alike[0] - self.alike[1]) if len(self.alike) > 1 else float(self.alike[0])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Turned:
+    """A turned solid: the surface of the gel (R, C); of its windows (r, c), the places of their middles, and
+    the press depth."""
+
+    surface: Float64
+    x_m: Float64
+    y_m: Float64
+    press_m: Float64
+    turn_rad: float
+
+
+def alike_places(places: Float64, one: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:
+    """Return which of some places (n, 3) are the same as one of them, to a distance and a turn."""
+    turn = np.abs((places[:, 2] - one[2] + np.pi) % (2 * np.pi) - np.pi)
+    return np.asarray((np.hypot(*(places[:, :2] - one[:2]).T) < apart[0]) & (turn < apart[1]))
+
+
+def changes_of(fit: Fit, touches: Iterable[int]) -> Changes:
+    """Return how images differ from the gel at rest, smoothed, (3, h, w)."""
+    found = {}
+    for touch in touches:
+        change = _smooth(fit.image(touch)[0] - fit.behind)
+        found[touch] = np.ascontiguousarray(np.moveaxis(change, 2, 0), np.float32)
+    return found
+
+
+def free_places(fit: Fit, changes: Changes, press_m: float) -> dict[int, Places]:
+    """Return where slopes of solids explain each image best, if their colours may be any."""
+    found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
+    for key, windows, spectra in _solids(fit, changes):
+        for turned in _turns(fit, key, press_m):
+            slopes = np.stack(np.gradient(turned.surface, *fit.pitch_m(fit.shape)[::-1]))
+            down, right = slopes
+            squares = [windows.sums(each) for each in (down * down, down * right, right * right)]
+            least = _FAINT * float((squares[0] + squares[2]).max())
+            one, mixed, two = squares[0] + least, squares[1], squares[2] + least
+            spectrum = windows.spectrum(slopes)
+            for touch, image in spectra.items():
+                products = windows.products(spectrum[:, None] * image)
+                first, second = products
+                total = (two * first * first - 2 * mixed * first * second + one * second * second).sum(axis=0)
+                alike = total / (one * two - mixed * mixed) / _square(changes[touch])
+                for row, column in _peaks(alike):
+                    at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad, press_m
+                    of = products[:, :, row, column].ravel()
+                    rest = squares[0][row, column], squares[1][row, column], squares[2][row, column]
+                    found[touch].append((alike[row, column], *at, *of, *rest))
+    return {touch: _sorted(each, _square(changes[touch])) for touch, each in found.items()}
+
+
+def matching_places(
+    fit: Fit, changes: Changes, paint: Paint, presses_m: tuple[float, ...], most_m: float
+) -> dict[int, Places]:
+    """Return where images of solids look like each image, where they are pressed in at most so deep.
+
+    Press depths are below the highest point around; at the flank of a solid, that is not in the window.
+    """
+    found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
+    for key, windows, spectra in _solids(fit, changes):
+        for press_m in presses_m:
+            for turned in _turns(fit, key, press_m):
+                picture = _smooth(paint(turned.surface, fit.pitch_m(fit.shape)))
+                energy = windows.sums((picture * picture).sum(axis=2))
+                energy = energy + _FAINT * energy.max()
+                allowed = turned.press_m <= most_m
+                spectrum = windows.spectrum(np.moveaxis(picture, 2, 0))
+                for touch, image in spectra.items():
+                    product = windows.products((spectrum * image).sum(axis=0))
+                    gain = np.clip(product / energy, _LEAST_GAIN, _MOST_GAIN)
+                    alike = (2 * gain * product - gain * gain * energy) / _square(changes[touch])
+                    alike = np.where(allowed, alike, -1.0)
+                    for row, column in _peaks(alike):
+                        at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad
+                        at = (*at, turned.press_m[row, column])
+                        found[touch].append((alike[row, column], *at, *np.zeros(9)))
+    return {touch: _sorted(each, _square(changes[touch])) for touch, each in found.items()}
+
+
+class _Windows:
+    """Sums over all windows (h, w) of maps (R, C)."""
+
+    def __init__(self, shape: tuple[int, ...], size: tuple[int, int]) -> None:
+        from scipy import fft  # takes a tenth of a second to import
+
+        self._sides = [fft.next_fast_len(side, real=True) for side in shape]
+        self._size = size
+        self._count = tuple(side - less + 1 for side, less in zip(shape, size, strict=True))
+
+    def spectrum(self, maps: Float64 | Float32) -> np.ndarray:
+        """Return the transform of maps (..., R, C)."""
+        from scipy import fft  # takes a tenth of a second to import
+
+        return np.asarray(fft.rfft2(maps.astype(np.float32), self._sides))
+
+    def products(self, spectrum: np.ndarray) -> Float32:
+        """Return sums of products, whose transform is given, (..., r, c)."""
+        from scipy import fft  # takes a tenth of a second to import
+
+        rows, columns = self._count
+        return np.asarray(fft.irfft2(spectrum, self._sides)[..., :rows, :columns])
+
+    def sums(self, values: Float64) -> Float64:
+        """Return the sums over windows, (r, c)."""
+        height, width = self._size
+        total = np.zeros((values.shape[0] + 1, values.shape[1] + 1))
+        total[1:, 1:] = values.cumsum(axis=0).cumsum(axis=1)
+        below = total[height:] - total[:-height]
+        return np.asarray(below[:, width:] - below[:, :-width])
+
+
+def _solids(fit: Fit, changes: Changes) -> Iterator[tuple[int, _Windows, dict[int, np.ndarray]]]:
+    """Yield solids, windows on them, and the transforms of the images of their touches."""
+    for key in fit.reliefs:
+        windows = _Windows(_map_shape(fit, key), fit.size)
+        touches = [touch for touch in changes if fit.recordings.object_ids[touch] == key]
+        if touches:
+            yield key, windows, {touch: np.conj(windows.spectrum(changes[touch])) for touch in touches}
+
+
+def _map_shape(fit: Fit, key: int) -> tuple[int, int]:
+    relief, pitch_m = fit.reliefs[key], float(fit.pitch_m(fit.shape).min())
+    sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
+    reach = int(np.hypot(*sides_m) / pitch_m / 2)
+    return 2 * (reach + fit.size[0] // 2) + 1, 2 * (reach + fit.size[1] // 2) + 1
+
+
+def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
+    """Press all of a solid into the gel, everywhere as deep as usual, in all turns."""
+    from scipy import ndimage  # takes a tenth of a second to import
+
+    relief, pitch_m = fit.reliefs[key], fit.pitch_m(fit.shape)
+    small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(np.float64)
+    sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
+    middle_m, per_m = relief.corner[:2] + sides_m / 2, np.array(small.shape[::-1]) / sides_m
+    rows, columns = _map_shape(fit, key)
+    half_y, half_x = rows // 2, columns // 2
+    # Rows of an image go down.
+    down, right = np.mgrid[-half_y : half_y + 1, -half_x : half_x + 1] * pitch_m[::-1, None, None]
+    shape = np.where(np.arange(len(fit.shape)) == Shape.LENS, 0.0, fit.shape)
+    for turn in np.arange(TURNS) * (2 * np.pi / TURNS):
+        cosine, sine = np.cos(turn), np.sin(turn)
+        x_m, y_m = cosine * right - sine * down, -sine * right - cosine * down
+        at = [y_m * per_m[1] + (small.shape[0] - 1) / 2, x_m * per_m[0] + (small.shape[1] - 1) / 2]
+        heights = ndimage.map_coordinates(small, at, order=1)
+        top = ndimage.maximum_filter(heights, fit.size)
+        pressed_m = np.maximum(heights - (top - press_m), 0)
+        surface = gel.gel_surface(pressed_m, pitch_m, shape)
+        x_m, y_m = (_middles(each, fit.size) for each in (x_m, y_m))
+        deepest_m = _inner(ndimage.maximum_filter(pressed_m, fit.size), x_m.shape)
+        yield _Turned(surface, middle_m[0] + x_m, middle_m[1] + y_m, deepest_m, float(turn))
+
+
+def _inner(values: Float64, size: tuple[int, ...]) -> Float64:
+    """Return the middle of a map."""
+    first = [(side - inner + 1) // 2 for side, inner in zip(values.shape, size, strict=True)]
+    return values[first[0] : first[0] + size[0], first[1] : first[1] + size[1]]
+
+
+def _middles(values: Float64, size: tuple[int, int]) -> Float64:
+    """Return the values in the middle of each window of a map that grows evenly."""
+    height, width = size
+    rows, columns = values.shape[0] - height + 1, values.shape[1] - width + 1
+    return np.asarray((values[:rows, :columns] + values[height - 1 :, width - 1 :]) / 2)
+
+
+def _smooth(image: Float32 | Float64) -> Float64:
+    from scipy import ndimage  # takes a tenth of a second to import
+
+    return np.asarray(ndimage.gaussian_filter(image.astype(np.float64), (_SMOOTH_PX, _SMOOTH_PX, 0)))
+
+
+def _square(change: Float32) -> float:
+    return float((change * change).sum()) + 1e-9
+
+
+def _peaks(alike: Float64) -> list[tuple[int, int]]:
+    """Return the rows and columns of the highest peaks."""
+    from scipy import ndimage  # takes a tenth of a second to import
+
+    flat = np.flatnonzero(alike == ndimage.maximum_filter(alike, _PEAK_PX))
+    best = flat[np.argsort(-alike.ravel()[flat])[:_PEAKS]]
+    return [divmod(int(each), alike.shape[1]) for each in best]
+
+
+def _sorted(rows: list[tuple[float, ...]], square: float) -> Places:
+    values = np.array(sorted(rows, key=lambda each: -each[0]))
+    left, kept = np.ones(len(values), bool), []
+    while left.any() and len(kept) < _MOST_PLACES:
+        best = int(left.argmax())
+        kept.append(best)
+        left &= ~alike_places(values[:, 1:4], values[best, 1:4])
+    values = values[kept]
+    products = values[:, 5:11].reshape(-1, 2, 3) / square
+    squares = values[:, [11, 12, 12, 13]].reshape(-1, 2, 2) / square
+    return Places(values[:, 1:5], values[:, 0], products, squares)
