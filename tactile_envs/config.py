@@ -229,8 +229,8 @@ class Config(EpisodeConfig):
     @property
     def optics_name(self) -> str:
         """Name of the optics: those of the sensor in place of Taxim's."""
-        if self.sensor_type == "taxim":
-            return self.sensor_model.optics_name
+        if self.sensor_type == "taxim" and self.sensor_model.twin is not None:
+            return "twin"
         return OPTICS[self.sensor_type]
 
     def _check_press(self) -> None:

@@ -9,10 +9,9 @@ from functools import partial
 import numpy as np
 
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
-from tactile_sim.twin import rounds_of_fit
+from tactile_sim.twin import matching, rounds_of_fit
 from tactile_sim.twin.fitting import Fit
 from tactile_sim.twin.gel import Shape
-from tactile_sim.twin.matching import matched_places
 from tactile_sim.twin.mistakes import LEAST_TOUCHES, find_mistakes
 from tactile_sim.twin.reader import read_depth, train_reader
 from tactile_sim.twin.recordings import Recordings
@@ -70,15 +69,14 @@ def calibrate(
             second = np.array(each.touches)
             first = np.setdiff1d(kept, second)
             kept = max(first, second, key=len)
-    places, level_m, likely = _first_poses(recordings, start)
+    fit = _first_fit(recordings, start)
+    likely = fit.likely
     if likely.sum() < LEAST_TOUCHES:
         raise InputError(
             f"{int(likely.sum())} of {len(recordings)} touches without poses have a place that stands out; "
             f"expected at least {LEAST_TOUCHES}",
             next="give approximate poses, or touch ends and corners of solids, not the middle of strokes",
         )
-    fit = rounds_of_fit.start_fit(recordings, places, level_m, start)
-    fit.likely = likely
     fit.used = likely & np.isin(np.arange(len(recordings)), kept)
     rounds_of_fit.run_fit(fit, on_progress)
     report = {**rounds_of_fit.found(fit), "mistakes": [asdict(each) for each in mistakes]}
@@ -99,16 +97,18 @@ def model_of(twin: Twin, name: str) -> SensorModel:
     return SensorModel(name, width_mm, height_mm, width, height, gel_mm, "tactile-sim calibrate", twin)
 
 
-def _first_poses(
-    recordings: Recordings, start: SensorModel
-) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
-    """Return points under the sensor with turns (N, 3), heights (N,) if known, and which are likely (N,)."""
+def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
+    """Return a fit that begins with poses as they were stated, or as they are found."""
     places = recordings.places()
     if places is not None:
         assert recordings.sensor_m is not None, "places follow from it"
-        return places, recordings.sensor_m[:, 2], np.ones(len(recordings), bool)
-    places, likely = matched_places(recordings, start)
-    return places, None, likely
+        return rounds_of_fit.start_fit(recordings, places, recordings.sensor_m[:, 2], start)
+    found, likely = matching.matched_places(recordings, start)
+    fit = rounds_of_fit.start_fit(recordings, found[:, :3], None, start)
+    for touch, at in enumerate(found):
+        matching.place(fit, touch, at)
+    fit.likely = likely
+    return fit
 
 
 def _residual_levels(twin: Twin, fit: Fit) -> float:

@@ -168,7 +168,7 @@ def _common_colours(places: list[Places]) -> Float64:
     return np.asarray(max(finalists, key=total))
 
 
-def _place(fit: Fit, touch: int, at: Float64) -> None:
+def place(fit: Fit, touch: int, at: Float64) -> None:
     """Put a touch at a place with its press depth."""
     fit.poses[touch] = *at[:3], 0.0
     # Nothing lies below this level, so heights come back as they are.
@@ -181,7 +181,7 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
     """Fit colours and geometry to the touches whose place is likely."""
     _look(fit, _FIT_PX)
     for touch in range(len(at)):
-        _place(fit, touch, at[touch])
+        place(fit, touch, at[touch])
     fit.pose_guess = fit.poses.copy()
     fit.used = likely.copy()
     fit.step()
@@ -215,7 +215,7 @@ def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _F
     change = (image - fit.behind)[dull]
     tried = []
     for at in places:
-        _place(fit, touch, at)
+        place(fit, touch, at)
         pose, level_m = fit.poses[touch].copy(), float(fit.level_m[touch])
         tried.append((*_stepped(fit, touch, pose, change, dull, 2), level_m))
     tried = _different(tried)
