@@ -8,9 +8,9 @@ import numpy as np
 
 from tactile_envs.config import Config
 from tactile_envs.toucher import SensorReadings
-from tactile_sim import make_optics
-from tactile_sim.pressing import depth_image
+from tactile_sim.optics import depth_image, make_optics
 from tactile_toolkit.array_types import Float32, Floating, Int64
+
 
 class Camera:
     """Renders images of touches.

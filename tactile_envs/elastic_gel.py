@@ -9,7 +9,7 @@ from tactile_envs.motion import Motion
 from tactile_envs.toucher import SensorReadings
 from tactile_sim import Sensor
 from tactile_sim.elastic_press import WholeGel, loads_of
-from tactile_sim.pressing import depth_image
+from tactile_sim.optics import depth_image
 from tactile_toolkit.array_types import Float32, Float64
 
 

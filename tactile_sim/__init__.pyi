@@ -31,7 +31,7 @@ from .touch_spec import (
 from .touch_table import TouchTable as TouchTable
 from .twin.calibration import calibrate as calibrate
 from .twin.mistakes import Mistake as Mistake, find_mistakes as find_mistakes
-from .twin.reader import DepthReading as DepthReading
+from .sensor_parts import DepthReading as DepthReading
 from .twin.recordings import Recordings as Recordings
 from .twin.sources import read_recordings as read_recordings
 

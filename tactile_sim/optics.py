@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
-from tactile_sim.touch_spec import OPTICS
+from tactile_sim.sensor_parts import OPTICS
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
@@ -24,6 +23,16 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     if pictures.shape[1:3] == (height, width):
         return pictures
     return np.stack([resized(each, width, height) for each in pictures])
+
+
+def depth_image(depth_m: Float64, sensor: Sensor) -> Float32:
+    """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
+    scaled = np.minimum(depth_m, sensor.gel_m)
+    # In place: a round of large pictures does not stay in the processor's cache.
+    np.maximum(scaled, sensor.press_m, out=scaled)
+    scaled -= sensor.press_m
+    scaled /= sensor.gel_m - sensor.press_m
+    return scaled.astype(np.float32)
 
 
 class Optics(ABC):

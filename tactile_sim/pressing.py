@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tactile_sim.elastic_press import STILL, Load, WholeGel, loads_of
+from tactile_sim.optics import depth_image
 from tactile_sim.poses import as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
 from tactile_sim.sensor import Sensor, full_view
@@ -211,16 +212,6 @@ def _count_of(**given: Sized) -> int:
             what = name.replace("_", " ")
             raise InputError(f"{len(each)} {what} for {count} touches; expected 1 or {count}")
     return count
-
-
-def depth_image(depth_m: Float64, sensor: Sensor) -> Float32:
-    """Scale a depth map to an image: 0 deepest in the gel, 1 no contact; any shape, float32."""
-    scaled = np.minimum(depth_m, sensor.gel_m)
-    # In place: a round of large pictures does not stay in the processor's cache.
-    np.maximum(scaled, sensor.press_m, out=scaled)
-    scaled -= sensor.press_m
-    scaled /= sensor.gel_m - sensor.press_m
-    return scaled.astype(np.float32)
 
 
 def _require_above_cell(targets: Float64, cell_m: tuple[float, float]) -> None:

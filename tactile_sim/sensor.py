@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from tactile_sim.sensor_models import SensorModel
+from tactile_sim.sensor_parts import FlatGel
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
@@ -117,7 +117,7 @@ def center_view(width_px: int = 64, height_px: int = 64) -> Sensor:
     return Sensor((width, height), (_SURFACE_M[1] * width / height, _SURFACE_M[1]), sample_px=MESA_SAMPLE_PX)
 
 
-def sensor_of_model(model: SensorModel, window: str, size_px: tuple[int, int]) -> Sensor:
+def sensor_of_model(model: FlatGel, window: str, size_px: tuple[int, int]) -> Sensor:
     """Return a sensor of another model that shows a window in an image of this size, pixels.
 
     ``"full"`` is the sensing area, whatever the aspect of the image; ``"center"`` the largest part of it with

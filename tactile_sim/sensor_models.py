@@ -31,8 +31,7 @@ _sensor_of_model = lazy("tactile_sim.sensor:sensor_of_model")
 if TYPE_CHECKING:
     from tactile_sim.optics import Optics
     from tactile_sim.sensor import Sensor
-    from tactile_sim.twin.reader import DepthReading
-    from tactile_sim.twin.twin import Twin
+    from tactile_sim.sensor_parts import DepthReading, SensorTwin
     from tactile_toolkit.array_types import Float32, UInt8
 
 
@@ -68,7 +67,7 @@ class SensorModel:
     height_px: int = integer(MISSING, 16, 1280)
     gel_mm: float = real(least=0.1, most=50)
     source: str = text("")
-    twin: Twin | None = None
+    twin: SensorTwin | None = None
 
     def __post_init__(self) -> None:
         for name in ("name", "source"):
@@ -145,8 +144,8 @@ class SensorModel:
             )
         if self != GELSIGHT_MINI and name not in ("depth", self.optics_name):
             raise InputError(
-                f"the optics {name!r} are calibrated for the GelSight Mini; expected {self.optics_name!r} for "
-                f"the sensor {self.name!r}",
+                f"the optics {name!r} are calibrated for the GelSight Mini; expected {self.optics_name!r} "
+                f"for the sensor {self.name!r}",
                 next=f"add --optics {self.optics_name}; of environments, choose an id with -Depth",
             )
 
@@ -193,7 +192,7 @@ class SensorModel:
         found: UInt8 = optics.reached(depth_m, self.sensor)
         return found
 
-    def _require_twin(self) -> Twin:
+    def _require_twin(self) -> SensorTwin:
         if self.twin is None:
             raise InputError(
                 f"the sensor {self.name!r} was not calibrated",

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tactile_sim.press_spec import ElasticPress
 from tactile_sim.sensor_models import GELSIGHT_MINI, SENSORS, SensorModel, checked_sensor
+from tactile_sim.sensor_parts import OPTICS
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
@@ -22,9 +23,6 @@ if TYPE_CHECKING:
     from tactile_sim.sensor_noise import SensorNoise
     from tactile_sim.touch_table import TouchTable
     from tactile_toolkit.catalog import IdChoice
-
-OPTICS = ("depth", "taxim", "cyclegan", "twin")
-"""Names of the optics, by which depth becomes an image; "twin" is that of a calibrated sensor."""
 
 WINDOWS = {"center": "environment", "full": "published"}
 """Windows of the gel that an image shows, and how manifests name them."""

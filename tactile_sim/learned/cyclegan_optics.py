@@ -10,8 +10,7 @@ import numpy as np
 from tactile_sim.learned.channels import depth_channels, generated, shades_of
 from tactile_sim.learned.generators import make_generator
 from tactile_sim.learned.weights import published_weights, read_weights
-from tactile_sim.optics import Optics
-from tactile_sim.pressing import depth_image
+from tactile_sim.optics import Optics, depth_image
 from tactile_sim.sensor import Sensor
 from tactile_toolkit.array_types import Float32, Float64
 

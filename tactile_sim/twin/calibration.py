@@ -102,8 +102,10 @@ def _first_fit(recordings: Recordings, start: SensorModel) -> Fit:
     places = recordings.places()
     if places is not None:
         assert recordings.sensor_m is not None, "places follow from it"
-        return rounds_of_fit.start_fit(recordings, places, recordings.sensor_m[:, 2], start)
-    found, likely = matching.matched_places(recordings, start)
+        stated = partial(rounds_of_fit.start_fit, recordings, places, recordings.sensor_m[:, 2], start)
+        if not matching.are_off(stated()):
+            return stated()
+    found, likely = matching.matched_places(recordings, start, places)
     fit = rounds_of_fit.start_fit(recordings, found[:, :3], None, start)
     for touch, at in enumerate(found):
         matching.place(fit, touch, at)

@@ -36,6 +36,7 @@ _TIMES = 6
 _RIDGE_OF_COLOURS = 0.03
 _PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # tried in each round, in parts of the usual press depth
 _SEEDS = 5
+_OFF_M, _OFF_RAD = 4e-4, 0.02  # stated poses that are off by more are searched around
 _LEARNING = 4
 _GEOMETRY = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.WIDTH, Shape.CONTACT)
 _USUAL = 0.9  # part of the press depth that is tried first
@@ -58,8 +59,10 @@ _Tried: TypeAlias = tuple[float, Float64, float]
 
 @dataclass(eq=False)
 class _Found:
-    """Places of a touch (n, 4: x, y, turn, press depth), the best one first; its error and that of the best
-    one that is elsewhere, and what explains nothing would leave, levels."""
+    """Places of a touch (n, 4: x, y, turn, press depth), the best one first, and errors, levels.
+
+    They are those of the best place, of the best one that is elsewhere, and of no contact at all.
+    """
 
     all_at: Float64
     error: float
@@ -79,19 +82,35 @@ class _Found:
         return self.other / self.error
 
 
-def matched_places(recordings: Recordings, start: SensorModel) -> tuple[Float64, Bool]:
-    """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,)."""
+def are_off(fit: Fit) -> bool:
+    """Return whether stated poses are off by more than a fit can mend: it moves them far at once."""
+    _look(fit, _FIT_PX)
+    fit.ridge = _RIDGES[0]
+    for moving in ((), *[_GEOMETRY] * _LEARNING):
+        fit.step(moving)
+    moved = np.abs(fit.poses - fit.pose_guess)
+    median_m = float(np.median(np.hypot(moved[:, 0], moved[:, 1])))
+    return median_m > _OFF_M or float(np.median(moved[:, 2])) > _OFF_RAD
+
+
+def matched_places(
+    recordings: Recordings, start: SensorModel, near: Float64 | None = None
+) -> tuple[Float64, Bool]:
+    """Return points under the sensor, turns and press depths (N, 4), and which of them are likely (N,).
+
+    ``near`` (N, 3) are points and turns that are stated, and off by some millimetres; all are then likely.
+    """
     count = len(recordings)
     fit = start_fit(recordings, np.zeros((count, 3)), None, start)
     press_m = start.gel_mm / 1e3 - start.press_m
     _look(fit, _SEARCH_PX)
     changes = changes_of(fit, range(count))
-    colours = _common_colours(list(free_places(fit, changes, press_m).values()))
+    colours = _common_colours(list(free_places(fit, changes, press_m, near).values()))
 
     def slopes(surface: Float64, pitch_m: Float64) -> Float64:
-        return np.asarray(np.stack(np.gradient(surface, *pitch_m[::-1]), axis=2) @ colours)
+        return np.asarray(np.stack([*np.gradient(surface, *pitch_m[::-1])], axis=2) @ colours)
 
-    places = matching_places(fit, changes, slopes, (_USUAL * press_m,), press_m)
+    places = matching_places(fit, changes, slopes, (_USUAL * press_m,), press_m, near)
     best = np.array([places[touch].at[0] for touch in range(count)])
     margins = np.array([places[touch].margin for touch in range(count)])
     likely = np.isin(np.arange(count), np.argsort(-margins)[:_SEEDS])
@@ -100,12 +119,12 @@ def matched_places(recordings: Recordings, start: SensorModel) -> tuple[Float64,
         _learn(fit, best, likely)
         sure = [touch for touch, each in found.items() if likely[touch] and each.stands_out >= _SURE]
         open_ = [touch for touch in range(count) if touch not in sure]
-        places = _search(fit, open_, best, tuple(share * press_m for share in shares), press_m)
+        worth = _search(fit, open_, best, tuple(share * press_m for share in shares), press_m, near)
         _look(fit, _FIT_PX)
-        found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in places.items()}
+        found |= {touch: _refined(fit, touch, each, _GOOD, 4) for touch, each in worth.items()}
         best = np.array([best[touch] if touch in sure else found[touch].at for touch in range(count)])
         likely = _likely([found[touch] for touch in range(count)])
-    return best, likely
+    return best, likely | (near is not None)
 
 
 def _look(fit: Fit, width_px: int) -> None:
@@ -113,11 +132,16 @@ def _look(fit: Fit, width_px: int) -> None:
 
 
 def _search(
-    fit: Fit, touches: list[int], best: Float64, presses_m: tuple[float, ...], most_m: float
+    fit: Fit,
+    touches: list[int],
+    best: Float64,
+    presses_m: tuple[float, ...],
+    most_m: float,
+    near: Float64 | None,
 ) -> dict[int, Float64]:
     """Return places (n, 4) that look like the images of touches, and that are worth another look."""
     _look(fit, _SEARCH_PX)
-    found = matching_places(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m)
+    found = matching_places(fit, changes_of(fit, touches), _paint_of(fit), presses_m, 1.1 * most_m, near)
     chosen = {}
     for touch, places in found.items():
         tried = np.concatenate([best[touch][None], places.at[:_TRIED]])
@@ -155,7 +179,8 @@ def _common_colours(places: list[Places]) -> Float64:
         for rank in range(min(_HYPOTHESES, len(each.alike)))
     ]
     finalists = sorted(proposed, key=total, reverse=True)[:_FINALISTS]
-    for number, colours in enumerate(finalists):
+    for rank, first in enumerate(finalists):
+        colours = first
         for _ in range(_TIMES):
             parts = np.split(explained(colours), cuts)
             winners = [int(part.argmax()) for part in parts]
@@ -164,7 +189,7 @@ def _common_colours(places: list[Places]) -> Float64:
             square = sum(weight * each.squares[winner] for each, winner, weight in chosen)
             product = sum(weight * each.products[winner] for each, winner, weight in chosen)
             colours = np.linalg.solve(square, product)
-        finalists[number] = colours
+        finalists[rank] = np.asarray(colours)
     return np.asarray(max(finalists, key=total))
 
 
@@ -212,7 +237,7 @@ def _paint_of(fit: Fit) -> Paint:
 def _refined(fit: Fit, touch: int, places: Float64, good: int, steps: int) -> _Found:
     """Return the best place of a touch, by two steps from each place, and more from the good ones."""
     image, dull = fit.image(touch)
-    change = (image - fit.behind)[dull]
+    change: Float64 = np.asarray((image - fit.behind)[dull], np.float64)
     tried = []
     for at in places:
         place(fit, touch, at)
@@ -257,10 +282,9 @@ def _stepped(
         if number == steps:
             break
         moves = np.empty((len(_STEP), left.size))
-        for own, step in enumerate(_STEP):
-            moved = pose.copy()
-            moved[own] += step
-            moves[own] = ((fit.rendered(touch, moved, fit.shape)[dull] - base) / step).ravel()
+        for own, move in enumerate(np.diag(_STEP)):
+            moved = fit.rendered(touch, pose + move, fit.shape)[dull]
+            moves[own] = ((moved - base) / _STEP[own]).ravel()
         bound = _HUBER * max(error, 1.0)
         weights = np.repeat(1 / np.maximum(1, np.abs(left).max(axis=1) / bound), 3)
         variance = 20 * max(error, 1.0) ** 2 / np.square(_SPREAD)

@@ -25,6 +25,7 @@ _PEAK_PX = 5
 _PEAKS = 4  # of one turn
 _MOST_PLACES = 120
 _APART_M, _APART_RAD = 8e-4, 0.15  # places that are closer than this are one
+_NEAR_M, _NEAR_RAD = 5e-3, 0.3  # from stated poses that are off
 _FAINT = 0.03  # of the strongest window: less of the solid cannot explain an image
 _LEAST_GAIN, _MOST_GAIN = 0.6, 1.6  # of how strong an image is against one of the usual press depth
 
@@ -57,14 +58,23 @@ class Places:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Turned:
-    """A turned solid: the surface of the gel (R, C); of its windows (r, c), the places of their middles, and
-    the press depth."""
+    """A turned solid: the surface of the gel (R, C), and middles and press depths of its windows (r, c)."""
 
     surface: Float64
     x_m: Float64
     y_m: Float64
     press_m: Float64
     turn_rad: float
+
+    def is_near(self, near: Float64 | None, touch: int) -> Bool | bool:
+        """Return which windows are near to where a touch is known to be; True if that is not known."""
+        if near is None:
+            return True
+        x_m, y_m, turn_rad = near[touch]
+        turn = (self.turn_rad - turn_rad + np.pi) % (2 * np.pi) - np.pi
+        if abs(turn) > _NEAR_RAD:
+            return False
+        return np.asarray(np.hypot(self.x_m - x_m, self.y_m - y_m) < _NEAR_M)
 
 
 def alike_places(places: Float64, one: Float64, apart: tuple[float, float] = (_APART_M, _APART_RAD)) -> Bool:
@@ -82,23 +92,29 @@ def changes_of(fit: Fit, touches: Iterable[int]) -> Changes:
     return found
 
 
-def free_places(fit: Fit, changes: Changes, press_m: float) -> dict[int, Places]:
-    """Return where slopes of solids explain each image best, if their colours may be any."""
+def free_places(fit: Fit, changes: Changes, press_m: float, near: Float64 | None) -> dict[int, Places]:
+    """Return where slopes of solids explain each image best, if their colours may be any.
+
+    ``near`` (N, 3) are places and turns that each touch is known to be near to, if they are known.
+    """
     found: dict[int, list[tuple[float, ...]]] = {touch: [] for touch in changes}
     for key, windows, spectra in _solids(fit, changes):
         for turned in _turns(fit, key, press_m):
-            slopes = np.stack(np.gradient(turned.surface, *fit.pitch_m(fit.shape)[::-1]))
+            slopes = np.stack([*np.gradient(turned.surface, *fit.pitch_m(fit.shape)[::-1])])
             down, right = slopes
             squares = [windows.sums(each) for each in (down * down, down * right, right * right)]
             least = _FAINT * float((squares[0] + squares[2]).max())
             one, mixed, two = squares[0] + least, squares[1], squares[2] + least
             spectrum = windows.spectrum(slopes)
             for touch, image in spectra.items():
+                is_near = turned.is_near(near, touch)
+                if not np.any(is_near):
+                    continue
                 products = windows.products(spectrum[:, None] * image)
                 first, second = products
                 total = (two * first * first - 2 * mixed * first * second + one * second * second).sum(axis=0)
                 alike = total / (one * two - mixed * mixed) / _square(changes[touch])
-                for row, column in _peaks(alike):
+                for row, column in _peaks(np.where(is_near, alike, -1.0)):
                     at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad, press_m
                     of = products[:, :, row, column].ravel()
                     rest = squares[0][row, column], squares[1][row, column], squares[2][row, column]
@@ -107,7 +123,12 @@ def free_places(fit: Fit, changes: Changes, press_m: float) -> dict[int, Places]
 
 
 def matching_places(
-    fit: Fit, changes: Changes, paint: Paint, presses_m: tuple[float, ...], most_m: float
+    fit: Fit,
+    changes: Changes,
+    paint: Paint,
+    presses_m: tuple[float, ...],
+    most_m: float,
+    near: Float64 | None,
 ) -> dict[int, Places]:
     """Return where images of solids look like each image, where they are pressed in at most so deep.
 
@@ -123,14 +144,17 @@ def matching_places(
                 allowed = turned.press_m <= most_m
                 spectrum = windows.spectrum(np.moveaxis(picture, 2, 0))
                 for touch, image in spectra.items():
+                    is_near = turned.is_near(near, touch)
+                    if not np.any(is_near):
+                        continue
                     product = windows.products((spectrum * image).sum(axis=0))
                     gain = np.clip(product / energy, _LEAST_GAIN, _MOST_GAIN)
                     alike = (2 * gain * product - gain * gain * energy) / _square(changes[touch])
-                    alike = np.where(allowed, alike, -1.0)
+                    alike = np.where(allowed & is_near, alike, -1.0)
                     for row, column in _peaks(alike):
                         at = turned.x_m[row, column], turned.y_m[row, column], turned.turn_rad
-                        at = (*at, turned.press_m[row, column])
-                        found[touch].append((alike[row, column], *at, *np.zeros(9)))
+                        depth_m = turned.press_m[row, column]
+                        found[touch].append((alike[row, column], *at, depth_m, *np.zeros(9)))
     return {touch: _sorted(each, _square(changes[touch])) for touch, each in found.items()}
 
 
@@ -187,7 +211,9 @@ def _turns(fit: Fit, key: int, press_m: float) -> Iterator[_Turned]:
     from scipy import ndimage  # takes a tenth of a second to import
 
     relief, pitch_m = fit.reliefs[key], fit.pitch_m(fit.shape)
-    small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(np.float64)
+    small = shrunk(relief.heights_m, max(1, round(float(pitch_m.mean() / relief.corner[2])))).astype(
+        np.float64
+    )
     sides_m = relief.corner[2:] * relief.heights_m.shape[::-1]
     middle_m, per_m = relief.corner[:2] + sides_m / 2, np.array(small.shape[::-1]) / sides_m
     rows, columns = _map_shape(fit, key)
@@ -242,7 +268,8 @@ def _peaks(alike: Float64) -> list[tuple[int, int]]:
 
 def _sorted(rows: list[tuple[float, ...]], square: float) -> Places:
     values = np.array(sorted(rows, key=lambda each: -each[0]))
-    left, kept = np.ones(len(values), bool), []
+    kept: list[int] = []
+    left = np.ones(len(values), bool)
     while left.any() and len(kept) < _MOST_PLACES:
         best = int(left.argmax())
         kept.append(best)

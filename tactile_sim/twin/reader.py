@@ -8,11 +8,11 @@ The second one also states how far off it is likely to be.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
+from tactile_sim.sensor_parts import DepthReading
 from tactile_sim.taxim_kernels import blur
 from tactile_sim.twin import gel, network
 from tactile_sim.twin.fitting import Fit, shrunk
@@ -32,22 +32,6 @@ _DULL_MM = 0.02  # of depth: less is none
 _SMOOTH_MM = 0.01  # below this, the loss is round
 _REPEATED = 3  # how often the recordings are seen for each time of a rendered touch
 _PRIMITIVE = 0.35  # share of touches of balls, cones and ridges
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DepthReading:
-    """Depth of touches.
-
-    Attributes
-    ----------
-    depth_m : ndarray of float32, shape (N, H, W)
-        How far the solid reaches into the gel at rest, metres; 0 where nothing touches.
-    error_m : ndarray of float32, shape (N, H, W)
-        Expected absolute error of each pixel, metres.
-    """
-
-    depth_m: Float32
-    error_m: Float32
 
 
 def reader_shapes() -> dict[str, tuple[int, ...]]:

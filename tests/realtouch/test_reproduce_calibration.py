@@ -79,7 +79,7 @@ def reproduce(folder: Path) -> Path:
 
 
 def test_touches_of_digits_are_calibrated_with(made, folder, monkeypatch) -> None:
-    """The touches of solids, with their poses, are what the twin is made of; figures and sheet are written."""
+    """The twin is made of the touches of solids, with their poses; figures and sheet are written."""
     given = []
 
     def calibrated(recordings, **_options):

@@ -26,6 +26,7 @@ from tests.tactile_sim.made_up_twin import HALF_M, SHAPE, made_up_twin
 from tests.tactile_sim.solids import ball, block
 from tests.tactile_sim.twin_scores import recordings_of, score
 
+
 def hills() -> np.ndarray:
     """How far two balls reach into the gel, metres, (48, 64)."""
     y, x = np.mgrid[-1:1:48j, -1:1:64j] * HALF_M[::-1, None, None]
