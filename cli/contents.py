@@ -16,6 +16,7 @@ from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
+ROW = integer(0, help="Row of the split, counted from 0.")
 _STATES = {True: "finished", False: "unfinished"}
 
 
@@ -69,7 +70,7 @@ def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) 
 def show(
     *,
     name: str = ANY_SET,
-    row: int = integer(0, help="Row of the split, counted from 0."),
+    row: int = ROW,
     split: str | None = catalog.SPLIT,
     opening: Opening,
     sink: Sink,

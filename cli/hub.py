@@ -18,6 +18,19 @@ from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import BYTES, bytes_text
 from tactile_toolkit.wording import with_count
 
+REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
+SENDS_NOTHING = switch(False, help="Print what would be sent; send nothing.")
+SENDS_UNASKED = switch(False, name="--yes -y", help="Send without asking.")
+PUBLISHED = argument("NAME", "Short name of a published set, or USER/NAME on the Hub.")
+SPLITS = text(metavar="SPLIT", several=True, help="Only this split; may be repeated.")
+FETCHED_TO = text(
+    name="--out -o",
+    metavar="DIR",
+    read=parse_address,
+    help="Folder to write; the Hub's own cache by default.",
+)
+FETCHES_NOTHING = switch(False, help="Print what would be fetched; fetch nothing.")
+FETCHES_UNASKED = switch(False, name="--yes -y", help="Do not ask before a large download.")
 _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
@@ -28,10 +41,10 @@ def upload(
     *,
     kind: DatasetKind,
     folder: str = FOLDER,
-    repository: str = argument("USER/NAME", "Repository of the Hub."),
+    repository: str = REPOSITORY,
     options: exchange.UploadOptions,
-    dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Send without asking."),
+    dry_run: bool = SENDS_NOTHING,
+    yes: bool = SENDS_UNASKED,
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -84,18 +97,13 @@ def _loading_lines(kind: DatasetKind, prepared: exchange.PreparedUpload, revisio
 def download(
     *,
     kind: DatasetKind,
-    name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
-    split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
+    name: str = PUBLISHED,
+    split: list[str] | None = SPLITS,
     revision: str | None = catalog.REVISION,
     config_name: str | None = catalog.CONFIG,
-    out: str | None = text(
-        name="--out -o",
-        metavar="DIR",
-        read=parse_address,
-        help="Folder to write; the Hub's own cache by default.",
-    ),
-    dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
+    out: str | None = FETCHED_TO,
+    dry_run: bool = FETCHES_NOTHING,
+    yes: bool = FETCHES_UNASKED,
     sink: Sink,
 ) -> None:
     """Download a data set from the Hub, or some of its splits, and check every file.

@@ -9,14 +9,12 @@ from typing import Any
 import typer
 
 import tactile_sim
-from cli import hub as hub_commands
+from cli import contents, hub as hub_commands
 from cli.application import EXIT_FAILED
-from cli.contents import show
-from cli.options import ANY_SET, FOLDER, WORKERS, Opening, argument, local_place, parse_address
+from cli.options import ANY_SET, FOLDER, WORKERS, Opening, argument, local_place
 from cli.output import Sink
 from tactile_sim.sensor_models import SENSORS, SensorModel
 from tactile_toolkit import __version__, cards, catalog, exchange, hub, places, store
-from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.shown_text import markdown_text
@@ -37,7 +35,7 @@ def is_sensor(name: str) -> bool:
 def show_sensor(
     *,
     name: str = ANY_SET,
-    row: int = integer(0, help="Row of the split, counted from 0."),
+    row: int = contents.ROW,
     split: str | None = catalog.SPLIT,
     opening: Opening,
     sink: Sink,
@@ -47,7 +45,7 @@ def show_sensor(
     Examples: show DIR --row 3 --split test;  show my-sensor;  show digit
     """
     if name not in SENSORS and not is_sensor(name):
-        show(name=name, row=row, split=split, opening=opening, sink=sink)
+        contents.show(name=name, row=row, split=split, opening=opening, sink=sink)
         return
     model = SensorModel.named(name)
     sink.document({"sensor": model.to_dict(), "report": dict(model.report)})
@@ -111,10 +109,10 @@ def upload_sensor(
     *,
     kind: DatasetKind,
     folder: str = FOLDER,
-    repository: str = argument("USER/NAME", "Repository of the Hub."),
+    repository: str = hub_commands.REPOSITORY,
     options: exchange.UploadOptions,
-    dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Send without asking."),
+    dry_run: bool = hub_commands.SENDS_NOTHING,
+    yes: bool = hub_commands.SENDS_UNASKED,
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -148,23 +146,19 @@ def _card(model: SensorModel, repository: str) -> str:
 def download_sensor(
     *,
     kind: DatasetKind,
-    name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
-    split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
+    name: str = hub_commands.PUBLISHED,
+    split: list[str] | None = hub_commands.SPLITS,
     revision: str | None = catalog.REVISION,
     config_name: str | None = catalog.CONFIG,
-    out: str | None = text(
-        name="--out -o",
-        metavar="DIR",
-        read=parse_address,
-        help="Folder to write; the Hub's own cache by default. A sensor needs one.",
-    ),
-    dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
+    out: str | None = hub_commands.FETCHED_TO,
+    dry_run: bool = hub_commands.FETCHES_NOTHING,
+    yes: bool = hub_commands.FETCHES_UNASKED,
     sink: Sink,
 ) -> None:
     """Download a data set from the Hub, or some of its splits, or a sensor, and check every file.
 
-    After an interruption, the same command continues. `list` names the published data sets.
+    After an interruption, the same command continues. `list` names the published data sets. A sensor needs
+    --out.
     """
     repository = None
     if out is not None and not split and places.kind_of_published(name) is None:

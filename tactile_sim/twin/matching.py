@@ -213,8 +213,8 @@ def _learn(fit: Fit, at: Float64, likely: Bool) -> None:
     for _ in range(_LEARNING):
         fit.step(_GEOMETRY)
     fit.step()
-    for touch in np.flatnonzero(likely):
-        at[touch] = *fit.poses[touch, :3], _press_m(fit, int(touch))
+    for touch in np.flatnonzero(likely).tolist():
+        at[touch] = *fit.poses[touch, :3], _press_m(fit, touch)
 
 
 def _press_m(fit: Fit, touch: int) -> float:
