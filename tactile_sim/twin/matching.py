@@ -85,7 +85,7 @@ class _Found:
 def are_off(fit: Fit) -> bool:
     """Return whether stated poses are off by more than a fit can mend: it moves them far at once."""
     _look(fit, _FIT_PX)
-    fit.ridge = _RIDGES[0]
+    fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
     for moving in ((), *[_GEOMETRY] * _LEARNING):
         fit.step(moving)
     moved = np.abs(fit.poses - fit.pose_guess)
