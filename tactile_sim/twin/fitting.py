@@ -34,29 +34,20 @@ _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST, _DEPTH_COST, _REST_COST = 1e-3, 1e-2, 1e7
+_ENTRY_COST = np.repeat([1e-3, 1e-2], gel_kernels.STEPS)  # of steepness and of depth
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
-RIDGES = (1e-5, 1e-4, 1e-3, 1e-2)
+RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
 def _penalty() -> Float64:
-    """Return the matrix that holds back curvature of the table; the gel at rest does not respond at all."""
-    nodes = gel_kernels.NODES
-    curves = []
-    for row, column in np.ndindex(nodes, nodes):
-        for down, across in ((0, 1), (1, 0)):
-            if down <= row < nodes - down and across <= column < nodes - across:
-                curve = np.zeros(gel_kernels.ENTRIES)
-                at, step = row * nodes + column, down * nodes + across
-                curve[[at - step, at, at + step]] = 1.0, -2.0, 1.0
-                curves.append(curve)
-    stacked = np.array(curves)
-    cost = stacked.T @ stacked + _ENTRY_COST * np.eye(gel_kernels.ENTRIES)
-    cost[gel_kernels.DEPTHS :, gel_kernels.DEPTHS :] += _DEPTH_COST * np.eye(2)
-    rest = (nodes // 2) * (nodes + 1)
-    cost[rest, rest] += _REST_COST
+    """Return the matrix that holds back curvature of the tables."""
+    turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
+    around = np.roll(np.eye(turns), 1, axis=0) + np.roll(np.eye(turns), -1, axis=0) - 2 * np.eye(turns)
+    along = np.kron(np.eye(2), np.diff(np.eye(steps), 2, axis=0))
+    cost = np.kron(around.T @ around, np.eye(2 * steps))
+    cost += np.kron(np.eye(turns), along.T @ along + np.diag(_ENTRY_COST))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
 
 
@@ -142,7 +133,7 @@ class Fit:
         pitch_m = self.pitch_m(shape)
         margin = gel.margin_px(self.size[1])
         soft = gel.gel_surface(self.indentation(touch, pose, shape, margin), pitch_m, shape, margin)
-        return gel.seen_features(soft, pitch_m, shape[Shape.LENS])
+        return gel.seen_features(soft, pitch_m, shape)
 
     def rendered(self, touch: int, pose: Float64, shape: Float64, seen: gel.Seen | None = None) -> Float64:
         """Return how the image of a touch differs from the background, levels."""
@@ -251,8 +242,8 @@ class _Sums:
 
     @property
     def scale(self) -> float:
-        """Pixels for each entry of the table."""
-        return self.weight / gel_kernels.NODES**2
+        """Pixels for each entry of the tables."""
+        return self.weight / gel_kernels.ENTRIES
 
     def full(self) -> Float64:
         """Return both halves of the normal matrix of the coefficients."""

@@ -13,14 +13,16 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tactile_sim.taxim_kernels import blur
+from tactile_sim.taxim_kernels import LANES, blur
 from tactile_sim.twin import gel_kernels
 from tactile_toolkit.arithmetic import exp_neg
-from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
+from tactile_toolkit.array_types import Float32, Float64, Int64
 
 _WIDTHS = 6  # Taxim has as many, each about half of the one before it
-_REACH = 2.5  # standard deviations of the gel's kernels; Taxim has 2
+_REACH = 4.0  # standard deviations of the gel's kernels
+_COARSE_PX = 4.0  # standard deviation down to which a map is shrunk before it is blurred
 _CAMERA_REACH = 3.0
+_LEAST_RIM_M = 1e-6
 _MARGIN = 0.12  # of the width of an image
 _EDGE = 0.7  # press depth in which the contact begins, in pixels: slopes there are about 1
 
@@ -85,12 +87,11 @@ def gel_surface(
     held, contact = np.empty(indentation_m.shape), np.empty(indentation_m.shape)
     edge_m = _EDGE * float(pitch_m[0])
     gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
-    free = np.zeros(held.shape, np.bool_)
     soft = held.copy()
     for level in range(_WIDTHS):
-        _blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m, free)
+        _blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m)
         gel_kernels.hold(soft, held, contact)
-    _blur_gel(soft, shape[Shape.LAST] / pitch_m, free)
+    _blur_gel(soft, shape[Shape.LAST] / pitch_m)
     return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
 
 
@@ -103,7 +104,7 @@ def own_surface(
     is of the skin of the gel, is added.
     """
     soft = np.ascontiguousarray(-pressed_m)
-    _blur_gel(soft, shape[Shape.LAST] / pitch_m, np.zeros(soft.shape, np.bool_))
+    _blur_gel(soft, shape[Shape.LAST] / pitch_m)
     return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
 
 
@@ -126,17 +127,32 @@ def across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64 = WHOLE) ->
     return float(wide * wide / (wide * wide + high * high))
 
 
-def _blur_gel(soft: Float64, sigma_px: Float64, free: Bool) -> None:
-    rows, columns = soft.shape
+def _blur_gel(soft: Float64, sigma_px: Float64) -> None:
+    """Blur a map in place; wide blurs are done on a smaller map, for which the next one smooths its pixels."""
+    factor = max(int(sigma_px.min() // _COARSE_PX), 1)
+    small = soft
+    if factor > 1:
+        small = np.empty(tuple(max(-(-side // factor), LANES) for side in soft.shape))
+        gel_kernels.shrink(small, soft, factor)
+        # Means of squares, and lines between them, blur too.
+        sigma_px = np.sqrt(np.square(sigma_px) - factor**2 / 4) / factor
+    rows, columns = small.shape
     across, down = half_kernel(sigma_px[0], columns, _REACH), half_kernel(sigma_px[1], rows, _REACH)
-    blur(soft, across, down, 1, free, soft)
+    blur(small, across, down, 1, np.zeros(small.shape, np.bool_), small)
+    if factor > 1:
+        gel_kernels.grow(soft, small, factor)
 
 
-def seen_features(soft: Float64, pitch_m: Float64, lens: float = 0.0) -> Seen:
+def rim_m(soft: Float64, shape: Float64) -> float:
+    """Return the depth of the gel at which the contact begins, metres, of a surface as it is seen."""
+    return max(-float(shape[Shape.CONTACT] * soft.min()), _LEAST_RIM_M)
+
+
+def seen_features(soft: Float64, pitch_m: Float64, shape: Float64) -> Seen:
     """Return which entries of the response each pixel of a surface takes part in."""
     entries = np.empty((soft.size, gel_kernels.ACTIVE), np.int64)
     shares = np.empty(entries.shape, np.float32)
-    gel_kernels.features(soft, pitch_m, lens, entries, shares)
+    gel_kernels.features(soft, pitch_m, shape[Shape.LENS], rim_m(soft, shape), entries, shares)
     return entries, shares
 
 

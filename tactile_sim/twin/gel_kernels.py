@@ -1,8 +1,10 @@
 """Kernels of the twin, in numba: reliefs seen by the sensor, its response to slopes, and normal equations.
 
-The response of a colour is a table over the slope of the gel, whose entries are quadratic in the place in the
-image, and the same for the depth of the gel. A pixel lies between four entries of the table, which share it
-bilinearly. All kernels lie in this one file, because numba's cache looks at the file of a kernel only.
+The response of a colour is a table over direction and steepness of the slope of the gel, whose entries are
+quadratic in the place in the image, and the same over direction and depth of the gel, which shows where the
+rim of a contact casts shadows. A pixel lies between four entries of each table, which share it bilinearly.
+Where the gel is level, nothing changes. All kernels lie in this one file, because numba's cache looks at the
+file of a kernel only.
 """
 
 from __future__ import annotations
@@ -14,26 +16,29 @@ import numpy as np
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
-NODES = 15
-"""Entries of the table along each of the two slopes."""
+TURNS, STEPS = 18, 10
+"""Directions of both tables, and entries along steepness and along depth."""
 
 STEEPEST = 0.6
 """Tangent of half of the angle of the steepest slope in the table: 62 degrees."""
 
-_CROWDED = 1.0  # entries lie three times as close where the gel is level, which most of it is
+DEEPEST = 9 / 7
+"""Greatest depth in the table, in parts of that at which the contact begins."""
+
+_LEVEL = 1e-5
+"""Slope below which the gel is at rest, as in Taxim."""
+
+_BOW = 0.273  # angles of up to 45 degrees are ratio * (pi / 4 + _BOW (1 - ratio)) to 0.004
 
 _RUN = 3  # pixels over which the slope at an edge is taken
 
 PLACES = 6
 """Terms of an entry: 1, x, y, x^2, x y, y^2, where x and y go from -1 to 1 across the image."""
 
-DEPTHS = NODES * NODES
-"""Number of entries for slopes, after which those for the depth follow."""
+ENTRIES = TURNS * 2 * STEPS
+"""Entries in all: for each direction, those of steepness, and those of depth."""
 
-ENTRIES = NODES * NODES + 2
-"""Entries in all: slopes, depth in mm, and its square."""
-
-ACTIVE = 6
+ACTIVE = 8
 """Entries that a pixel takes part in."""
 
 
@@ -73,28 +78,6 @@ def sample_relief(
 
 
 @compiled
-def _slope(soft: Float64, row: int, column: int, per_x: float, per_y: float) -> tuple[float, float]:
-    """Return the slopes along x and y (upwards)."""
-    rows, columns = soft.shape
-    left, right = max(column - 1, 0), min(column + 1, columns - 1)
-    above, below = max(row - 1, 0), min(row + 1, rows - 1)
-    x = (soft[row, right] - soft[row, left]) * (per_x / (right - left))
-    y = (soft[above, column] - soft[below, column]) * (per_y / (below - above))
-    return x, y
-
-
-@compiled
-def _straight(x: float, y: float, u: float, v: float, lens: float, across: float) -> tuple[float, float]:
-    """Return the slopes on the gel of those that are seen through the lens at a position."""
-    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
-    bend = 1.0 + lens * (across * u * u + down * v * v)
-    xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
-    xy = 2.0 * lens * both * u * v
-    per_area = 1.0 / (xx * yy - xy * xy)
-    return (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
-
-
-@compiled
 def bend_surface(
     out: Float64, surface: Float64, span: Float64, margin: int, lens: float, across: float
 ) -> None:
@@ -120,44 +103,82 @@ def bend_surface(
 
 
 @compiled
-def _place(slope: float) -> tuple[int, float]:
-    far = 4.0 * _CROWDED * (1.0 + _CROWDED) * abs(slope) / STEEPEST
-    far = (math.sqrt(1.0 + far) - 1.0) / (2.0 * _CROWDED)
-    at = (1.0 + (far if slope > 0.0 else -far)) * (0.5 * (NODES - 1))
-    at = min(max(at, 0.0), NODES - 1.000001)
-    node = int(at)
-    return node, at - node
+def _row_places(
+    places: Float32,
+    soft: Float64,
+    row: int,
+    pitch: Float64,
+    span: Float64,
+    lens: float,
+    across: float,
+    rim: float,
+) -> None:
+    """Write where in the tables the pixels of a row lie, (3, W): direction, steepness, depth.
+
+    Directions are -1 where the gel is at rest. Slopes are those on the gel, not those seen through the lens.
+    """
+    rows, columns = soft.shape
+    above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
+    per_y = 1.0 / (pitch[1] * (min(row + 1, rows - 1) - max(row - 1, 0)))
+    per_x, per_turn = 0.5 / pitch[0], TURNS / (2.0 * math.pi)
+    per_steep, per_deep = 1.0 / STEEPEST, -(STEPS - 1) / (DEEPEST * rim)
+    v, most = span[1] * (1.0 - (2.0 * row + 1.0) / rows), STEPS - 1.0001
+    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
+    turns, steeps, deeps = places[0], places[1], places[2]
+    for column in range(columns):
+        left, right = max(column - 1, 0), min(column + 1, columns - 1)
+        x = (line[right] - line[left]) * per_x * (2.0 / (right - left))
+        y = (above[column] - below[column]) * per_y
+        u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
+        bend = 1.0 + lens * (across * u * u + down * v * v)
+        xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
+        xy = 2.0 * lens * both * u * v
+        per_area = 1.0 / (xx * yy - xy * xy)
+        x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
+        square = x * x + y * y
+        wide, high = abs(x), abs(y)
+        ratio = min(wide, high) / (max(wide, high) + 1e-12)
+        angle = ratio * (0.25 * math.pi + _BOW * (1.0 - ratio))
+        angle = angle if wide > high else 0.5 * math.pi - angle
+        angle = angle if x > 0.0 else math.pi - angle
+        angle = angle if y > 0.0 else 2.0 * math.pi - angle
+        turns[column] = angle * per_turn if square > _LEVEL * _LEVEL else -1.0
+        half = math.sqrt(square) / (1.0 + math.sqrt(1.0 + square))
+        steeps[column] = min((STEPS - 1.0) * math.sqrt(half * per_steep), most)
+        deeps[column] = min(max(line[column] * per_deep, 0.0), most)
 
 
 @compiled
-def features(soft: Float64, pitch: Float64, lens: float, entries: Int64, shares: Float32) -> None:
-    """Write the entries that each pixel takes part in, and their shares.
+def features(soft: Float64, pitch: Float64, lens: float, rim: float, entries: Int64, shares: Float32) -> None:
+    """Write the entries that each pixel takes part in, and their shares, which are 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
-    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera. ``entries`` and
-    ``shares`` have the shape (H W, ACTIVE).
+    pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera; ``rim`` the
+    depth at which the contact begins, metres. ``entries`` and ``shares`` have the shape (H W, ACTIVE).
     """
     rows, columns = soft.shape
     wide, high = columns * pitch[0], rows * pitch[1]
     across = wide * wide / (wide * wide + high * high)
+    places, span = np.empty((3, columns), np.float32), np.ones(2)
     for row in range(rows):
-        v = 1.0 - (2.0 * row + 1.0) / rows
+        _row_places(places, soft, row, pitch, span, lens, across, rim)
         for column in range(columns):
-            u = (2.0 * column + 1.0) / columns - 1.0
-            x, y = _slope(soft, row, column, 1.0 / pitch[0], 1.0 / pitch[1])
-            x, y = _straight(x, y, u, v, lens, across)
-            scale = 1.0 / (1.0 + math.sqrt(1.0 + x * x + y * y))
-            x, y = x * scale, y * scale
-            (i, fx), (j, fy) = _place(x), _place(y)
-            at = row * columns + column
-            node = j * NODES + i
-            entries[at, 0], shares[at, 0] = node, (1.0 - fx) * (1.0 - fy)
-            entries[at, 1], shares[at, 1] = node + 1, fx * (1.0 - fy)
-            entries[at, 2], shares[at, 2] = node + NODES, (1.0 - fx) * fy
-            entries[at, 3], shares[at, 3] = node + NODES + 1, fx * fy
-            deep = -1e3 * soft[row, column]
-            entries[at, 4], shares[at, 4] = DEPTHS, deep
-            entries[at, 5], shares[at, 5] = DEPTHS + 1, deep * deep
+            at, turn = row * columns + column, places[0, column]
+            if turn < 0.0:
+                entries[at], shares[at] = 0, 0.0
+                continue
+            first = int(turn)
+            part = turn - first
+            for side in range(2):
+                begin = ((first + side) % TURNS) * 2 * STEPS
+                share = part if side else 1.0 - part
+                for kind in range(2):
+                    place = places[1 + kind, column]
+                    node, k = int(place), 4 * side + 2 * kind
+                    entries[at, k] = begin + kind * STEPS + node
+                    entries[at, k + 1] = entries[at, k] + 1
+                    shares[at, k] = share * (1.0 - (place - node))
+                    shares[at, k + 1] = share * (place - node)
 
 
 @compiled
@@ -172,7 +193,10 @@ def respond(out: Float64, entries: Int64, shares: Float32, coefficients: Float64
     """Write the response (H, W, 3), levels; ``coefficients`` have the shape (ENTRIES, PLACES, 3)."""
     rows, columns = out.shape[:2]
     terms = np.empty(PLACES)
+    out[:] = 0.0
     for at in range(rows * columns):
+        if not shares[at].any():
+            continue
         _terms(terms, at, rows, columns, span)
         for colour in range(3):
             total = 0.0
@@ -193,7 +217,7 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
     values, places = np.empty(count), np.empty(count, np.int64)
     for at in range(len(entries)):
         weight = weights[at // columns, at % columns]
-        if weight <= 0.0:
+        if weight <= 0.0 or not shares[at].any():
             continue
         _terms(terms, at, rows, columns, span)
         for k in range(ACTIVE):
@@ -219,7 +243,7 @@ def add_products(
     terms, span = np.empty(PLACES), np.ones(2)
     for at in range(len(entries)):
         weight, line = weights[at // columns, at % columns], given[at // columns, at % columns]
-        if weight <= 0.0:
+        if weight <= 0.0 or not shares[at].any():
             continue
         _terms(terms, at, rows, columns, span)
         for k in range(ACTIVE):
@@ -227,47 +251,6 @@ def add_products(
                 weighed, total = weight * shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
                 for column in range(many):
                     total[column] += weighed * line[column]
-
-
-@compiled
-def _row_places(
-    at_x: Float64,
-    at_y: Float64,
-    soft: Float64,
-    row: int,
-    pitch: Float64,
-    span: Float64,
-    lens: float,
-    across: float,
-) -> None:
-    """Write where in the table the slopes of a row lie, in loops that LLVM does for several pixels."""
-    rows, columns = soft.shape
-    above, line, below = soft[max(row - 1, 0)], soft[row], soft[min(row + 1, rows - 1)]
-    per_y = 1.0 / (pitch[1] * (min(row + 1, rows - 1) - max(row - 1, 0)))
-    per_x = 0.5 / pitch[0]
-    for column in range(1, columns - 1):
-        at_x[column] = (line[column + 1] - line[column - 1]) * per_x
-    at_x[0] = (line[1] - line[0]) / pitch[0]
-    at_x[columns - 1] = (line[columns - 1] - line[columns - 2]) / pitch[0]
-    room, per_crowd = 0.5 * (NODES - 1), 1.0 / (2.0 * _CROWDED)
-    crowd = 4.0 * _CROWDED * (1.0 + _CROWDED) / STEEPEST
-    v = span[1] * (1.0 - (2.0 * row + 1.0) / rows)
-    down, both = 1.0 - across, math.sqrt(across * (1.0 - across))
-    for column in range(columns):
-        x, y = at_x[column], (above[column] - below[column]) * per_y
-        # As `_straight` does.
-        u = span[0] * ((2.0 * column + 1.0) / columns - 1.0)
-        bend = 1.0 + lens * (across * u * u + down * v * v)
-        xx, yy = bend + 2.0 * lens * across * u * u, bend + 2.0 * lens * down * v * v
-        xy = 2.0 * lens * both * u * v
-        per_area = 1.0 / (xx * yy - xy * xy)
-        x, y = (yy * x - xy * y) * per_area, (xx * y - xy * x) * per_area
-        scale = crowd / (1.0 + math.sqrt(1.0 + x * x + y * y))
-        far_x = (math.sqrt(1.0 + scale * abs(x)) - 1.0) * per_crowd
-        far_y = (math.sqrt(1.0 + scale * abs(y)) - 1.0) * per_crowd
-        far_x, far_y = min(far_x, 0.9999999), min(far_y, 0.9999999)
-        at_x[column] = (1.0 + (far_x if x > 0.0 else -far_x)) * room
-        at_y[column] = (1.0 + (far_y if y > 0.0 else -far_y)) * room
 
 
 @compiled
@@ -279,6 +262,7 @@ def render_response(
     span: Float64,
     lens: float,
     across: float,
+    rim: float,
 ) -> None:
     """Write the response (H, W, 3) of a surface, as :func:`features` and :func:`respond` do together.
 
@@ -286,33 +270,37 @@ def render_response(
     ``coefficients`` have the shape (ENTRIES, PLACES, 4), the last colour 0: vectors have four lanes.
     """
     rows, columns = soft.shape
-    line, terms = np.empty(ENTRIES * 12, np.float32), np.empty(12, np.float32)
-    at_x, at_y, one, middle = np.empty(columns), np.empty(columns), np.float32(1.0), 0.5 * (NODES - 1)
+    wide, terms = 2 * STEPS * 12, np.empty(12, np.float32)
+    # The first direction comes again after the last one.
+    lines, places = np.empty((TURNS + 1) * wide, np.float32), np.empty((3, columns), np.float32)
+    one = np.float32(1.0)
     for row in range(rows):
         y = np.float32(span[1] * (1.0 - (2.0 * row + 1.0) / rows))
         for entry in range(ENTRIES):
             held = coefficients[entry]
             for colour in range(4):
-                line[entry * 12 + colour] = held[0, colour] + y * (held[2, colour] + y * held[5, colour])
-                line[entry * 12 + 4 + colour] = held[1, colour] + y * held[4, colour]
-                line[entry * 12 + 8 + colour] = held[3, colour]
-        deep_line, square_line = line[DEPTHS * 12 : DEPTHS * 12 + 12], line[DEPTHS * 12 + 12 :]
-        _row_places(at_x, at_y, soft, row, pitch, span, lens, across)
+                lines[entry * 12 + colour] = held[0, colour] + y * (held[2, colour] + y * held[5, colour])
+                lines[entry * 12 + 4 + colour] = held[1, colour] + y * held[4, colour]
+                lines[entry * 12 + 8 + colour] = held[3, colour]
+        lines[TURNS * wide :] = lines[:wide]
+        _row_places(places, soft, row, pitch, span, lens, across, rim)
         for column in range(columns):
-            pixel = out[row, column]
-            if at_x[column] == middle and at_y[column] == middle and soft[row, column] == 0.0:
+            pixel, turn = out[row, column], places[0, column]
+            if turn < 0.0:
                 pixel[0], pixel[1], pixel[2] = 0.0, 0.0, 0.0
                 continue
             x = np.float32(span[0] * ((2.0 * column + 1.0) / columns - 1.0))
-            i, j = int(at_x[column]), int(at_y[column])
-            fx, fy = np.float32(at_x[column] - i), np.float32(at_y[column] - j)
-            deep = np.float32(-1e3 * soft[row, column])
-            square = deep * deep
-            near, far = line[12 * (j * NODES + i) :], line[12 * ((j + 1) * NODES + i) :]
-            wa, wb, wc, wd = (one - fx) * (one - fy), fx * (one - fy), (one - fx) * fy, fx * fy
+            steep, deep, first = places[1, column], places[2, column], int(turn)
+            i, j, far = int(steep), int(deep), np.float32(turn - first)
+            fi, fj, near = np.float32(steep - i), np.float32(deep - j), one - far
+            gi, gj = one - fi, one - fj
+            a, b = lines[first * wide + i * 12 :], lines[(first + 1) * wide + i * 12 :]
+            c = lines[first * wide + (STEPS + j) * 12 :]
+            d = lines[(first + 1) * wide + (STEPS + j) * 12 :]
             for m in range(12):
-                value = (wa * near[m] + wb * near[m + 12]) + (wc * far[m] + wd * far[m + 12])
-                terms[m] = value + (deep * deep_line[m] + square * square_line[m])
+                here = (gi * a[m] + fi * a[m + 12]) + (gj * c[m] + fj * c[m + 12])
+                there = (gi * b[m] + fi * b[m + 12]) + (gj * d[m] + fj * d[m + 12])
+                terms[m] = near * here + far * there
             for colour in range(3):
                 pixel[colour] = terms[colour] + x * (terms[colour + 4] + x * terms[colour + 8])
 
@@ -336,6 +324,40 @@ def touching(contact: Float64, held: Float64, indentation: Float64, share: float
             value = value if value > 0.0 else 0.0
             line[column] = value if value < 1.0 else 1.0
             target[column] = -into[column]
+
+
+@compiled
+def shrink(out: Float64, wide: Float64, factor: int) -> None:
+    """Write means of squares of a map, which goes on with the values at its edge."""
+    rows, columns = wide.shape
+    share = 1.0 / (factor * factor)
+    for row in range(len(out)):
+        target = out[row]
+        target[:] = 0.0
+        for down in range(factor):
+            line = wide[min(row * factor + down, rows - 1)]
+            for column in range(out.shape[1]):
+                for across in range(factor):
+                    target[column] += share * line[min(column * factor + across, columns - 1)]
+
+
+@compiled
+def grow(out: Float64, small: Float64, factor: int) -> None:
+    """Write a map from means of its squares, bilinear."""
+    rows, columns = out.shape
+    high, wide = small.shape
+    line = np.empty(wide)
+    for row in range(rows):
+        y = min(max((row + 0.5) / factor - 0.5, 0.0), high - 1.0)
+        j = min(int(y), high - 2)
+        above, below, part = small[j], small[j + 1], y - j
+        for column in range(wide):
+            line[column] = above[column] + part * (below[column] - above[column])
+        target = out[row]
+        for column in range(columns):
+            x = min(max((column + 0.5) / factor - 0.5, 0.0), wide - 1.0)
+            i = min(int(x), wide - 2)
+            target[column] = line[i] + (x - i) * (line[i + 1] - line[i])
 
 
 @compiled

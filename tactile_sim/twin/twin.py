@@ -140,7 +140,8 @@ class TwinOptics(Optics):
         soft = surface(reach_m, pitch_m, shape, margin, span)
         across = gel.across_of(pitch_m, soft.shape, span)
         lens = float(twin.shape[Shape.LENS])
-        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across)
+        rim_m = gel.rim_m(soft, shape)
+        gel_kernels.render_response(out, soft, pitch_m, self._coefficients, span, lens, across, rim_m)
         gel.blur_colours(out, shape[Shape.BLUR] / pitch_m)
         return out
 
