@@ -36,7 +36,7 @@ _TIMES = 6
 _RIDGE_OF_COLOURS = 0.03
 _PRESSES = ((0.75,), (0.75, 1.4), (0.5, 0.9, 1.8))  # tried in each round, in parts of the usual press depth
 _SEEDS = 5
-_OFF_M, _OFF_RAD = 4e-4, 0.02  # stated poses that are off by more are searched around
+_OFF = 0.4  # share of the change of images that is left: 0.15 to 0.3 with poses off by 0.5 mm, 0.5 by 1 mm
 _LEARNING = 4
 _GEOMETRY = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.WIDTH, Shape.CONTACT)
 _USUAL = 0.9  # part of the press depth that is tried first
@@ -83,14 +83,22 @@ class _Found:
 
 
 def are_off(fit: Fit) -> bool:
-    """Return whether stated poses are off by more than a fit can mend: it moves them far at once."""
+    """Return whether stated poses are off by more than a fit mends: they explain little of the images."""
     _look(fit, _FIT_PX)
     fit.ridge, fit.spread[:] = _RIDGES[0], _SPREAD
     for moving in ((), *[_GEOMETRY] * _LEARNING):
         fit.step(moving)
-    moved = np.abs(fit.poses - fit.pose_guess)
-    median_m = float(np.median(np.hypot(moved[:, 0], moved[:, 1])))
-    return median_m > _OFF_M or float(np.median(moved[:, 2])) > _OFF_RAD
+    left = []
+    for touch in range(len(fit.poses)):
+        fit.residual(touch)
+        left.append(fit.rms[touch] / _change(fit, touch))
+    return float(np.median(left)) > _OFF
+
+
+def _change(fit: Fit, touch: int) -> float:
+    """Return how much an image differs from the gel at rest, levels."""
+    image, dull = fit.image(touch)
+    return float(np.sqrt(np.mean((image - fit.behind)[dull] ** 2))) + 1e-9
 
 
 def matched_places(
@@ -225,9 +233,10 @@ def _paint_of(fit: Fit) -> Paint:
     """Return how the fit colours a surface, the same everywhere."""
     coefficients = fit.coefficients.copy()
     coefficients[:, 1:] = 0.0
+    shape = np.where(np.arange(len(fit.shape)) == Shape.LENS, 0.0, fit.shape)
 
     def paint(surface: Float64, pitch_m: Float64) -> Float64:
-        seen = gel.seen_features(surface, pitch_m)
+        seen = gel.seen_features(surface, pitch_m, shape)
         size = (surface.shape[0], surface.shape[1])
         return gel.response(seen, size, coefficients, fit.shape[Shape.BLUR] / pitch_m, gel.WHOLE)
 

@@ -151,9 +151,9 @@ def train_reader(twin: Twin, fit: Fit, seed: int = 0) -> dict[str, Float32]:
         background = shrunk(twin.background, shrink)
         held = []
         for image, depth_mm, repeated in samples:
-            change = shrunk(image, shrink) - background
+            change = shrunk(image.astype(np.float32), shrink) - background
             depth = shrunk(depth_mm, shrink)
-            held.append((_colours(change), _true_slopes(depth, twin, shrink), depth.reshape(-1, 1), repeated))
+            held.append((change, _true_slopes(depth, twin, shrink), depth.reshape(-1, 1), repeated))
         reader |= _trained(mode, held, rng)
     return reader
 
@@ -162,14 +162,17 @@ def _trained(
     mode: str, held: list[tuple[Float32, Float32, Float32, int]], rng: np.random.Generator
 ) -> dict[str, Float32]:
     """Train both networks of a mode: slopes first, then depth from what the first one finds."""
-    per = min(_PER_TOUCH, len(held[0][0]))
-    chosen = [rng.permutation(len(each[0]))[: per * each[3]] for each in held]
-    inputs = np.concatenate([each[0][rows] for each, rows in zip(held, chosen, strict=True)])
+    pixels = len(held[0][2])
+    per = min(_PER_TOUCH, pixels)
+    chosen = [rng.permutation(pixels)[: per * each[3]] for each in held]
+    # Colours of all pixels at once would take four times the memory of the images.
+    inputs = np.concatenate([_colours(each[0])[rows] for each, rows in zip(held, chosen, strict=True)])
     targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
     name = f"{mode}_slope"
     reader = network.train(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
     parts, targets = [], np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
-    for (colours, slopes, _, _), rows in zip(held, chosen, strict=True):
+    for (change, slopes, _, _), rows in zip(held, chosen, strict=True):
+        colours = _colours(change)
         read = network.evaluate(reader, name, colours).reshape(slopes.shape)
         parts.append(_surroundings(colours, read)[rows])
     inputs = np.concatenate(parts)
@@ -201,9 +204,9 @@ def _true_slopes(depth_mm: Float32, twin: Twin, shrink: int) -> Float32:
     return np.stack([across, -down], axis=-1).astype(np.float32)
 
 
-def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[Float32, Float32, int]]:
+def _samples(twin: Twin, fit: Fit, rng: np.random.Generator) -> list[tuple[UInt8, Float32, int]]:
     """Return images, depth in mm, and how often each is seen, of recordings and of rendered touches."""
-    samples: list[tuple[Float32, Float32, int]] = []
+    samples: list[tuple[UInt8, Float32, int]] = []
     touches = np.flatnonzero(fit.used)
     presses = []
     left = []
