@@ -42,8 +42,8 @@ def calibrate(
 ) -> None:
     """Make the twin of a sensor: a renderer of its images, and a reader of depth.
 
-    What is wrong with the recordings is named first. Poses may be off by a millimetre and some degrees; without
-    any, touches are found by matching, and those that look the same in several places are left out.
+    What is wrong with the recordings is named first. Poses may be off by a millimetre and some degrees.
+    Without any, touches are found by matching; those that look the same in several places are left out.
 
     Example: tactile-sim calibrate recordings --solids plate --out my-sensor
     """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -214,6 +214,15 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
     return columns
 
 
+def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
+    """Return which known column a name in any unit stands for, such as ``x_mm``, and its divisor."""
+    stem, unit = name.rpartition("_")[0], stated_unit(name)
+    for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
+        if ours in known and unit in per:
+            return ours, per[unit]
+    return None
+
+
 def _meanings(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     """Return for each column of a table which of ours it is, and its divisor; InputError for other columns.
 
@@ -222,10 +231,9 @@ def _meanings(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     meant: dict[str, tuple[str, float]] = {}
     named = [name for name in names if name not in _INDEX_NAMES]
     for name in named:
-        stem, unit = name.rpartition("_")[0], stated_unit(name)
-        for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
-            if ours in _COLUMNS and unit in per:
-                meant[name] = ours, per[unit]
+        meaning = meaning_of(name, _COLUMNS)
+        if meaning is not None:
+            meant[name] = meaning
         if name in _NUMBERS:
             meant[name] = name, 1.0
     found = {ours for ours, _ in meant.values()}

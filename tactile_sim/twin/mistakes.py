@@ -7,9 +7,8 @@ another solid, another unit) are compared by the correlation of those slopes wit
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from itertools import permutations
 
 import numpy as np
@@ -82,14 +81,11 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     list of Mistake
         Empty if nothing was found.
     """
-    few = len(recordings) < LEAST_TOUCHES
-    found = [
-        Mistake(
-            "too-few",
-            f"there are {len(recordings)} touches; expected at least {LEAST_TOUCHES}, better 20",
-            float(len(recordings)),
-        )
-    ] * few
+    found: list[Mistake] = []
+    count = len(recordings)
+    if count < LEAST_TOUCHES:
+        detail = f"there are {count} touches; expected at least {LEAST_TOUCHES}, better 20"
+        found.append(Mistake("too-few", detail, float(count)))
     images = _small(recordings.images)
     rest = _rest(recordings, images)
     for look in (_saturated, _channels, _changed_gel):
@@ -202,7 +198,9 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
     away_m = float(np.median(np.abs(recordings.sensor_m[:, :2] - recordings.object_poses[:, :2]).max(axis=1)))
     figure = f"the slopes of the solids and the change of the images agree by {stated:.2f}"
     if away_m > _FARTHEST_M:
-        agrees = {unit: compare.agreement(_scaled(recordings, metres)) for unit, metres in _UNITS.items()}
+        agrees = {
+            unit: compare.agreement(_meant(recordings, metres, metres)) for unit, metres in _UNITS.items()
+        }
         unit = max(agrees, key=lambda each: agrees[each])
         words = f"; in {unit}, {figure.rpartition(' ')[0]} {agrees[unit]:.2f}"
         yield Mistake(
@@ -211,7 +209,7 @@ def _poses(recordings: Recordings, change: Float64, touching: Bool, start: Senso
         return
     if stated >= _LOW:
         return
-    meant = [("mirrored", words, compare.agreement(made(recordings))) for words, made in _MIRRORS]
+    meant = [("mirrored", words, compare.agreement(_meant(recordings, *signs))) for words, signs in _MIRRORS]
     meant += [("mirrored", words, compare.agreement(recordings, flip)) for words, flip in _FLIPS]
     meant.append(("mesh", "with other solids of the set", compare.with_others(recordings)))
     kind, words, agrees_by = max(meant, key=lambda each: each[2])
@@ -299,27 +297,22 @@ def _centred(images: Float64) -> Float64:
     return np.asarray(images - images.mean(axis=(1, 2), keepdims=True))
 
 
-def _scaled(recordings: Recordings, factor: float) -> Recordings:
-    sensor_m, poses = _poses_of(recordings)
-    return replace(recordings, sensor_m=sensor_m * factor, object_poses=poses * [factor, factor, 1.0])
-
-
-def _with_signs(recordings: Recordings, x: float, y: float, turn: float) -> Recordings:
-    sensor_m, poses = _poses_of(recordings)
-    return replace(recordings, sensor_m=sensor_m * [x, y, 1.0], object_poses=poses * [x, y, turn])
-
-
-def _poses_of(recordings: Recordings) -> tuple[Float64, Float64]:
+def _meant(recordings: Recordings, x: float, y: float, turn: float = 1.0) -> Recordings:
+    """Return recordings whose positions and turns are those that were stated, times factors."""
     assert recordings.sensor_m is not None, "poses were stated"
     assert recordings.object_poses is not None, "set when recordings are made"
-    return recordings.sensor_m, recordings.object_poses
+    return replace(
+        recordings,
+        sensor_m=recordings.sensor_m * [x, y, 1.0],
+        object_poses=recordings.object_poses * [x, y, turn],
+    )
 
 
-_MIRRORS: tuple[tuple[str, Callable[[Recordings], Recordings]], ...] = (
-    ("with x mirrored", partial(_with_signs, x=-1.0, y=1.0, turn=1.0)),
-    ("with y mirrored", partial(_with_signs, x=1.0, y=-1.0, turn=1.0)),
-    ("with the turn the other way round", partial(_with_signs, x=1.0, y=1.0, turn=-1.0)),
-    ("with x and the turn mirrored", partial(_with_signs, x=-1.0, y=1.0, turn=-1.0)),
-    ("with y and the turn mirrored", partial(_with_signs, x=1.0, y=-1.0, turn=-1.0)),
+_MIRRORS = (
+    ("with x mirrored", (-1.0, 1.0, 1.0)),
+    ("with y mirrored", (1.0, -1.0, 1.0)),
+    ("with the turn the other way round", (1.0, 1.0, -1.0)),
+    ("with x and the turn mirrored", (-1.0, 1.0, -1.0)),
+    ("with y and the turn mirrored", (1.0, -1.0, -1.0)),
 )
 _FLIPS = (("with the images upside down", 0), ("with the images mirrored", 1))

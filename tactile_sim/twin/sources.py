@@ -14,6 +14,7 @@ import pyarrow as pa
 from tactile_sim.generation import open_split
 from tactile_sim.given_solids import given_solids
 from tactile_sim.kind import KIND
+from tactile_sim.touch_table import meaning_of
 from tactile_sim.twin.recordings import Recordings
 from tactile_toolkit import column_types, places, store, touch
 from tactile_toolkit.array_types import Float64, UInt8
@@ -21,7 +22,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, as_mesh
 from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
-from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
+from tactile_toolkit.units import stated_unit
 
 MOST_TOUCHES = 60
 """Touches that are taken at most, evenly spaced; 20 are enough, and time grows with their number."""
@@ -165,10 +166,9 @@ def _of_line(root: Path, line: Mapping[str, Any], where: str) -> _Touched:
     for name, value in line.items():
         if value in (None, ""):
             continue
-        stem, unit = name.rpartition("_")[0], stated_unit(name)
-        for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
-            if ours in (*_SENSOR, *_OBJECT) and unit in per:
-                numbers[ours] = value / per[unit]
+        meaning = meaning_of(name, (*_SENSOR, *_OBJECT))
+        if meaning is not None:
+            numbers[meaning[0]] = value / meaning[1]
         if name in _OBJECT_NAMES:
             object_id = int(value)
             if object_id != value:
