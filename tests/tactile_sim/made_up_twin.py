@@ -17,8 +17,6 @@ def made_up_twin(seed: int = 0) -> Twin:
     """Return a twin of images of 64 x 48 pixels."""
     rng = np.random.default_rng(seed)
     coefficients = rng.normal(0, 30, (gel_kernels.ENTRIES, gel_kernels.PLACES, 3)).astype(np.float32)
-    rest = (gel_kernels.NODES // 2) * (gel_kernels.NODES + 1)
-    coefficients[rest] = 0
     background = rng.uniform(90, 130, (48, 64, 3)).astype(np.float32)
     weights = {name: np.zeros(shape, np.float32) for name, shape in reader.reader_shapes().items()}
     return Twin(SHAPE, HALF_M, coefficients, background, weights, {"mm_per_px": 0.295})
