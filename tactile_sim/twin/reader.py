@@ -176,6 +176,7 @@ def _trained(
         read = network.evaluate(reader, name, colours).reshape(slopes.shape)
         parts.append(_surroundings(colours, read)[rows])
     inputs = np.concatenate(parts)
+    parts.clear()  # a hundred megabytes
     name = f"{mode}_depth"
     return reader | network.train(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
 
