@@ -3,8 +3,8 @@
 For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
 Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
 left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
-touch by touch, so memory does not grow with their number. The blur of the camera is left out of the
-derivatives by the coefficients alone, and is in everything else.
+touch by touch, so memory does not grow with their number. The blur of the camera is left out of the normal
+matrix of the coefficients alone, which makes their steps shorter and leaves where they end.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST = np.repeat([1e-3, 1e-2], gel_kernels.STEPS)  # of steepness and of depth
+_ENTRY_COST = np.repeat([1e-3, 0.1], gel_kernels.STEPS)  # of steepness and of depth
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
@@ -153,6 +153,15 @@ class Fit:
         self.typical[touch] = 1.4826 * float(np.median(np.abs(left)))
         return base, left, weights
 
+    def misfit(self) -> float:
+        """Return what is left of the images, and how far poses are from the guess, each by its variance."""
+        total = 0.0
+        for touch in np.flatnonzero(self.used):
+            _, left, weights = self.residual(int(touch))
+            total += float(np.sum(weights[..., None] * left**2)) / (ALIKE_PX * self.noise**2)
+        away = (self.poses - self.pose_guess)[self.used] / self.spread[self.used]
+        return total + float(np.sum(away**2))
+
     def step(self, moving: tuple[Shape, ...] = ()) -> float:
         """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
         sums = _Sums(len(self.poses))
@@ -185,7 +194,8 @@ class Fit:
                 pose[own] += _POSE_STEP[own]
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
                 places.append(_SHARED + _OWN * touch + own)
-        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places)
+        blur_px = self.shape[Shape.BLUR] / self.pitch_m(self.shape)
+        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places, blur_px)
 
     def refresh_background(self) -> None:
         """Average what touches show of the background, in full size, with the images without contact."""
@@ -249,12 +259,17 @@ class _Sums:
         """Return both halves of the normal matrix of the coefficients."""
         return np.asarray(self.normal + np.tril(self.normal, -1).T)
 
-    def add(self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int]) -> None:
+    def add(
+        self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int], blur_px: Float64
+    ) -> None:
         """Add a touch: ``columns`` (H, W, 1 + m, 3) are what is left and derivatives, of ``places``."""
         height, width, many, _ = columns.shape
         gel_kernels.add_normal(self.normal, *seen, weights)
         found = np.zeros((COEFFICIENTS, many * 3))
-        gel_kernels.add_products(found, *seen, weights, columns.reshape(height, width, -1))
+        # The blur of the camera is its own transpose.
+        weighed = (columns.reshape(height, width, -1) * weights[..., None]).astype(np.float64)
+        gel.blur_colours(weighed, blur_px)
+        gel_kernels.add_products(found, *seen, weighed)
         at = np.array([0, *(1 + place for place in places)])
         self.products[:, at] += found.reshape(COEFFICIENTS, many, 3)
         self.weight += float(weights.sum())

@@ -167,8 +167,8 @@ def response(
 
 
 def blur_colours(image: Float64, sigma_px: Float64) -> None:
-    """Blur an image (H, W, 3) in place, by standard deviations along x and y."""
-    rows, columns, _ = image.shape
-    plane = image.reshape(rows, 3 * columns)
+    """Blur an image (H, W, k) in place, by standard deviations along x and y."""
+    rows, columns, many = image.shape
+    plane = image.reshape(rows, many * columns)
     across, down = half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows)
-    blur(plane, across, down, 3, np.zeros(plane.shape, np.bool_), plane)
+    blur(plane, across, down, many, np.zeros(plane.shape, np.bool_), plane)

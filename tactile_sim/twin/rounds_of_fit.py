@@ -20,7 +20,8 @@ _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
-_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
+_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH)
+_CONTACTS, _TRIAL_STEPS = (0.4, 0.47, 0.54, 0.61, 0.68), 2
 _COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
 _STEPS = (16, 10)
 _SETTLED = 0.01
@@ -79,6 +80,8 @@ def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> 
         fit.look(max(1, round(width / wide)))
         moving = _COARSE if level == 0 else tuple(Shape)
         fit.step()
+        if level:
+            choose_contact(fit)
         for number in range(steps):
             moved = fit.step(moving)
             advance(done + number)
@@ -93,6 +96,27 @@ def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> 
         fit.step()
         fit.refresh_background()
         advance(done + 2 + number)
+
+
+def choose_contact(fit: Fit) -> None:
+    """Continue with the contact and the press depths that explain the images best.
+
+    What is in contact, and how the gel leaves it, are alike if the contact begins at a greater share of a
+    greater depth; steps go along this valley too slowly.
+    """
+    shape, poses, coefficients, noise = fit.shape, fit.poses, fit.coefficients, fit.noise
+    used = np.flatnonzero(fit.used)
+    presses_m = np.array([fit.indentation(int(each), poses[each], shape).max() for each in used])
+    tried = []
+    for contact in _CONTACTS:
+        fit.shape, fit.poses, fit.coefficients = shape.copy(), poses.copy(), coefficients
+        fit.shape[Shape.CONTACT] = contact
+        fit.poses[used, 3] += presses_m * ((1 - shape[Shape.CONTACT]) / (1 - contact) - 1)
+        for _ in range(_TRIAL_STEPS):
+            fit.step()
+        fit.noise = noise
+        tried.append((fit.misfit(), fit.shape, fit.poses, fit.coefficients))
+    _, fit.shape, fit.poses, fit.coefficients = min(tried, key=lambda each: each[0])
 
 
 def leave_out_misfits(fit: Fit) -> None:
