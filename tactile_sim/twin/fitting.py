@@ -34,20 +34,20 @@ _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST = np.repeat([1e-3, 0.1], gel_kernels.STEPS)  # of steepness and of depth
+_ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-3, 0.1, 1e3
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
 RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
-def _penalty() -> Float64:
-    """Return the matrix that holds back curvature of the tables."""
+def _penalty(depth_cost: float) -> Float64:
+    """Return the matrix that holds back curvature of the tables, and entries of the depth."""
     turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
     around = np.roll(np.eye(turns), 1, axis=0) + np.roll(np.eye(turns), -1, axis=0) - 2 * np.eye(turns)
     along = np.kron(np.eye(2), np.diff(np.eye(steps), 2, axis=0))
     cost = np.kron(around.T @ around, np.eye(2 * steps))
-    cost += np.kron(np.eye(turns), along.T @ along + np.diag(_ENTRY_COST))
+    cost += np.kron(np.eye(turns), along.T @ along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
 
 
@@ -83,8 +83,12 @@ class Fit:
         self.typical = np.zeros(count)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
-        self.penalty = _penalty()
+        self.penalise(shadows=True)
         self.look(1)
+
+    def penalise(self, *, shadows: bool) -> None:
+        """Continue with or without the response to the depth of the gel, which shows shadows."""
+        self.penalty = _penalty(_DEPTH_COST if shadows else _NO_SHADOWS_COST)
 
     def look(self, shrink: int) -> None:
         """Continue with images that are smaller by a factor."""
@@ -153,15 +157,6 @@ class Fit:
         self.typical[touch] = 1.4826 * float(np.median(np.abs(left)))
         return base, left, weights
 
-    def misfit(self) -> float:
-        """Return what is left of the images, and how far poses are from the guess, each by its variance."""
-        total = 0.0
-        for touch in np.flatnonzero(self.used):
-            _, left, weights = self.residual(int(touch))
-            total += float(np.sum(weights[..., None] * left**2)) / (ALIKE_PX * self.noise**2)
-        away = (self.poses - self.pose_guess)[self.used] / self.spread[self.used]
-        return total + float(np.sum(away**2))
-
     def step(self, moving: tuple[Shape, ...] = ()) -> float:
         """Take a step and return how far the geometry moved; poses move if any of the geometry does."""
         sums = _Sums(len(self.poses))
@@ -174,7 +169,8 @@ class Fit:
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         # A press that is deeper in all touches is a thicker gel.
         common_m = float(self.poses[self.used, 3].mean())
-        self.shape[Shape.GEL] += common_m
+        if Shape.GEL in moving:
+            self.shape[Shape.GEL] += common_m
         self.poses[:, 3] -= common_m
         return float(np.abs(shift).max())
 

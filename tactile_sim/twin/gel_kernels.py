@@ -150,7 +150,7 @@ def _row_places(
 
 @compiled
 def features(soft: Float64, pitch: Float64, lens: float, rim: float, entries: Int64, shares: Float32) -> None:
-    """Write the entries that each pixel takes part in, and their shares, which are 0 where the gel is at rest.
+    """Write the entries that each pixel takes part in, and their shares: 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
     pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera; ``rim`` the

@@ -20,10 +20,12 @@ _WIDTH_M, _LAST_M, _CONTACT, _BLUR_M = 9e-4, 6e-5, 0.6, 6e-5
 _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
-_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH)
-_CONTACTS, _TRIAL_STEPS = (0.4, 0.47, 0.54, 0.61, 0.68), 2
-_COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
-_STEPS = (16, 10)
+_COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
+# How deep the gel is pressed in is not told apart from its shadows: it is found without them.
+_SHALLOW = tuple(each for each in Shape if each not in (Shape.GEL, Shape.CONTACT))
+_ROUNDS = ((80, 12, _COARSE), (160, 5, tuple(Shape)), (160, 6, _SHALLOW))
+"""Widths of the images, steps, and what moves."""
+
 _SETTLED = 0.01
 _PASSES = 3
 _MISFIT = 3.0  # times the median error
@@ -70,18 +72,16 @@ def first_background(recordings: Recordings) -> Float32:
 def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
     """Fit from coarse to fine."""
     width = fit.recordings.size_px[0]
-    done, total = 0, sum(_STEPS) + _PASSES + 2
+    done, total = 0, sum(steps for _, steps, _ in _ROUNDS) + _PASSES + 2
 
     def advance(to: int) -> None:
         if on_progress is not None:
             on_progress(to, total)
 
-    for level, (wide, steps) in enumerate(zip((_COARSEST_PX, _COARSE_PX), _STEPS, strict=True)):
+    for wide, steps, moving in _ROUNDS:
         fit.look(max(1, round(width / wide)))
-        moving = _COARSE if level == 0 else tuple(Shape)
+        fit.penalise(shadows=moving == _SHALLOW)
         fit.step()
-        if level:
-            choose_contact(fit)
         for number in range(steps):
             moved = fit.step(moving)
             advance(done + number)
@@ -96,27 +96,6 @@ def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> 
         fit.step()
         fit.refresh_background()
         advance(done + 2 + number)
-
-
-def choose_contact(fit: Fit) -> None:
-    """Continue with the contact and the press depths that explain the images best.
-
-    What is in contact, and how the gel leaves it, are alike if the contact begins at a greater share of a
-    greater depth; steps go along this valley too slowly.
-    """
-    shape, poses, coefficients, noise = fit.shape, fit.poses, fit.coefficients, fit.noise
-    used = np.flatnonzero(fit.used)
-    presses_m = np.array([fit.indentation(int(each), poses[each], shape).max() for each in used])
-    tried = []
-    for contact in _CONTACTS:
-        fit.shape, fit.poses, fit.coefficients = shape.copy(), poses.copy(), coefficients
-        fit.shape[Shape.CONTACT] = contact
-        fit.poses[used, 3] += presses_m * ((1 - shape[Shape.CONTACT]) / (1 - contact) - 1)
-        for _ in range(_TRIAL_STEPS):
-            fit.step()
-        fit.noise = noise
-        tried.append((fit.misfit(), fit.shape, fit.poses, fit.coefficients))
-    _, fit.shape, fit.poses, fit.coefficients = min(tried, key=lambda each: each[0])
 
 
 def leave_out_misfits(fit: Fit) -> None:
