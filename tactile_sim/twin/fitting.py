@@ -3,8 +3,8 @@
 For a fixed geometry, an image is linear in the coefficients of the response. They are eliminated from each
 Gauss-Newton step (variable projection: Golub and Pereyra, Inverse Problems 19, 2003), which moves what is
 left: the geometry, and of each touch the point under the sensor, the turn and the press depth. Sums are taken
-touch by touch, so memory does not grow with their number. The blur of the camera is left out of the
-derivatives by the coefficients alone, and is in everything else.
+touch by touch, so memory does not grow with their number. The blur of the camera is left out of the normal
+matrix of the coefficients alone, which makes their steps shorter and leaves where they end.
 """
 
 from __future__ import annotations
@@ -34,20 +34,20 @@ _FIRST_NOISE, _LEAST_NOISE = 10.0, 0.3  # levels
 _DARK, _BRIGHT = 1, 254  # levels from which a pixel counts as saturated
 # Curvature of the table, and how much its terms of the place are held back.
 _PLACE_COST = np.array([1.0, 3.0, 3.0, 6.0, 6.0, 6.0])
-_ENTRY_COST = np.repeat([1e-3, 1e-2], gel_kernels.STEPS)  # of steepness and of depth
+_ENTRY_COST, _DEPTH_COST, _NO_SHADOWS_COST = 1e-3, 0.1, 1e3
 ALIKE_PX = 200.0
 """Pixels whose residuals are alike, so that they count as one."""
 
 RIDGES = (1e-4, 3e-4, 1e-3, 3e-3, 1e-2)
 
 
-def _penalty() -> Float64:
-    """Return the matrix that holds back curvature of the tables."""
+def _penalty(depth_cost: float) -> Float64:
+    """Return the matrix that holds back curvature of the tables, and entries of the depth."""
     turns, steps = gel_kernels.TURNS, gel_kernels.STEPS
     around = np.roll(np.eye(turns), 1, axis=0) + np.roll(np.eye(turns), -1, axis=0) - 2 * np.eye(turns)
     along = np.kron(np.eye(2), np.diff(np.eye(steps), 2, axis=0))
     cost = np.kron(around.T @ around, np.eye(2 * steps))
-    cost += np.kron(np.eye(turns), along.T @ along + np.diag(_ENTRY_COST))
+    cost += np.kron(np.eye(turns), along.T @ along + np.diag(np.repeat([_ENTRY_COST, depth_cost], steps)))
     return np.asarray(np.kron(cost, np.diag(_PLACE_COST)))
 
 
@@ -83,8 +83,12 @@ class Fit:
         self.typical = np.zeros(count)
         self.shape_guess, self.pose_guess = self.shape.copy(), self.poses.copy()
         self.information = np.zeros((count, _OWN, _OWN))
-        self.penalty = _penalty()
+        self.penalise(shadows=True)
         self.look(1)
+
+    def penalise(self, *, shadows: bool) -> None:
+        """Continue with or without the response to the depth of the gel, which shows shadows."""
+        self.penalty = _penalty(_DEPTH_COST if shadows else _NO_SHADOWS_COST)
 
     def look(self, shrink: int) -> None:
         """Continue with images that are smaller by a factor."""
@@ -165,7 +169,8 @@ class Fit:
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         # A press that is deeper in all touches is a thicker gel.
         common_m = float(self.poses[self.used, 3].mean())
-        self.shape[Shape.GEL] += common_m
+        if Shape.GEL in moving:
+            self.shape[Shape.GEL] += common_m
         self.poses[:, 3] -= common_m
         return float(np.abs(shift).max())
 
@@ -185,7 +190,8 @@ class Fit:
                 pose[own] += _POSE_STEP[own]
                 columns.append((self.rendered(touch, pose, self.shape) - base) / _POSE_STEP[own])
                 places.append(_SHARED + _OWN * touch + own)
-        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places)
+        blur_px = self.shape[Shape.BLUR] / self.pitch_m(self.shape)
+        sums.add(seen, weights, np.stack(columns, axis=2).astype(np.float32), places, blur_px)
 
     def refresh_background(self) -> None:
         """Average what touches show of the background, in full size, with the images without contact."""
@@ -249,12 +255,17 @@ class _Sums:
         """Return both halves of the normal matrix of the coefficients."""
         return np.asarray(self.normal + np.tril(self.normal, -1).T)
 
-    def add(self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int]) -> None:
+    def add(
+        self, seen: gel.Seen, weights: Float32, columns: Float32, places: list[int], blur_px: Float64
+    ) -> None:
         """Add a touch: ``columns`` (H, W, 1 + m, 3) are what is left and derivatives, of ``places``."""
         height, width, many, _ = columns.shape
         gel_kernels.add_normal(self.normal, *seen, weights)
         found = np.zeros((COEFFICIENTS, many * 3))
-        gel_kernels.add_products(found, *seen, weights, columns.reshape(height, width, -1))
+        # The blur of the camera is its own transpose.
+        weighed = (columns.reshape(height, width, -1) * weights[..., None]).astype(np.float64)
+        gel.blur_colours(weighed, blur_px)
+        gel_kernels.add_products(found, *seen, weighed)
         at = np.array([0, *(1 + place for place in places)])
         self.products[:, at] += found.reshape(COEFFICIENTS, many, 3)
         self.weight += float(weights.sum())

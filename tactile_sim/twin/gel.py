@@ -89,9 +89,9 @@ def gel_surface(
     gel_kernels.touching(contact, held, indentation_m, shape[Shape.CONTACT], edge_m)
     soft = held.copy()
     for level in range(_WIDTHS):
-        _blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m)
+        blur_gel(soft, shape[Shape.WIDTH] * 0.5**level / pitch_m)
         gel_kernels.hold(soft, held, contact)
-    _blur_gel(soft, shape[Shape.LAST] / pitch_m)
+    blur_gel(soft, shape[Shape.LAST] / pitch_m)
     return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
 
 
@@ -104,7 +104,7 @@ def own_surface(
     is of the skin of the gel, is added.
     """
     soft = np.ascontiguousarray(-pressed_m)
-    _blur_gel(soft, shape[Shape.LAST] / pitch_m)
+    blur_gel(soft, shape[Shape.LAST] / pitch_m)
     return seen_through(soft, pitch_m, float(shape[Shape.LENS]), margin, span)
 
 
@@ -127,8 +127,8 @@ def across_of(pitch_m: Float64, size: tuple[int, ...], span: Float64 = WHOLE) ->
     return float(wide * wide / (wide * wide + high * high))
 
 
-def _blur_gel(soft: Float64, sigma_px: Float64) -> None:
-    """Blur a map in place; wide blurs are done on a smaller map, for which the next one smooths its pixels."""
+def blur_gel(soft: Float64, sigma_px: Float64) -> None:
+    """Blur a map in place; wide blurs are done on a smaller map, whose pixels the next one smooths."""
     factor = max(int(sigma_px.min() // _COARSE_PX), 1)
     small = soft
     if factor > 1:
@@ -167,8 +167,8 @@ def response(
 
 
 def blur_colours(image: Float64, sigma_px: Float64) -> None:
-    """Blur an image (H, W, 3) in place, by standard deviations along x and y."""
-    rows, columns, _ = image.shape
-    plane = image.reshape(rows, 3 * columns)
+    """Blur an image (H, W, k) in place, by standard deviations along x and y."""
+    rows, columns, many = image.shape
+    plane = image.reshape(rows, many * columns)
     across, down = half_kernel(sigma_px[0], columns), half_kernel(sigma_px[1], rows)
-    blur(plane, across, down, 3, np.zeros(plane.shape, np.bool_), plane)
+    blur(plane, across, down, many, np.zeros(plane.shape, np.bool_), plane)

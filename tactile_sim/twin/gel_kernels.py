@@ -150,7 +150,7 @@ def _row_places(
 
 @compiled
 def features(soft: Float64, pitch: Float64, lens: float, rim: float, entries: Int64, shares: Float32) -> None:
-    """Write the entries that each pixel takes part in, and their shares, which are 0 where the gel is at rest.
+    """Write the entries that each pixel takes part in, and their shares: 0 where the gel is at rest.
 
     ``soft``, shape (H, W), is the height of the gel, metres, 0 where it is at rest and negative where it is
     pressed in; ``pitch`` the size of a pixel, metres; ``lens`` the radial term of the camera; ``rim`` the
@@ -231,26 +231,20 @@ def add_normal(normal: Float64, entries: Int64, shares: Float32, weights: Float3
 
 
 @compiled
-def add_products(
-    out: Float64,
-    entries: Int64,
-    shares: Float32,
-    weights: Float32,
-    given: Float32,
-) -> None:
-    """Add the weighted products of coefficients and given columns (H, W, m) to ``out`` (coefficients, m)."""
+def add_products(out: Float64, entries: Int64, shares: Float32, given: Float64) -> None:
+    """Add the products of coefficients and given columns (H, W, m) to ``out`` (coefficients, m)."""
     rows, columns, many = given.shape
     terms, span = np.empty(PLACES), np.ones(2)
     for at in range(len(entries)):
-        weight, line = weights[at // columns, at % columns], given[at // columns, at % columns]
-        if weight <= 0.0 or not shares[at].any():
+        line = given[at // columns, at % columns]
+        if not shares[at].any():
             continue
         _terms(terms, at, rows, columns, span)
         for k in range(ACTIVE):
             for place in range(PLACES):
-                weighed, total = weight * shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
+                share, total = shares[at, k] * terms[place], out[entries[at, k] * PLACES + place]
                 for column in range(many):
-                    total[column] += weighed * line[column]
+                    total[column] += share * line[column]
 
 
 @compiled

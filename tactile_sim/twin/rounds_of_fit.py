@@ -21,8 +21,11 @@ _SPREAD = np.array([2e-4, 2e-4, 0.015, 1e-4])
 _UNKNOWN_PRESS_M = 5e-4
 _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
 _COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
-_COARSEST_PX, _COARSE_PX = 80, 160  # widths of the images of the first steps
-_STEPS = (16, 10)
+# How deep the gel is pressed in is not told apart from its shadows: it is found without them.
+_SHALLOW = tuple(each for each in Shape if each not in (Shape.GEL, Shape.CONTACT))
+_ROUNDS = ((80, 12, _COARSE), (160, 5, tuple(Shape)), (160, 6, _SHALLOW))
+"""Widths of the images, steps, and what moves."""
+
 _SETTLED = 0.01
 _PASSES = 3
 _MISFIT = 3.0  # times the median error
@@ -69,15 +72,15 @@ def first_background(recordings: Recordings) -> Float32:
 def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
     """Fit from coarse to fine."""
     width = fit.recordings.size_px[0]
-    done, total = 0, sum(_STEPS) + _PASSES + 2
+    done, total = 0, sum(steps for _, steps, _ in _ROUNDS) + _PASSES + 2
 
     def advance(to: int) -> None:
         if on_progress is not None:
             on_progress(to, total)
 
-    for level, (wide, steps) in enumerate(zip((_COARSEST_PX, _COARSE_PX), _STEPS, strict=True)):
+    for wide, steps, moving in _ROUNDS:
         fit.look(max(1, round(width / wide)))
-        moving = _COARSE if level == 0 else tuple(Shape)
+        fit.penalise(shadows=moving == _SHALLOW)
         fit.step()
         for number in range(steps):
             moved = fit.step(moving)

@@ -55,9 +55,9 @@ def test_one_pass_renders_what_two_do():
     padded[..., :3] = twin.coefficients
     out, lens = np.empty((48, 64, 3)), float(SHAPE[Shape.LENS])
     across = gel.across_of(pitch_m, soft.shape)
-    gel_kernels.render_response(out, soft, pitch_m, padded, np.ones(2), lens, across)
+    gel_kernels.render_response(out, soft, pitch_m, padded, np.ones(2), lens, across, gel.rim_m(soft, SHAPE))
     plain = np.empty((48, 64, 3))
-    seen = gel.seen_features(soft, pitch_m, lens)
+    seen = gel.seen_features(soft, pitch_m, SHAPE)
     gel_kernels.respond(plain, *seen, twin.coefficients.astype(float), np.ones(2))
     assert np.abs(plain).max() > 10
     assert out == pytest.approx(plain, abs=1e-3)
@@ -68,23 +68,63 @@ def test_slopes_seen_through_a_lens_are_those_of_the_gel():
     pitch_m, margin, lens = np.array([3e-4, 3e-4]), 12, 0.06
     y, x = np.mgrid[36 + margin : -36 - margin : -1, -48 - margin : 48 + margin].astype(float) * 3e-4
     seen = gel.seen_through(0.3 * x - 0.2 * y, pitch_m, lens, margin)
-    _, straight = gel.seen_features(np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12]), pitch_m)
-    entries, shares = gel.seen_features(seen, pitch_m, lens)
+    flat, bent = SHAPE.copy(), SHAPE.copy()
+    flat[Shape.LENS], bent[Shape.LENS] = 0.0, lens
+    steepness = slice(0, 8, 4)  # first entries of both directions
+    plane = np.ascontiguousarray((0.3 * x - 0.2 * y)[12:-12, 12:-12])
+    entries, straight = gel.seen_features(plane, pitch_m, flat)
+    found, shares = gel.seen_features(seen, pitch_m, bent)
     inside = np.zeros(seen.shape, bool)
     inside[2:-2, 2:-2] = True
     inside = inside.ravel()
-    assert (entries[inside, :4] == entries[inside][0, :4]).all()
-    assert np.abs(shares[inside, :4] - straight[inside, :4]).max() < 0.02
-    _, bent = gel.seen_features(seen, pitch_m)  # without the correction
-    assert np.abs(bent[inside, :4] - straight[inside, :4]).max() > 0.1
+    assert (found[inside][:, steepness] == entries[inside][0, steepness]).all()
+    assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() < 0.02
+    _, shares = gel.seen_features(seen, pitch_m, flat)  # without the correction
+    assert np.abs(shares[inside][:, steepness] - straight[inside][:, steepness]).max() > 0.1
+
+
+def test_entries_of_a_slope_follow_its_direction_and_steepness():
+    """Shares of planes in all directions add up, and their entries are where arc tangents say."""
+    pitch_m = np.array([3e-4, 3e-4])
+    y, x = np.mgrid[9:-9:-1, -9:10].astype(float) * 3e-4
+    for angle in np.linspace(0.05, 2 * np.pi, 17):
+        steep = 0.1 + 0.05 * angle
+        soft = steep * (np.cos(angle) * x + np.sin(angle) * y) - 0.01
+        entries, shares = gel.seen_features(soft, pitch_m, np.where(np.arange(8) == Shape.LENS, 0.0, SHAPE))
+        middle = entries[9 * 19 + 9], shares[9 * 19 + 9].astype(float)
+        assert middle[1].sum() == pytest.approx(2, abs=1e-5)  # one for each table
+        turn = np.array([middle[1][:4].sum(), middle[1][4:].sum()]) / 2
+        first = middle[0][0] // (2 * gel_kernels.STEPS)
+        found = (first + turn[1]) * 2 * np.pi / gel_kernels.TURNS
+        assert np.cos(found - angle) > np.cos(0.006)
+        half = np.tan(np.arctan(steep) / 2) / gel_kernels.STEEPEST
+        place = middle[0][0] % (2 * gel_kernels.STEPS) + middle[1][[1, 5]].sum()
+        assert place == pytest.approx((gel_kernels.STEPS - 1) * np.sqrt(half), abs=1e-3)
+
+
+def test_a_gel_at_rest_does_not_respond():
+    """Where the gel is level, there are no shares, and the kernel of the optics writes zeros."""
+    entries, shares = gel.seen_features(np.zeros((20, 30)), np.array([1e-4, 1e-4]), SHAPE)
+    assert not entries.any()
+    assert not shares.any()
+
+
+@pytest.mark.parametrize("sigma_px", [3.0, 9.0, 20.0])
+def test_wide_blurs_on_smaller_maps_are_gaussian(sigma_px: float):
+    """A blur of the gel is scipy's to a hundredth, on a shrunk map too."""
+    gel_map = np.zeros((150, 211))
+    gel_map[60:100, 80:120] = -1.0
+    expected = ndimage.gaussian_filter(gel_map, sigma_px, truncate=4, mode="mirror")
+    gel.blur_gel(gel_map, np.full(2, sigma_px))
+    assert np.abs(gel_map - expected).max() < 0.01
 
 
 def test_normal_equations_are_those_of_the_dense_matrix():
     """Sums of the kernels equal products of the matrix whose columns are images of single coefficients."""
     rng = np.random.default_rng(1)
     pitch_m = 2 * HALF_M / [64, 48]
-    seen = gel.seen_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m)
-    used = np.unique(seen[0][:, :4])[:12]
+    seen = gel.seen_features(gel.gel_surface(hills(), pitch_m, SHAPE), pitch_m, SHAPE)
+    used = np.unique(seen[0])[:12]
     dense = []
     for entry in used:
         for place in range(gel_kernels.PLACES):
@@ -98,7 +138,7 @@ def test_normal_equations_are_those_of_the_dense_matrix():
     given = rng.normal(size=(48, 64, 2)).astype(np.float32)
     normal, products = np.zeros((COEFFICIENTS, COEFFICIENTS)), np.zeros((COEFFICIENTS, 2))
     gel_kernels.add_normal(normal, *seen, weights)
-    gel_kernels.add_products(products, *seen, weights, given)
+    gel_kernels.add_products(products, *seen, (weights[..., None] * given).astype(float))
     at = (used[:, None] * gel_kernels.PLACES + np.arange(gel_kernels.PLACES)).ravel()
     weighed = matrix * weights.reshape(-1, 1)
     assert np.tril(normal[np.ix_(at, at)]) == pytest.approx(np.tril(weighed.T @ matrix), abs=1e-6)
