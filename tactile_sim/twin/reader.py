@@ -170,13 +170,15 @@ def _trained(
     targets = np.concatenate([each[1].reshape(-1, 2)[rows] for each, rows in zip(held, chosen, strict=True)])
     name = f"{mode}_slope"
     reader = network.train(name, inputs, targets, _SLOPE_HIDDEN, 2, _plain_slope, rng, _SLOPE_STEPS)
-    parts, targets = [], np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
+    first, targets = 0, np.concatenate([each[2][rows] for each, rows in zip(held, chosen, strict=True)])
     for (change, slopes, _, _), rows in zip(held, chosen, strict=True):
         colours = _colours(change)
         read = network.evaluate(reader, name, colours).reshape(slopes.shape)
-        parts.append(_surroundings(colours, read)[rows])
-    inputs = np.concatenate(parts)
-    parts.clear()  # a hundred megabytes
+        part = _surroundings(colours, read)[rows]
+        if not first:  # in place: parts and the whole would take twice the memory
+            inputs = np.empty((len(targets), part.shape[1]), np.float32)
+        inputs[first : first + len(rows)] = part
+        first += len(rows)
     name = f"{mode}_depth"
     return reader | network.train(name, inputs, targets, _DEPTH_HIDDEN, 2, _depth_slope, rng, _DEPTH_STEPS)
 
