@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from tactile_sim.touch_rows import SyntheticRound
 from tactile_sim.touch_spec import WINDOWS
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.shown_text import markdown_text
@@ -121,7 +121,7 @@ class _CardSensor:
         return f"{more}; and `plate_z_m`, the height of the sensor on the bare plate"
 
 
-def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
+def _sensor_of(spec: JsonObject) -> _CardSensor:
     size_px, like = spec["size_px"], spec["like"]
     if "sensor" in spec:
         geometry = SensorModel.geometry_names()
@@ -140,7 +140,7 @@ def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
     return _CardSensor(GELSIGHT_MINI, "GelSight Mini", shown, lines)
 
 
-def _objects_in_words(source: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[tuple[str, str]]:
+def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[str, str]]:
     """Return a line about the mesh files or meshes that were touched; none for those of a data set."""
     files = [each for listed in source.values() for each in listed if not each["file"].endswith(".parquet")]
     if not files:
@@ -152,7 +152,7 @@ def _objects_in_words(source: Mapping[str, Sequence[Mapping[str, Any]]]) -> list
     return [("objects", words)]
 
 
-def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:
+def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
     lacking = [
         "the wear of gels",
         *([] if spec.get("layer_m") else ["the texture of prints"]),

@@ -7,13 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import CELL_M
 
@@ -53,7 +54,7 @@ class GivenSolid:
     label: int
     name: str
     source: _MeshFile | Mesh = field(repr=False)
-    facts: Mapping[str, Any] = field(repr=False)
+    facts: JsonObject = field(repr=False)
 
     def mesh(self) -> Mesh:
         """Read the mesh, metres; ItemError if it cannot be read, or is larger than the cell."""
@@ -101,7 +102,7 @@ class GivenSolids:
         """The files, each with its ``path``."""
         return tuple(each.source for each in self.solids if isinstance(each.source, _MeshFile))
 
-    def fingerprints(self) -> list[dict[str, Any]]:
+    def fingerprints(self) -> list[JsonDict]:
         """Return JSON values that identify the solids, in the order of their numbers."""
         return [{"file": each.name, "rows": 1, "id": each.id, **each.facts} for each in self.solids]
 
@@ -130,7 +131,7 @@ def given_solids(
     solids: dict[str, list[GivenSolid]] = {}
     for number, (split, file) in enumerate(listed):
         content = _digest_of(file, found.root)
-        facts: dict[str, Any] = {"sha256": content}
+        facts: JsonDict = {"sha256": content}
         stated = mesh.unit_of_file(file, unit)
         if stated is not None:
             facts["unit"] = stated

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.touch_spec import SENSOR_NOISE, WINDOWS
 from tactile_toolkit.builtin_values import to_builtin
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import contact_height_option, size_option
 
@@ -93,7 +93,7 @@ class PairsSpec:
         """Return whether a touch has no contact; these are spread evenly over the shards."""
         return int((number + 1) * self.without_contact) > int(number * self.without_contact)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide every row."""
         values = asdict(self)
         return {**values, "like": WINDOWS[values.pop("window")]}
@@ -183,7 +183,7 @@ class TrainConfig:
         check_fields(self, "the training")
 
     @classmethod
-    def read(cls, path: Path | None, given: Mapping[str, Any]) -> TrainConfig:
+    def read(cls, path: Path | None, given: JsonObject) -> TrainConfig:
         """Read a TOML file with values of some fields; those ``given`` override them.
 
         Raises
@@ -231,6 +231,6 @@ class TrainConfig:
         """Return the noise that discriminators see at a step, counted from 0."""
         return self.discriminator_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return asdict(self)

@@ -8,11 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
 from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.parsed_text import is_count
 
@@ -183,7 +184,7 @@ class ElasticPress:
             object.__setattr__(self, "markers", grid)
 
     def _set_span(
-        self, name: str, value: Any, most: float, *, least: float = 0.0, above: float = -math.inf
+        self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf
     ) -> None:
         """Normalize a number or a pair to a span; InputError unless it rises and lies within bounds."""
         ends = to_builtin(value, float)
@@ -203,7 +204,7 @@ class ElasticPress:
             )
         object.__setattr__(self, name, ends)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide images and columns."""
         assert self.gel is not None
         return {

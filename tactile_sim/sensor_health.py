@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
-from typing import Any
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from tactile_sim.twin.sources import image_files, read_image, spaced
 from tactile_toolkit import places, store
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 LEAST_IMAGES = 5
 MOST_IMAGES = 64
@@ -82,7 +82,7 @@ class SensorHealth:
         """Whether all figures are within their limits."""
         return all(each.ok for each in self.figures)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         figures = [{**asdict(each), "ok": each.ok} for each in self.figures]
         return {"ok": self.ok, "images": self.images, "figures": figures}

@@ -7,15 +7,16 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
 from tactile_toolkit import column_types, store
 from tactile_toolkit.array_types import AnyArray, Float64
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
 from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
@@ -60,13 +61,13 @@ class TouchTable:
         Columns of other lengths, values that are not finite numbers, a position outside the cell.
     """
 
-    x_m: Any
-    y_m: Any
-    object_id: Any = None
-    round: Any = None
-    object_x_m: Any = None
-    object_y_m: Any = None
-    object_turn_rad: Any = None
+    x_m: Float64
+    y_m: Float64
+    object_id: AnyArray | None = None
+    round: AnyArray | None = None
+    object_x_m: AnyArray | None = None
+    object_y_m: AnyArray | None = None
+    object_turn_rad: AnyArray | None = None
 
     def __post_init__(self) -> None:
         for name in self._held:
@@ -140,7 +141,7 @@ class TouchTable:
             return places, None
         return places, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the table: its columns, the number of rows, and a checksum."""
         columns = [getattr(self, name) for name in self._held]
         # Little-endian, so that the checksum does not depend on the machine.
@@ -163,7 +164,7 @@ class TouchTable:
         return found
 
 
-def _column(name: str, value: Any) -> AnyArray:
+def _column(name: str, value: ArrayLike) -> AnyArray:
     """Return a column as float64 or int64; InputError, with the first bad row, where that is not possible."""
     try:
         found = np.asarray(value)

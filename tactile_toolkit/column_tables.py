@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -17,6 +17,7 @@ from tactile_toolkit import column_types
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.text_tables import TABLE_ENDINGS, UTF16_MARKS, table_text
 
@@ -95,7 +96,7 @@ class ColumnTable:
             found = printable(str(error))[:_LONGEST_SHOWN]
             raise InputError(f"{self.path!r} cannot be read as a table: {found}") from error
 
-    def first_row(self) -> dict[str, Any]:
+    def first_row(self) -> JsonDict:
         """Return the first row as it stands; nothing for a table without rows."""
         first = next(self._batches(), None)
         return {} if first is None or not len(first) else first.slice(0, 1).to_pylist()[0]

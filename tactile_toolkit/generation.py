@@ -6,7 +6,7 @@ import os
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
@@ -75,7 +75,7 @@ class RowGenerator(ABC):
         return values
 
     @abstractmethod
-    def items(self) -> Mapping[str, Any]:
+    def items(self) -> JsonObject:
         """Return the items of each split, a sequence or array; splits in canonical order."""
 
     @abstractmethod
@@ -145,9 +145,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     )
 
 
-def _tasks(
-    generator: RowGenerator, items: Mapping[str, Any], layout: StorageLayout
-) -> tuple[store.AnyTask, ...]:
+def _tasks(generator: RowGenerator, items: JsonObject, layout: StorageLayout) -> tuple[store.AnyTask, ...]:
     return tuple(
         store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
         for split, each in items.items()

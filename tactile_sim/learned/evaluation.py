@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,6 +34,7 @@ from tactile_sim.sensor_noise import SensorNoise, add_noise
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 BASELINES = ("taxim", "untrained")
 """Methods that trained weights may be compared with."""
@@ -86,7 +86,7 @@ class Evaluation:
     sheet: bytes
     noise: SensorNoise | None = None
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values; a measure that does not apply is null."""
         rows = [
             {name: None if value != value else value for name, value in asdict(row).items()}

@@ -17,10 +17,9 @@ import io
 import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
 
 import msgspec
 import numpy as np
@@ -45,6 +44,7 @@ from tactile_toolkit.errors import (
     SpecMismatchError,
     ToolkitError,
 )
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden, open_folder
 from tactile_toolkit.wording import with_count
 
@@ -143,11 +143,11 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
 
 
 class _Settings(msgspec.Struct):
-    config: dict[str, Any]
+    config: JsonDict
     pairs: str
 
 
-def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> None:
+def _claim(folder: DataFolder, settings: JsonObject, *, resume: bool) -> None:
     """Begin a training in a folder, or continue the one that is there, if it has the same settings."""
     folder.require_folder()
     if folder.exists(_SETTINGS):
@@ -244,9 +244,9 @@ class _Run:
         return step, log
 
     def _save(self, done: int, log: list[list[float]]) -> None:
-        pools: list[Any] = [self.model.pool_state()]
+        pools = [self.model.pool_state()] * self.process.count
         if self.process.count > 1:
-            own, pools = pools[0], [None] * self.process.count
+            own = pools[0]
             torch.distributed.all_gather_object(pools, own)
         if self.process.rank == 0:
             lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()

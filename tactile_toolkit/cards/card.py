@@ -18,6 +18,7 @@ from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
 from tactile_toolkit.cards.owner_words import read_owner, with_owner
 from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head, head_text
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind, is_export
 from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
 from tactile_toolkit.shown_text import markdown_text, printable, printable_json
@@ -83,7 +84,7 @@ class Card:
     licence: str
     tags: Sequence[str]
     nouns: str = ""
-    tasks: Mapping[str, Any] = field(default_factory=lambda: MESH_TASKS)
+    tasks: JsonObject = field(default_factory=lambda: MESH_TASKS)
     figures: Mapping[str, Sequence[object]] = field(default_factory=dict)
     made: Sequence[tuple[str, str]] = ()
     limits: Sequence[str] = ()
@@ -220,7 +221,7 @@ def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
     return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8)) if tiles else None
 
 
-def card_words(file: str) -> dict[str, Any]:
+def card_words(file: str) -> JsonDict:
     """Read a file of ``data_cards`` with texts for its templates."""
     return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, TypeAlias
 
 from tactile_toolkit.cards.folder_facts import FolderSummary
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.shown_text import markdown_code, markdown_text
 
 ColumnWords: TypeAlias = tuple[str, str]
@@ -44,7 +45,7 @@ def field_table(facts: FolderSummary, known: Mapping[str, ColumnWords]) -> str:
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 
-def _flat(features: Sequence[Mapping[str, Any]], above: str = "") -> list[dict[str, Any]]:
+def _flat(features: Sequence[JsonObject], above: str = "") -> list[JsonDict]:
     """List columns by dotted name, including fields of structs."""
     flat = []
     for entry in features:

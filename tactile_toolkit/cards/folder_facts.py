@@ -13,6 +13,7 @@ import pyarrow as pa
 from tactile_toolkit import places, read, run, store
 from tactile_toolkit.cards.card_features import yaml_features
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.system import usable_cores
 
 
@@ -50,7 +51,7 @@ class FolderSummary:
         return sum(split.rows for split in self.splits)
 
     @cached_property
-    def features(self) -> list[dict[str, Any]]:
+    def features(self) -> list[JsonDict]:
         """Columns as `datasets` describes them in a card."""
         first = next((shard.path for split in self.splits for shard in split.shards), "")
         return yaml_features(self.schema, first)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass
-from typing import Any
 
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.shown_text import printable
 
 LICENCES = (
@@ -94,6 +94,6 @@ class OwnerWords:
         metavar="TEXT|FILE.bib", read=read_citation, help="How to cite the data set: text, BibTeX or a file."
     )
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> JsonDict:
         """Return the words that are stated."""
         return {name: value for name, value in asdict(self).items() if value}

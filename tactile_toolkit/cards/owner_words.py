@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
 from tactile_toolkit import store
 from tactile_toolkit.cards.owner_options import (
@@ -20,6 +19,7 @@ from tactile_toolkit.cards.owner_options import (
 )
 from tactile_toolkit.cards.yaml_head import CARD_FILE, head_text, parsed_head, with_head
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.shown_text import markdown_text
 
@@ -52,7 +52,7 @@ def read_owner(folder: store.DataFolder) -> OwnerWords:
         ) from error
 
 
-def _checked(stated: Mapping[str, Any]) -> OwnerWords:
+def _checked(stated: JsonObject) -> OwnerWords:
     readers = {"license": read_licence, "title": read_title, "citation": read_citation}
     known = {name: read(stated[name]) for name, read in readers.items() if stated.get(name)}
     authors = [read_author(name) for name in stated.get("author") or ()]
@@ -76,7 +76,7 @@ def state_owner(
     kind.write_card(folder, manifest)
 
 
-def with_owner(head: dict[str, Any], body: str, words: OwnerWords) -> tuple[dict[str, Any], str]:
+def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, str]:
     """Return head and text of a card with the words of an owner in their places."""
     given = words.given()
     if not given:

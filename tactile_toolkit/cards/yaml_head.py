@@ -14,6 +14,7 @@ import yaml
 
 from tactile_toolkit import store
 from tactile_toolkit.cards.folder_facts import FolderSummary
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.shown_text import printable
 
 CARD_FILE = "README.md"
@@ -22,7 +23,7 @@ _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
 
 
-def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
+def card_head(facts: FolderSummary, **fields: Any) -> JsonDict:
     """Return the head of a card: the given fields, then what follows from the folder.
 
     ``dataset_info`` has the form that `datasets` writes, and verifies on loading.
@@ -43,7 +44,7 @@ def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
     }
 
 
-def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[dict[str, Any]]:
+def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[JsonDict]:
     """Return the configurations with the files of each split, the default one first.
 
     ``others`` are files next to them that belong to no split.
@@ -81,7 +82,7 @@ def size_category(rows: int) -> str:
     return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
 
 
-def head_text(head: dict[str, Any]) -> str:
+def head_text(head: JsonDict) -> str:
     """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
     # YAML escapes control characters, but not those that change the direction of text.
@@ -90,7 +91,7 @@ def head_text(head: dict[str, Any]) -> str:
     return f"{_FENCE}{text}{_FENCE}"
 
 
-def parsed_head(card: str) -> dict[str, Any]:
+def parsed_head(card: str) -> JsonDict:
     """Return the head of a card; ValueError for a card without one."""
     start, text, _ = card.split(_FENCE, 2)
     try:
@@ -102,7 +103,7 @@ def parsed_head(card: str) -> dict[str, Any]:
     return head
 
 
-def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
+def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -> str:
     """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
     head, body = parsed_head(card), card.split(_FENCE, 2)[2]
     changed = copy.deepcopy(head)

@@ -22,6 +22,7 @@ from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
 
@@ -375,7 +376,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
     api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
-    here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
+    here: JsonDict = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))

@@ -23,6 +23,7 @@ import huggingface_hub
 
 from tactile_toolkit import store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.redaction import redact
 
 ANSWER_BYTES = 32 << 20
@@ -316,7 +317,7 @@ def _check_answer(response: Any, **_: object) -> None:
     setattr(response, name, limited)
 
 
-def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
+def counting_options(count: Callable[[int], None]) -> JsonDict:
     """Return options with which the client reports the bytes of a file that have arrived, if it can."""
     from huggingface_hub.utils.tqdm import tqdm
 

@@ -14,12 +14,13 @@ import shutil
 import stat
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, ClassVar, TypeVar
+from typing import IO, ClassVar, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.files import (
     make_folder,
@@ -71,7 +72,7 @@ class LocalFolder(DataFolder):
             return ""
         return f"{self.root!r} is a file; expected a folder"
 
-    def info(self, path: str) -> Mapping[str, Any] | None:
+    def info(self, path: str) -> JsonObject | None:
         """Return type, size, time and inode of a file or folder; None if it does not exist."""
         with readable(self.address(path)):
             try:
