@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 _RULE = "rule"
 _MOST_INTEGER = (1 << 63) - 1
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
+_PLACEHOLDERS: dict[type, str] = {float: "X"}
 
 
 class OptionText(TypedDict, total=False):
@@ -68,14 +69,16 @@ def integer(
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    limit = _MOST_INTEGER if most is None else most
+    if most is None:
+        limit, span = _MOST_INTEGER, f"of at least {least:,}, below 2**63"
+    else:
+        limit, span = most, f"from {least:,} to {most:,}"
 
     def fits(value: object) -> bool:
         if value is None:
             return optional
         return isinstance(value, int) and is_integer(value) and least <= value <= limit
 
-    span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
 
 
@@ -147,14 +150,14 @@ def rule_of(declared: Field[Any]) -> Rule | None:
 def option_name(declared: Field[Any]) -> str:
     """Return the option of a field: ``--size`` of ``size_px``."""
     rule = rule_of(declared)
-    stated = rule.option.get("name") if rule is not None else None
+    stated = rule and rule.option.get("name")
     return (stated or f"--{declared.name.replace('_', '-')}").split()[0]
 
 
 def metavar_of(name: str, rule: Rule) -> str:
     """Return the placeholder for the value of an option, such as the unit that the field's name ends in."""
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
-    return rule.option.get("metavar") or unit or ("X" if rule.kind is float else "TEXT")
+    return rule.option.get("metavar") or unit or _PLACEHOLDERS.get(rule.kind, "TEXT")
 
 
 def check_value(rule: Rule, value: object, name: str) -> Any:

@@ -29,6 +29,7 @@ _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20  # a line that is longer is an error of Arrow
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
+_NO_ROWS = pa.table({})
 
 
 class ColumnTable:
@@ -57,8 +58,7 @@ class ColumnTable:
         self._types: dict[str, pa.DataType] = {}
         self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
         self._is_text, self._separator = self._read == self._text_batches, ""
-        first = next(self._batches(), None)
-        self.names: list[str] = [] if first is None else first.column_names
+        self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
 
     def _batches(self) -> Iterator[pa.Table]:
         """Yield the rows, a few at a time; values of text tables are text."""
@@ -98,8 +98,7 @@ class ColumnTable:
 
     def first_row(self) -> JsonDict:
         """Return the first row as it stands; nothing for a table without rows."""
-        first = next(self._batches(), None)
-        return {} if first is None or not len(first) else first.slice(0, 1).to_pylist()[0]
+        return next(iter(next(self._batches(), _NO_ROWS).slice(0, 1).to_pylist()), {})
 
     def scan(self, column: str = "") -> tuple[int, pa.Array]:
         """Read all rows once, so that types are known: return their number, and the values of a column."""

@@ -105,15 +105,12 @@ class RowGenerator(ABC):
 
 def make_shard(generator: RowGenerator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
-    rows: list[Any] = []
-    skipped: list[store.Skipped] = []
-    for each in generator.make(shard.split, items):
-        (skipped if isinstance(each, store.Skipped) else rows).append(each)
+    made = list(generator.make(shard.split, items))
+    rows = [each for each in made if not isinstance(each, store.Skipped)]
+    skipped = tuple(each for each in made if isinstance(each, store.Skipped))
     with store.without_collecting():
         table = table_of(rows, generator.schema(shard.split))
-    return store.ShardContent(
-        table, tuple(skipped), generator.report(shard, rows), generator.statistics(rows)
-    )
+    return store.ShardContent(table, skipped, generator.report(shard, rows), generator.statistics(rows))
 
 
 def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> store.BuildPlan:

@@ -213,7 +213,7 @@ class DatasetKind:
 
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
-        operation = None if manifest is None else manifest.spec.get("operation")
+        operation = manifest and manifest.spec.get("operation")
         if operation:
             return f"{self.command} {operation}"
         return self.made_by

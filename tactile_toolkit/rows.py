@@ -62,7 +62,7 @@ class Column:
     @property
     def heading(self) -> str:
         """Title and unit, for headers of tables."""
-        return f"{self.title}, {self.unit}" if self.unit else self.title
+        return ", ".join(filter(None, (self.title, self.unit)))
 
     def text(self, number: float) -> str:
         """Format a value with its decimals; an unknown value, NaN, is a dash."""

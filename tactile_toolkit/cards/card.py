@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from tactile_toolkit import pictures, read, store
+from tactile_toolkit.array_types import Floating, Integers
 from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown_table, split_table
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
 from tactile_toolkit.cards.owner_words import read_owner, with_owner
@@ -145,7 +146,7 @@ class Card:
 
 def _source_column(manifest: store.Manifest | None) -> dict[str, ColumnWords]:
     """Return the meaning of the column that `merge --source-column` adds, by its name."""
-    options = {} if manifest is None else manifest.spec.get("options") or {}
+    options = (manifest and manifest.spec.get("options")) or {}
     if "source_column" not in options:
         return {}
     return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
@@ -177,19 +178,17 @@ def write_table_card(
     are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
     the last one that of the paper by default.
     """
-    has_tables = is_export(manifest)
-    command = "export --format flat" if has_tables else manifest.spec["operation"]
+    command, picture, template = manifest.spec["operation"], "objects.png", "mesh_copy.md"
+    if is_export(manifest):
+        command, picture, template = "export --format flat", "tables.png", "mesh_tables.md"
+        title, columns = f"{title} as tables", {**columns, **_TABLE_COLUMNS}
     sources = manifest.spec["source"].items()
     rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
     Card(
-        template="mesh_tables.md" if has_tables else "mesh_copy.md",
-        title=f"{title} as tables" if has_tables else title,
-        columns={**columns, **(_TABLE_COLUMNS if has_tables else {})},
-        picture=(
-            "tables.png" if has_tables else "objects.png",
-            _table_sheet,
-            f"The first {kind.nouns}, seen from above",
-        ),
+        template=template,
+        title=title,
+        columns=columns,
+        picture=(picture, _table_sheet, f"The first {kind.nouns}, seen from above"),
         licence=licence,
         tags=["tactile", "active-perception", "3d", "mesh"],
         made=[
@@ -203,22 +202,29 @@ def write_table_card(
 
 def _table_sheet(facts: FolderSummary) -> bytes | None:
     """Draw the first objects as PNG; None without rows."""
-    tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
-    is_glb = VERTICES not in read.column_names(facts.schema)
-    for row in islice(rows_to_draw(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
-        if is_glb:
-            mesh = unpack_mesh(row.value(file), ".glb")
-            vertices_m, faces = mesh.vertices_m, mesh.faces
-        else:
-            vertices_m, faces = row.array(VERTICES), row.array(FACES)
+    tiles = []
+    for vertices_m, faces in islice(_surfaces(facts), _SHOWN):
         pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
         tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
     return tiles_png(tiles, 5)
 
 
+def _surfaces(facts: FolderSummary) -> Iterator[tuple[Floating, Integers]]:
+    """Yield the stored surfaces: in columns of a mesh, or in GLB files."""
+    if VERTICES in read.column_names(facts.schema):
+        for row in rows_to_draw(facts, [VERTICES, FACES]):
+            yield row.array(VERTICES), row.array(FACES)
+        return
+    for row in rows_to_draw(facts, [f"{MESH}.bytes"]):
+        mesh = unpack_mesh(row.value(f"{MESH}.bytes"), ".glb")
+        yield mesh.vertices_m, mesh.faces
+
+
 def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
     """Arrange pictures for a card, as PNG; None without pictures."""
-    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8)) if tiles else None
+    if not tiles:
+        return None
+    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8))
 
 
 def card_words(file: str) -> JsonDict:
@@ -245,8 +251,8 @@ def with_repo_name(card: str, name: str) -> str:
 
 def rows_to_draw(facts: FolderSummary, columns: Sequence[str]) -> Iterator[read.Row]:
     """Yield the rows of the first split with rows, reading given columns block by block."""
-    split = next((split for split in facts.splits if split.rows), None)
-    for block in read.all_blocks(() if split is None else split.shards, list(columns)):
+    shards = next((split.shards for split in facts.splits if split.rows), ())
+    for block in read.all_blocks(shards, list(columns)):
         yield from (read.Row(block, index) for index in range(len(block.table)))
 
 

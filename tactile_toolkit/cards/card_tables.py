@@ -64,7 +64,9 @@ def column_type_text(entry: Any) -> str:
         inner = column_type_text(entry["list"])
         if "length" not in entry:
             return f"list of {inner}"
-        return f"{inner}[{entry['length']}]" if " " not in inner else f"({inner})[{entry['length']}]"
+        if " " in inner:
+            inner = f"({inner})"
+        return f"{inner}[{entry['length']}]"
     dtype = entry["dtype"]
     if isinstance(dtype, dict):
         return "ClassLabel: " + ", ".join(map(markdown_text, dtype["class_label"]["names"].values()))
@@ -73,9 +75,11 @@ def column_type_text(entry: Any) -> str:
 
 def megabytes(size: int) -> str:
     """Return a size as text: ``"12.30 MB"``, or in kB if it is small."""
-    return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
+    if size < 1e5:
+        return f"{size / 1e3:,.1f} kB"
+    return f"{size / 1e6:,.2f} MB"
 
 
 def between(least: int, most: int) -> str:
     """Return a range of counts as text: ``"3 to 5"``, or one count."""
-    return f"{most:,}" if least == most else f"{least:,} to {most:,}"
+    return " to ".join(f"{count:,}" for count in dict.fromkeys((least, most)))

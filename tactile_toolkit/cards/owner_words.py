@@ -107,7 +107,7 @@ def _with_section(body: str, heading: str, words: str, *, is_first: bool = False
 
     def changed(found: re.Match[str]) -> str:
         start = f"## {heading}\n\n"
-        rest = found[0].removeprefix(start) if is_first else ""
+        rest = found[0].removeprefix(start) * is_first
         return f"{start}{words}\n\n{rest}"
 
     return re.sub(_SECTION.format(heading), changed, body, count=1)

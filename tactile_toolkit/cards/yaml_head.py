@@ -67,11 +67,14 @@ def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]
     # `datasets` sorts matches as text, so numbers of each length need their own pattern.
     names = (store.ShardName.parse(path.rpartition("/")[2]) for path in paths)
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
-    several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
-    patterns = several if len(lengths) > 1 else [f"{folder}/{split}-*"]
-    if [path for pattern in patterns for path in fnmatch.filter(there, pattern)] == list(paths):
-        return patterns[0] if len(patterns) == 1 else patterns
-    return list(paths)
+    patterns = [f"{folder}/{split}-*"]
+    if len(lengths) > 1:
+        patterns = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
+    if [path for pattern in patterns for path in fnmatch.filter(there, pattern)] != list(paths):
+        return list(paths)
+    if len(patterns) == 1:
+        return patterns[0]
+    return patterns
 
 
 def size_category(rows: int) -> str:
@@ -79,7 +82,9 @@ def size_category(rows: int) -> str:
     above = min(max(0, len(str(rows)) - 3), len(_LIMITS))
     if above == len(_LIMITS):
         return f"n>{_LIMITS[-1]}"
-    return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
+    if above == 0:
+        return f"n<{_LIMITS[0]}"
+    return f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
 
 
 def head_text(head: JsonDict) -> str:
@@ -108,4 +113,6 @@ def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -
     head, body = parsed_head(card), card.split(_FENCE, 2)[2]
     changed = copy.deepcopy(head)
     change(changed)
-    return card if changed == head and not note else head_text(changed) + note + body
+    if changed == head and not note:
+        return card
+    return head_text(changed) + note + body

@@ -73,7 +73,7 @@ def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
-    local, remote = {file.path: file for file in files}, held.remote if held else {}
+    local, remote = {file.path: file for file in files}, (held and held.remote) or {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
 
@@ -85,12 +85,15 @@ def _other_files(
 
     Files that former uploads made for the Hub's page are removed, and with ``delete`` all others, too.
     """
-    kept, removed = list[str](), list[str]()
-    for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
-        folder, _, name = path.rpartition("/")
-        is_for_page = folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
-        (removed if delete or is_for_page else kept).append(path)
-    return tuple(kept), tuple(removed)
+    remote = (held and held.remote) or {}
+    others = sorted(remote.keys() - set(paths) - _WRITTEN_BY_HUB)
+    removed = tuple(path for path in others if delete or _is_for_page(path))
+    return tuple(path for path in others if path not in removed), removed
+
+
+def _is_for_page(path: str) -> bool:
+    folder, _, name = path.rpartition("/")
+    return folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
 
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
@@ -362,7 +365,7 @@ def _files_to_send(
     for path, text in rendered.items():
         (scratch / path).write_bytes(text.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
-    places = {path: (scratch if path in made or path in rendered else root) / path for path in paths}
+    places = {path: root / path for path in paths} | {path: scratch / path for path in (*made, *rendered)}
     return manifest, tuple(
         LocalFile(path, where, where.stat().st_size, known.get(path)) for path, where in places.items()
     )
@@ -381,7 +384,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
     if not prepared.has_branch and options.branch != MAIN_BRANCH:
-        start = held.commit if held else None
+        start = None if held is None else held.commit
         ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
     # If only the answer was lost, a second attempt would open a second pull request.
     commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)

@@ -31,7 +31,7 @@ def thumbnail(pixels: UInt8, opaque_from: int | None = None) -> bytes:
         # The share of the paper in smooth edges is removed, so that no light rim shows on dark pages.
         ink = np.clip((layers - (1 - share) * paper) / np.maximum(share, 1 / 255), 0, 255)
         levels = np.concatenate([np.where(share > 0, ink, 0), 255 * share], axis=-1).round().astype(np.uint8)
-        picture = Image.fromarray(levels, "LA" if levels.shape[-1] == 2 else "RGBA")
+        picture = Image.fromarray(levels, {2: "LA", 4: "RGBA"}[levels.shape[-1]])
     picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
     stream = io.BytesIO()
     picture.save(stream, "PNG", compress_level=6)

@@ -51,6 +51,7 @@ _LASTING = re.compile(
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
+_FILE_NAMES = ("etag", "x-linked-etag", "x-repo-commit")
 _PROXIES = ("HTTPS_PROXY", "HTTP_PROXY", "ALL_PROXY")
 _ADDRESSES = ("HF_ENDPOINT", *_PROXIES, *map(str.lower, _PROXIES))
 _MOST_S = 1e9  # numbers may have thousands of digits
@@ -114,9 +115,7 @@ def require_addresses() -> None:
 
 def public_endpoint() -> str:
     """Return the address of the Hub, without the user and password that HF_ENDPOINT may hold."""
-    from huggingface_hub import constants
-
-    return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
+    return _USER_OF_ADDRESS.sub(r"\1", huggingface_hub.constants.ENDPOINT)
 
 
 def page_of(repo_id: str) -> str:
@@ -265,7 +264,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     response = store.in_time(partial(send, request, stream=True, **options))
     if not stream:
         # The session reads the answer.
-        response.read() if hasattr(response, "read") else response.content
+        getattr(response, "read", lambda: response.content)()
     return response
 
 
@@ -287,7 +286,7 @@ def _check_answer(response: Any, **_: object) -> None:
     """Limit the body of an answer, and refuse one with a bad header."""
     request = response.request
     # The client names files in its cache by these.
-    for name in ("etag", "x-linked-etag", "x-repo-commit") if request.method == "HEAD" else ():
+    for name in _FILE_NAMES * (request.method == "HEAD"):
         value = response.headers.get(name, "none")
         if not _FILE_NAME.fullmatch(value):
             raise HubError(

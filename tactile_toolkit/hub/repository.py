@@ -62,7 +62,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     is_address = name.startswith(_PREFIX)
     if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):
         return None
-    named = match["revision"].replace("%2F", "/") if match["revision"] else None
+    named = (match["revision"] or "").replace("%2F", "/")
     if named and revision and named != revision:
         raise InputError(
             f"{name!r} names the revision {named!r}, and {revision!r} is given next to it",

@@ -150,7 +150,7 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
         raise
     except Exception as error:
         # Parsers raise errors of many types for damaged files.
-        story = f" ({error})" if isinstance(error, _TELLING) else ""
+        story = f" ({error})" * isinstance(error, _TELLING)
         raise InputError(
             f"not a readable {ending[1:].upper()} file{story}", next="export the mesh again"
         ) from error

@@ -20,7 +20,7 @@ from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.mesh.mesh import Surface, joined
+from tactile_toolkit.mesh.mesh import Surface, joined, placed
 
 # glTF uses the numbers of OpenGL.
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -112,7 +112,6 @@ class _Document:
     def _moved(self, node: JsonValue, mesh: JsonValue, matrix: Float64) -> Iterator[Surface]:
         if any(node.get("weights", mesh.get("weights", ()))):
             raise InputError("a mesh is a blend of shapes (morph targets), which is not supported")
-        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                 continue  # points and lines have no surface
@@ -120,7 +119,7 @@ class _Document:
             # The same surface can be placed any number of times.
             self._placed_bytes += vertices.nbytes + faces.nbytes
             require_unpackable(_PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes)
-            yield moved(vertices, matrix[:3, :3].T) + matrix[:3, 3], faces[:, ::-1] if is_mirrored else faces
+            yield placed((vertices, faces), matrix[:3, :3].T, matrix[:3, 3])
 
     def _triangles(self, primitive: JsonValue) -> Surface:
         vertices = self._values(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)

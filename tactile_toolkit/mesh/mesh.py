@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
+from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32
 from tactile_toolkit.errors import InputError
 
@@ -144,6 +145,14 @@ def as_mesh(thing: MeshLike) -> Mesh:
         f"a {type(thing).__name__} holds no triangles; expected a Mesh, a record of a data set or a "
         "trimesh.Trimesh, in metres"
     )
+
+
+def placed(surface: Surface, turn: Float64, shift: Float64) -> Surface:
+    """Return a surface times a matrix (3, 3) from the right, and shifted; a mirrored one is turned back."""
+    vertices, faces = surface
+    if np.linalg.det(turn) < 0:
+        faces = faces[:, ::-1]
+    return moved(vertices, turn) + shift, faces
 
 
 def joined(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:

@@ -37,14 +37,13 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
         A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there.
     """
     if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
-        wrong = corners.max() if corners.min() >= 0 else corners.min()
-        raise InputError(f"a face names vertex {wrong}, counted from 0; there are {len(vertices):,}")
+        named = f"vertices {corners.min()} to {corners.max()}"
+        raise InputError(f"faces name {named}, counted from 0; there are {len(vertices):,}")
     if not len(sizes) or (sizes == 3).all():
         return corners.reshape(-1, 3).astype(np.int32)
     least, most = int(sizes.min()), int(sizes.max())
     if least < 3 or most > _MOST_CORNERS:
-        wrong_size = least if least < 3 else most
-        raise InputError(f"a face has {wrong_size:,} corners; expected 3 to {_MOST_CORNERS:,}")
+        raise InputError(f"faces have {least} to {most:,} corners; expected 3 to {_MOST_CORNERS:,}")
     starts = np.cumsum(sizes) - sizes
     found = []
     for size in np.unique(sizes).tolist():

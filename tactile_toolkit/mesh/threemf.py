@@ -18,11 +18,10 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined, placed
 from tactile_toolkit.mesh.text import numbers_of
 from tactile_toolkit.mesh.threemf_writing import (
     CORE,
@@ -262,12 +261,11 @@ class _Package:
         if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
         require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
-        mirrored = np.linalg.det(matrix[:3]) < 0
         own = thing.surface and self._without_volumes(named, thing.surface)
         parts = [part for part in thing.parts if self._is_body(self._parts.get((named[1], part[0][1])))]
         below = (surface for part in parts for surface in self._placed(*part, depth + 1))
-        for vertices_mm, faces in below if own is None else [own]:
-            yield moved(vertices_mm, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces
+        for surface in below if own is None else [own]:
+            yield placed(surface, matrix[:3], matrix[3])
 
     def _is_body(self, kind: str | None) -> bool:
         """Return whether a volume belongs to the object; InputError for a negative volume."""

@@ -106,7 +106,7 @@ def png_bytes(pixels: UInt8) -> bytes:
 def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
     """Return HTML for notebooks of a picture and its caption, which is plain text."""
     source = base64.b64encode(png_bytes(pixels)).decode("ascii")
-    styled = f' style="{style}"' if style else ""
+    styled = f' style="{style}"' * bool(style)
     return (
         f'<figure{styled}><img src="data:image/png;base64,{source}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -116,7 +116,11 @@ def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
 def file_stem(name: str) -> str:
     """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
     path = store.expanded(name)
-    last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
+    last = path.name
+    if path.is_dir():
+        last = path.resolve().name
+    elif path.is_file():
+        last = path.stem
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
     # A leading dot would hide the file, and a leading dash make it an option.
     return plain.strip("-.") or "pictures"

@@ -204,9 +204,9 @@ def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
         values = yaml.safe_load(head[1])
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}  # file names decide, as for a folder without a card
-    listed = values.get("configs") if isinstance(values, Mapping) else None
-    if listed is None:
+    if not isinstance(values, Mapping) or values.get("configs") is None:
         return {}
+    listed = values["configs"]
     is_list = isinstance(listed, list) and all(isinstance(each, Mapping) for each in listed)
     if not is_list:
         raise _unreadable(where, "configs", "a list of configurations")

@@ -144,7 +144,7 @@ def _exported(
         if not dry_run:
             _remove(_before(folder, product))
             names = ", ".join(sorted(path.name for path in before))
-            detail += f"; {names} of an earlier export was removed" if before else ""
+            detail += f"; {names} of an earlier export was removed" * bool(before)
         return product.name, "failed", FailedExport(product.name, error.reason, detail)
     return product.name, "written", made.record("written")
 
@@ -178,13 +178,13 @@ def write_products(
 
     def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
         make = partial(_exported, folder, overwrite, dry_run)
-        for name, state, record in runner_for(workers).run(make, some) if some else ():
+        for name, state, record in runner_for(workers).run(make, some):
             found[name] = state, record
             on_progress(len(found), len(products))
 
     # A dry run of existing products finds files in the way. Kept products are not made again, because convex
     # parts take longer to compute than their file to write.
-    there = [] if overwrite else [product for product in products if _before(folder, product)]
+    there = [product for product in products if not overwrite and _before(folder, product)]
     run(products if dry_run else there, overwrite, True)
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
     if others:

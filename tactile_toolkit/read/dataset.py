@@ -83,7 +83,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         """Id of each row, shape (len,); reads the id column only."""
         values = self.column("id")
         are_whole = values.dtype.kind == "f" and integer_columns.whole_numbers(values).all()
-        return values.astype(np.int64) if are_whole else values
+        if are_whole:
+            values = values.astype(np.int64)
+        return values
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -154,7 +156,9 @@ class RecordDataset(Sequence[T], Generic[T]):
         # Its default fingerprint would hash all bytes.
         content = repr([names, list(starts), self.identity])
         stored = Dataset(table, fingerprint=hashlib.sha256(content.encode()).hexdigest()[:16])
-        return stored if places == list(range(len(table))) else stored.select(places)
+        if places != list(range(len(table))):
+            stored = stored.select(places)
+        return stored
 
     def column(self, name: str) -> AnyArray:
         """Read one plain column, shape (len,), and no other.
@@ -477,7 +481,7 @@ class RecordDataset(Sequence[T], Generic[T]):
             except (ToolkitError, ValueError, OSError) as error:
                 problems[f"<div>{html.escape(shown_text.printable(str(error)))}</div>"] = None  # each once
         tiles = f'<div style="display:flex;flex-wrap:wrap;gap:4px">{"".join(pictures)}</div>'
-        return f"<div>{html.escape(repr(self))}{tiles if any(pictures) else ''}{''.join(problems)}</div>"
+        return f"<div>{html.escape(repr(self))}{tiles * any(pictures)}{''.join(problems)}</div>"
 
     def _row_at(self, number: int) -> Row:
         """Return a stored row by number."""

@@ -150,7 +150,7 @@ class Shard:
         key = self.digest, index, number
 
         def make() -> RowGroup:
-            mapped = self._mapped(key) or (self._mapped(key) if self._unpacked(index) else None)
+            mapped = self._mapped(key) or (self._unpacked(index) and self._mapped(key))
             return mapped or self._decoded(index, number)
 
         return blocks.BLOCKS.get_or_make(key, make)
@@ -177,7 +177,7 @@ class Shard:
         One process of the machine unpacks it, others wait.
         """
         is_there = self._unpacked(index)
-        return max(1, int(self.metadata.row_group(index).total_byte_size)) if is_there else 0
+        return max(1, int(self.metadata.row_group(index).total_byte_size)) * is_there
 
     def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]

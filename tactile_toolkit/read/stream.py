@@ -17,7 +17,7 @@ S = TypeVar("S", bound=RowSource)
 def loader_worker() -> Any:
     """Return the torch worker information of this process; None if it is not a worker of a loader."""
     torch_data = sys.modules.get("torch.utils.data")
-    return None if torch_data is None else torch_data.get_worker_info()
+    return torch_data and torch_data.get_worker_info()
 
 
 class Stream(Generic[S]):

@@ -159,7 +159,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         Needed only to repeat or skip epochs, or when the number of workers changes.
         """
         number = checked_integer(epoch, "epoch")
-        self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
+        self._set(number, self._resumed[1] * (number == self._resumed[0]))
 
     def __len__(self) -> int:
         """Batches of a complete epoch on each rank."""
@@ -288,7 +288,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
 
     def _division(self, worker: Any) -> dict[str, int]:
         """Return the sizes by which items are divided."""
-        workers = 0 if worker is None else worker.num_workers
+        workers = getattr(worker, "num_workers", 0)
         return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
 
     def _reached(self, states: Sequence[JsonObject], further_batches: int) -> tuple[int, int]:

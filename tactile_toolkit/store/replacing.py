@@ -41,7 +41,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
         )
     manifest = _manifest(folder)
     # The manifest may come from the Hub, from anyone: what it names counts only if a kind declares it.
-    named = () if manifest is None else manifest.trees
+    named = (manifest and manifest.trees) or ()
     further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}

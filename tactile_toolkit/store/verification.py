@@ -159,7 +159,7 @@ def _check_file(
             else:
                 ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except errors.IntegrityError as error:
-        return _Checked([Finding(path, error.what)], 0 if record is None else record.rows)
+        return _Checked([Finding(path, error.what)], getattr(record, "rows", 0))
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     # Arrow ignores the names of list elements.
@@ -264,7 +264,9 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
         counted = pa.chunked_array(alike).value_counts()
         suspects.update(counted.filter(pc.greater(counted.field("counts"), 1)).field("values").to_pylist())
     first_files: dict[object, str] = {}
-    for path, each in readable.items() if suspects else ():
+    if not suspects:
+        return
+    for path, each in readable.items():
         held = [value for value in each.to_pylist() if value in suspects]
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:

@@ -21,7 +21,7 @@ RENDERED_CONTACT_M = 1e-6
 
 def height_text(min_height_m: float) -> str:
     """Describe a contact height, metres: "the gel stopped 6 mm or more above the plate"."""
-    height = f"{1e3 * min_height_m:.4g} mm or more " if min_height_m > RENDERED_CONTACT_M else ""
+    height = f"{1e3 * min_height_m:.4g} mm or more " * (min_height_m > RENDERED_CONTACT_M)
     return f"the gel stopped {height}above the plate"
 
 

@@ -84,7 +84,7 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
     # An expression takes half of the time of `bytes.count`.
     starts = [found.start() for found in _SCAN_START.finditer(data)]
-    scans, header = len(starts), starts[0] if starts else -1
+    scans, header = len(starts), (starts or [-1])[0]
     if scans > MAX_SCANS:
         raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
     if header > MAX_HEADER_BYTES:
