@@ -206,8 +206,8 @@ _DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
 }
 
 
-class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
+class TouchStream(read.RowStream[read.Shard]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.RowStream`.
 
     Parameters
     ----------

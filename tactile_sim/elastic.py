@@ -12,11 +12,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
+from tactile_toolkit import builtin_values, touch
 from tactile_toolkit.array_types import Bool, Float64
-from tactile_toolkit.builtin_values import is_integer, to_builtin
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
@@ -258,7 +257,7 @@ def _require(fits: bool, what: str) -> None:
 
 
 def _checked_number(name: str, value: object, least: float, most: float) -> float:
-    number = to_builtin(value, float)
+    number = builtin_values.to_builtin(value, float)
     _require(
         isinstance(number, float) and least <= number <= most,
         f"{name} is {value!r}; expected a number from {least:.3g} to {most:.3g}",
@@ -274,8 +273,8 @@ def _checked_heights(height_m: ArrayLike) -> Float64:
     _require(given.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
     heights = np.ascontiguousarray(given, np.float64)
     _require(
-        heights.ndim == 2 and 0 < heights.size <= MAX_IMAGE_PIXELS,
-        f"height_m has shape {heights.shape}; expected (H, W), at most {MAX_IMAGE_PIXELS:,} pixels",
+        heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
+        f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",
     )
     low, high = float(heights.min()), float(heights.max())
     _require(
@@ -286,7 +285,7 @@ def _checked_heights(height_m: ArrayLike) -> Float64:
 
 
 def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
-    pixel = to_builtin(pixel_m, float)
+    pixel = builtin_values.to_builtin(pixel_m, float)
     width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
         all(isinstance(each, float) and _LEAST_PIXEL_M <= each <= _MOST_PIXEL_M for each in (width, height))
@@ -298,9 +297,9 @@ def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
 
 
 def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float], thickness_m: float) -> int:
-    block = to_builtin(block_px)
+    block = builtin_values.to_builtin(block_px)
     _require(
-        is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
+        builtin_values.is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
         f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
         f"{heights.shape[1]} columns are multiples",
     )
@@ -323,7 +322,7 @@ def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float
 
 
 def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
-    slide = to_builtin(slide_m, float)
+    slide = builtin_values.to_builtin(slide_m, float)
     _require(
         isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )

@@ -15,8 +15,7 @@ from tactile_sim.press_spec import ElasticPress, Span
 from tactile_sim.pressing import Pressed
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.sensor import Sensor
-from tactile_toolkit import read
-from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit import arithmetic, read
 from tactile_toolkit.array_types import AnyArray, Float32, Float64
 
 # The plate is met a little deeper or higher, depending on the slide and the tolerance of the solver.
@@ -39,7 +38,7 @@ class DrawnLoads:
         """Draw the loads of a round, which depend on its key alone."""
         shares = keyed_rng(*key, "press").random((touches, 4))
         far_m = _within(press.slide_m or _NONE, shares[:, 1])
-        towards = np.array([cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
+        towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
         return cls(
             press.force_n and _within(press.force_n, shares[:, 0]),
             press.press_m and _within(press.press_m, shares[:, 0]),

@@ -68,7 +68,7 @@ class TouchGenerator(generation.RowGenerator):
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
         optics.optics_of(spec)  # missing packages are reported before anything is written
-        name, splits, unfinished = touch_sources.open_source(source, unit, opened)
+        name, splits, unfinished = touch_sources.solids_of(source, unit, opened)
         if spec.plan.given is not None:
             touch_sources.require_known_objects(name, splits, spec.plan.given)
         rows: dict[str, range | Int64] = {

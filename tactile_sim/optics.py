@@ -11,11 +11,10 @@ import numpy as np
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
 from tactile_sim.touch_spec import OPTICS, GenerateSpec
-from tactile_toolkit import store
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch import resized
 
 __all__ = ["OPTICS", "Optics", "make_optics", "optics_of", "scaled"]
 
@@ -25,7 +24,7 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
         return pictures
-    return np.stack([resized(each, width, height) for each in pictures])
+    return np.stack([touch.resized(each, width, height) for each in pictures])
 
 
 class Optics(ABC):

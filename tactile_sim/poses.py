@@ -90,7 +90,7 @@ def as_matrices(value: PoseLike, name: str) -> Float64:
     return matrices
 
 
-def product(one: Float64, other: Float64) -> Float64:
+def pose_product(one: Float64, other: Float64) -> Float64:
     """Return ``one @ other`` of matrices (n, 4, 4) in a stated order of sums, which `@` does not have."""
     parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
     return ((parts[0] + parts[1]) + parts[2]) + parts[3]
@@ -102,4 +102,4 @@ def inverse_times(one: Float64, other: Float64) -> Float64:
     inverse[:, :3, :3] = one[:, :3, :3].swapaxes(1, 2)
     x, y, z = (one[:, k, :3] * one[:, k, 3:] for k in range(3))
     inverse[:, :3, 3], inverse[:, 3, 3] = -((x + y) + z), 1.0
-    return product(inverse, other)
+    return pose_product(inverse, other)

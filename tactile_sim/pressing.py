@@ -16,12 +16,12 @@ from tactile_sim.poses import PoseLike, as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
 from tactile_sim.sensor import Sensor, full_view
 from tactile_sim.sensor_models import SensorModel
+from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
 
-Solid: TypeAlias = "MeshLike | Pressable"
+Solid: TypeAlias = "mesh.MeshLike | Pressable"
 """What the gel can be pressed onto."""
 
 _PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
@@ -150,13 +150,11 @@ class _Seen:
 
 def _cut(seen: _Seen, sensor: Sensor) -> Pressed:
     """Press a gel that shows the solid, cut where it stops; heights are counted from the targets."""
-    from tactile_sim.press_kernels import to_depth  # numba takes half a second to import
-
     scene, shape = _Scene.of(seen, sensor), (seen.count, *sensor.size_px[::-1])
     depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(seen.count)
     for touch in range(seen.count):
         scene.raise_heights(touch, depths_m[touch])
-        highest_m[touch] = to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
+        highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
     return Pressed(depths_m, image, highest_m + sensor.press_m)
 
 
@@ -187,18 +185,19 @@ class _Scene:
     corners_m: Float64
     ball_m: Float64
     rasterise: Callable[..., None]
+    to_depth: Callable[[Float64, Float32, float, float], float]
 
     @classmethod
     def of(cls, seen: _Seen, sensor: Sensor) -> _Scene:
-        from tactile_sim.press_kernels import rasterise  # numba takes half a second to import
+        from tactile_sim import press_kernels  # numba takes half a second to import
 
         affines = _to_pixels(inverse_times(seen.targets, seen.objects), sensor)
         plates = _to_pixels(inverse_times(seen.targets, np.eye(4)[None]), sensor)
         corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*seen.cell_m, 0.0] / 2
         ball_m = np.array([[0.0, 0.0, 0.0, max(seen.cell_m)]])
-        return cls(
-            [Pressable.of(each) for each in seen.solids], affines, plates, corners_m, ball_m, rasterise
-        )
+        solids = [Pressable.of(each) for each in seen.solids]
+        kernels = press_kernels.rasterise, press_kernels.to_depth
+        return cls(solids, affines, plates, corners_m, ball_m, *kernels)
 
     def raise_heights(self, touch: int, out: Float64) -> None:
         """Write the heights under the pixels of one touch, metres along the sensor's axis."""

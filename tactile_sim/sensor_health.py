@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass
 from os import PathLike, fspath
 
 import numpy as np
+from scipy import ndimage
 
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
@@ -188,15 +189,11 @@ def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
 
 
 def _dilated(mask: Bool, reach: int) -> Bool:
-    from scipy import ndimage  # takes a tenth of a second to import
-
     found: Bool = ndimage.maximum_filter(mask, (0, 2 * reach + 1, 2 * reach + 1))
     return found
 
 
 def _smoothed(image: Float64, sigma_px: float) -> Float64:
-    from scipy import ndimage  # takes a tenth of a second to import
-
     found: Float64 = ndimage.gaussian_filter(image, (sigma_px, sigma_px, 0))
     return found
 

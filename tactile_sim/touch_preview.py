@@ -12,10 +12,10 @@ from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import on_object
 from tactile_sim.round_press import press_round
 from tactile_sim.touch_spec import GenerateSpec
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import Float64, UInt8
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MeshLike
-from tactile_toolkit.touch import RENDERED_CONTACT_M
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
@@ -88,7 +88,7 @@ def preview_touch(
     is_met = depth_m < made.sensor.gel_m
     if made.pressed.contacts:
         is_met = made.pressed.contact.is_contact
-    touched = float((is_met & (sensor_z_m - depth_m >= RENDERED_CONTACT_M)).mean())
+    touched = float((is_met & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
     forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
     return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
 

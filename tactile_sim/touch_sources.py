@@ -10,11 +10,9 @@ import numpy as np
 
 from tactile_sim.given_solids import GivenSolid, GivenSolids, Meshes, given_solids
 from tactile_sim.touch_table import TouchTable
-from tactile_toolkit import mesh, read
+from tactile_toolkit import mesh, places, read, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.places import Name, Place
-from tactile_toolkit.touch import CLASS_NAMES
 
 _SHOWN_IDS = 5
 
@@ -24,15 +22,15 @@ Records: TypeAlias = "mesh.SolidDataset[mesh.SolidRecord]"
 Solids: TypeAlias = "Records | GivenSolids"
 """Solids of a split, of either source."""
 
-Opener: TypeAlias = Callable[[Name], Place]
+Opener: TypeAlias = Callable[[places.Name], places.Place]
 """Opens a data set by its name."""
 
 
-def open_source(
-    source: Name | Place | Meshes, unit: str | None, opened: Opener
+def solids_of(
+    source: places.Name | places.Place | Meshes, unit: str | None, opened: Opener
 ) -> tuple[str, Mapping[str, Solids], str]:
     """Return name and splits of a data set, mesh files or meshes in memory; and what of it is unfinished."""
-    if isinstance(source, Place):
+    if isinstance(source, places.Place):
         place = source
     else:
         given = given_solids(source, unit)
@@ -45,11 +43,11 @@ def open_source(
     return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
 
 
-def open_split(place: Place, split: str) -> Records:
+def open_split(place: places.Place, split: str) -> Records:
     """Open a split of a data set of solids; InputError for a source without meshes."""
     table = read.ShardedTable(place.shards(split))
     mesh.require_mesh_columns(table.schema, place.name, "mnist3d generate")
-    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, CLASS_NAMES, place.name))
+    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, touch.CLASS_NAMES, place.name))
 
 
 def content_fingerprint(shard: read.Shard) -> JsonDict:

@@ -12,14 +12,10 @@ import numpy as np
 import pyarrow as pa
 from numpy.typing import ArrayLike
 
-from tactile_toolkit import column_types, store
+from tactile_toolkit import bounds, column_types, store, text_tables, touch, units
 from tactile_toolkit.array_types import AnyArray, Float64
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
-from tactile_toolkit.touch import CELL_M
-from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
 
 _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
@@ -32,10 +28,10 @@ _BYTES_PER_ROW = 512
 _MOST_TURNS_RAD = 1e4
 # An object may be larger than the cell, and its origin off it.
 _FARTHEST_M = {
-    "x_m": CELL_M[0] / 2,
-    "y_m": CELL_M[1] / 2,
-    "object_x_m": 5 * CELL_M[0],
-    "object_y_m": 5 * CELL_M[1],
+    "x_m": touch.CELL_M[0] / 2,
+    "y_m": touch.CELL_M[1] / 2,
+    "object_x_m": 5 * touch.CELL_M[0],
+    "object_y_m": 5 * touch.CELL_M[1],
 }
 
 
@@ -104,8 +100,10 @@ class TouchTable:
             The file does not exist, is not such a table, or holds values as above.
         """
         file = store.expanded(path)
-        if file.suffix.lower() not in TABLE_ENDINGS:
-            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(TABLE_ENDINGS)}")
+        if file.suffix.lower() not in text_tables.TABLE_ENDINGS:
+            raise InputError(
+                f"given touches in {str(path)!r}: expected a file {', '.join(text_tables.TABLE_ENDINGS)}"
+            )
         try:
             return cls(**_read_columns(file))
         except OSError as error:
@@ -198,8 +196,8 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
     with store.open_regular(file) as stream:
         content = stream.read()
     rows = content.count(b"\n")
-    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
-    table = read_text_table(content, str(file))
+    bounds.require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
+    table = text_tables.read_text_table(content, str(file))
     texts = dict(zip(table.names, table.columns(), strict=True))
     columns = {}
     for name, (ours, divisor) in _meanings(table.names).items():
@@ -223,8 +221,8 @@ def _meanings(names: Sequence[str]) -> dict[str, tuple[str, float]]:
     meant: dict[str, tuple[str, float]] = {}
     named = [name for name in names if name not in _INDEX_NAMES]
     for name in named:
-        stem, unit = name.rpartition("_")[0], stated_unit(name)
-        for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
+        stem, unit = name.rpartition("_")[0], units.stated_unit(name)
+        for ours, per in ((f"{stem}_m", units.PER_METRE), (f"{stem}_rad", units.PER_RADIAN)):
             if ours in _COLUMNS and unit in per:
                 meant[name] = ours, per[unit]
         if name in _NUMBERS:

@@ -20,6 +20,7 @@ import pyarrow.compute as pc
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
+from tactile_toolkit.json_types import JsonValue
 
 T = TypeVar("T")
 
@@ -113,7 +114,7 @@ def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     return words.cast(kind)
 
 
-def from_values(values: Iterable[Any]) -> pa.Array:
+def from_values(values: Iterable[object]) -> pa.Array:
     """Return the column of values of JSON or Python; numbers beside text, or beside switches, become text."""
     given = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
@@ -127,7 +128,7 @@ def from_values(values: Iterable[Any]) -> pa.Array:
     return _from_lists(given)
 
 
-def _from_lists(values: Sequence[Any]) -> pa.Array:
+def _from_lists(values: Sequence[object]) -> pa.Array:
     """Return lists and matrices as lists; as JSON if one is neither."""
     leaves = _unless_missing(_leaves, values)
     if any(leaf is None for leaf, value in zip(leaves, values, strict=True) if value is not None):
@@ -147,7 +148,7 @@ def _text(value: object) -> str:
     return str(value).encode(errors="backslashreplace").decode()
 
 
-def _leaves(value: Any) -> list[Any] | None:
+def _leaves(value: object) -> list[object] | None:
     """Return the values of a list, or those of a matrix row by row; None for rows that differ."""
     if not isinstance(value, _LISTS):
         return None
@@ -161,7 +162,7 @@ def _leaves(value: Any) -> list[Any] | None:
     return None
 
 
-def _as_json(values: Sequence[Any]) -> pa.Array:
+def _as_json(values: Sequence[object]) -> pa.Array:
     texts = _unless_missing(partial(json.dumps, default=str), values)
     return pa.array(texts, pa.string()).cast(UNTYPED)
 
@@ -276,9 +277,9 @@ def joined_lists(columns: Sequence[pa.Array]) -> pa.Array:
     return lists_of(entries, pa.concat_arrays(lengths))
 
 
-def values_of(column: pa.Array) -> list[Any]:
+def values_of(column: pa.Array) -> list[JsonValue]:
     """Return values as objects of Python."""
-    found: list[Any] = column.to_pylist()
+    found: list[JsonValue] = column.to_pylist()
     if column.type != UNTYPED:
         return found
     return _unless_missing(json.loads, found)
@@ -324,7 +325,7 @@ def floats_of(column: pa.Array) -> Float64:
         raise ValueError(str(error)) from error
 
 
-def _number(value: Any) -> Any:
+def _number(value: JsonValue) -> JsonValue:
     """Return a number, or a list of numbers; ValueError or TypeError for anything else."""
     if isinstance(value, (list, tuple)):
         return list(map(_number, value))

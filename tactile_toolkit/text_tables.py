@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from tactile_toolkit.errors import InputError
 
@@ -64,7 +64,7 @@ class TextTable:
         """Return the values of each column; None in rows that are too short."""
         width = len(self.names)
         is_even = all(len(row) == width for row in self.rows)
-        rows: list[list[Any]] = self.rows
+        rows: Sequence[Sequence[str | None]] = self.rows
         if not is_even:
             rows = [[*row, *[None] * (width - len(row))][:width] for row in self.rows]
         return list(zip(*rows, strict=True)) or [()] * width

@@ -7,22 +7,13 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from itertools import islice
 from string import Template
-from typing import Any
 
-import numpy as np
-
-from tactile_toolkit import pictures, read, store
-from tactile_toolkit.array_types import Floating, Integers
-from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown_table, split_table
+from tactile_toolkit import pictures, read, shown_text, store
+from tactile_toolkit.cards import card_tables, owner_words, yaml_head
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
-from tactile_toolkit.cards.owner_words import read_owner, with_owner
-from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head, head_text
-from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
-from tactile_toolkit.shown_text import markdown_text, printable, printable_json
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.kind import DatasetKind
 
 PREVIEW_FOLDER = "previews"
 MESH_TASKS = {
@@ -31,14 +22,7 @@ MESH_TASKS = {
 }
 """Tasks of meshes, in terms of the Hub."""
 
-_TABLE_COLUMNS: dict[str, ColumnWords] = {
-    "label_name": ("", "name of the class"),
-    **{name: ("m", f"extent along {name[5]}") for name in SIZES},
-    f"{MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
-}
-_SHOWN = 10
 _MOST_ENTRIES = 100  # of a list of the specification
-_TILE_PX = 120
 
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
@@ -80,7 +64,7 @@ class Card:
 
     template: str
     title: str
-    columns: Mapping[str, ColumnWords]
+    columns: Mapping[str, card_tables.ColumnWords]
     picture: tuple[str, Callable[[FolderSummary], bytes | None], str]
     licence: str
     tags: Sequence[str]
@@ -89,7 +73,7 @@ class Card:
     figures: Mapping[str, Sequence[object]] = field(default_factory=dict)
     made: Sequence[tuple[str, str]] = ()
     limits: Sequence[str] = ()
-    spec: Any = None
+    spec: JsonValue = None
     values: Mapping[str, str] = field(default_factory=dict)
 
     def write(
@@ -107,24 +91,24 @@ class Card:
         facts = facts or folder_summary(folder, manifest)
         name, draw, caption = self.picture
         values = {
-            "title": markdown_text(self.title),
+            "title": shown_text.markdown_text(self.title),
             "noun": kind.noun,
             "nouns": kind.nouns,
             "rows": f"{facts.rows:,}",
             "first_split": facts.splits[0].split,
             "picture": "There is nothing to draw.",
             "bibtex": bibtex("tactile_mnist"),
-            "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
-            "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
+            "split_table": card_tables.split_table(facts, self.nouns or kind.nouns, self.figures),
+            "field_table": card_tables.field_table(facts, {**self.columns, **_source_column(manifest)}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{printable_json(_shortened(self.spec or manifest.spec))}\n```"
+            spec = f"```json\n{shown_text.printable_json(_shortened(self.spec or manifest.spec))}\n```"
             reasons = manifest.skipped_reasons().items()
-            listed = ", ".join(f"{count:,} {markdown_text(reason)}" for reason, count in reasons)
+            listed = ", ".join(f"{count:,} {shown_text.markdown_text(reason)}" for reason, count in reasons)
             skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
-            made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
+            made = card_tables.markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
             values |= {
                 "spec": spec,
                 "made": f"{made}\n\n{spec}",
@@ -138,13 +122,13 @@ class Card:
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
-        head, body = with_owner(head, body, read_owner(folder))
-        text = head_text(card_head(facts, **head)) + "\n" + body
-        _write_changed(folder, CARD_FILE, text.encode())
+        body = shown_text.printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        head, body = owner_words.with_owner(head, body, owner_words.read_owner(folder))
+        text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
+        _write_changed(folder, yaml_head.CARD_FILE, text.encode())
 
 
-def _source_column(manifest: store.Manifest | None) -> dict[str, ColumnWords]:
+def _source_column(manifest: store.Manifest | None) -> dict[str, card_tables.ColumnWords]:
     """Return the meaning of the column that `merge --source-column` adds, by its name."""
     options = (manifest and manifest.spec.get("options")) or {}
     if "source_column" not in options:
@@ -152,7 +136,7 @@ def _source_column(manifest: store.Manifest | None) -> dict[str, ColumnWords]:
     return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
 
 
-def _shortened(values: Any) -> Any:
+def _shortened(values: JsonValue) -> JsonValue:
     """Return JSON values whose long lists end with the number of further entries."""
     if isinstance(values, Mapping):
         return {name: _shortened(each) for name, each in values.items()}
@@ -161,63 +145,6 @@ def _shortened(values: Any) -> Any:
     shown = [_shortened(each) for each in values[:_MOST_ENTRIES]]
     further = len(values) - len(shown)
     return shown + [f"{further:,} more in manifest.json"] * bool(further)
-
-
-def write_table_card(
-    folder: store.DataFolder,
-    manifest: store.Manifest,
-    kind: DatasetKind,
-    title: str,
-    columns: Mapping[str, ColumnWords],
-    licence: str,
-    **terms: str,
-) -> None:
-    """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
-
-    A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and ``title``
-    are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
-    the last one that of the paper by default.
-    """
-    command, picture, template = manifest.spec["operation"], "objects.png", "mesh_copy.md"
-    if is_export(manifest):
-        command, picture, template = "export --format flat", "tables.png", "mesh_tables.md"
-        title, columns = f"{title} as tables", {**columns, **_TABLE_COLUMNS}
-    sources = manifest.spec["source"].items()
-    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
-    Card(
-        template=template,
-        title=title,
-        columns=columns,
-        picture=(picture, _table_sheet, f"The first {kind.nouns}, seen from above"),
-        licence=licence,
-        tags=["tactile", "active-perception", "3d", "mesh"],
-        made=[
-            ("command", f"`{kind.command} {command}`"),
-            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
-        ],
-        spec=manifest.spec["options"],
-        values={**terms, "package": kind.package},
-    ).write(folder, manifest, kind)
-
-
-def _table_sheet(facts: FolderSummary) -> bytes | None:
-    """Draw the first objects as PNG; None without rows."""
-    tiles = []
-    for vertices_m, faces in islice(_surfaces(facts), _SHOWN):
-        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
-    return tiles_png(tiles, 5)
-
-
-def _surfaces(facts: FolderSummary) -> Iterator[tuple[Floating, Integers]]:
-    """Yield the stored surfaces: in columns of a mesh, or in GLB files."""
-    if VERTICES in read.column_names(facts.schema):
-        for row in rows_to_draw(facts, [VERTICES, FACES]):
-            yield row.array(VERTICES), row.array(FACES)
-        return
-    for row in rows_to_draw(facts, [f"{MESH}.bytes"]):
-        mesh = unpack_mesh(row.value(f"{MESH}.bytes"), ".glb")
-        yield mesh.vertices_m, mesh.faces
 
 
 def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:

@@ -8,7 +8,6 @@ import re
 import reprlib
 from collections.abc import Iterator, Sequence
 from posixpath import normpath
-from typing import Any
 
 import yaml
 from PIL import Image
@@ -17,7 +16,7 @@ from tactile_toolkit import store
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
 from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head
 from tactile_toolkit.errors import ToolkitError
-from tactile_toolkit.json_types import JsonObject
+from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
@@ -71,11 +70,11 @@ def _contradictions(head: JsonObject, facts: FolderSummary) -> Iterator[str]:
                 yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"
 
 
-def _claims(head: JsonObject, held: Sequence[str]) -> dict[tuple[str, ...], Any]:
+def _claims(head: JsonObject, held: Sequence[str]) -> dict[tuple[str, ...], JsonValue]:
     """Return the claims of a head by subject; patterns are replaced by the files ``held`` that they match."""
     info, categories = head["dataset_info"], head.get("size_categories")
     # Without sizes in memory, which may be estimates.
-    claims: dict[tuple[str, ...], Any] = {("its", "'download_size'"): info.get("download_size")}
+    claims: dict[tuple[str, ...], JsonValue] = {("its", "'download_size'"): info.get("download_size")}
     claims["its", "'size_categories'"] = [categories] if isinstance(categories, str) else categories
     for config in head.get("configs") or ():
         for entry in config["data_files"]:

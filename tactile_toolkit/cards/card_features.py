@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pyarrow as pa
 
 from tactile_toolkit import read
-from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.json_types import JsonDict, JsonValue
 
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
@@ -24,7 +22,7 @@ def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
     return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
-def _entry(data_type: pa.DataType, feature: Any) -> JsonDict:
+def _entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
     """Describe a column or list element by its Arrow type and metadata."""
     known = feature if isinstance(feature, dict) else {}
     if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from tactile_toolkit.cards.folder_facts import FolderSummary
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.shown_text import markdown_code, markdown_text
 
 ColumnWords: TypeAlias = tuple[str, str]
@@ -54,7 +54,7 @@ def _flat(features: Sequence[JsonObject], above: str = "") -> list[JsonDict]:
     return flat
 
 
-def column_type_text(entry: Any) -> str:
+def column_type_text(entry: JsonValue) -> str:
     """Return the type of a column as text, such as ``list of float32[3]``."""
     if isinstance(entry, str):
         return entry

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 
-from tactile_toolkit import store
+from tactile_toolkit import shown_text, store
 from tactile_toolkit.cards.owner_options import (
     OwnerWords,
     read_author,
@@ -21,7 +21,6 @@ from tactile_toolkit.cards.yaml_head import CARD_FILE, head_text, parsed_head, w
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.shown_text import markdown_text
 
 KEY = "owner"
 """Key of the head of a card."""
@@ -87,9 +86,9 @@ def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, 
         body = _with_section(body, "Licence", f"{words.license}, as the owner of the data set states.")
     if words.title:
         changed["pretty_name"] = words.title
-        body = re.sub(r"\A# .*", lambda _: f"# {markdown_text(words.title or '')}", body, count=1)
+        body = re.sub(r"\A# .*", lambda _: f"# {shown_text.markdown_text(words.title or '')}", body, count=1)
     if words.author:
-        names = ", ".join(map(markdown_text, words.author))
+        names = ", ".join(map(shown_text.markdown_text, words.author))
         body = re.sub(r"\A# .*\n", lambda line: f"{line[0]}\nBy {names}.\n", body, count=1)
     if words.citation:
         body = _with_section(body, "Citation", _cited(words.citation), is_first=True)
@@ -99,7 +98,7 @@ def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, 
 def _cited(citation: str) -> str:
     if citation.startswith("@"):
         return f"```bibtex\n{citation.replace('```', '')}\n```"
-    return markdown_text(citation)
+    return shown_text.markdown_text(citation)
 
 
 def _with_section(body: str, heading: str, words: str, *, is_first: bool = False) -> str:

@@ -8,14 +8,12 @@ from __future__ import annotations
 import copy
 import fnmatch
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import yaml
 
-from tactile_toolkit import store
+from tactile_toolkit import shown_text, store
 from tactile_toolkit.cards.folder_facts import FolderSummary
-from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit.json_types import JsonDict, JsonValue
 
 CARD_FILE = "README.md"
 
@@ -23,7 +21,7 @@ _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
 
 
-def card_head(facts: FolderSummary, **fields: Any) -> JsonDict:
+def card_head(facts: FolderSummary, **fields: JsonValue) -> JsonDict:
     """Return the head of a card: the given fields, then what follows from the folder.
 
     ``dataset_info`` has the form that `datasets` writes, and verifies on loading.
@@ -91,7 +89,7 @@ def head_text(head: JsonDict) -> str:
     """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
     # YAML escapes control characters, but not those that change the direction of text.
-    if text != printable(text, keep="\n"):
+    if text != shown_text.printable(text, keep="\n"):
         text = yaml.safe_dump(head, sort_keys=False, width=110)
     return f"{_FENCE}{text}{_FENCE}"
 

@@ -12,14 +12,13 @@ from typing import Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, read, store
+from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_changes
 from tactile_toolkit.exchange.merge_changes import RowChanges
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
-from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
 
 def _copy_file(
@@ -70,8 +69,8 @@ def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
     return [each for each in kinds() if each.package == kind.package]
 
 
-def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source:
-    place = open_place(name).require(kind, command).require_complete()
+def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
+    place = places.open_place(name).require(kind, command).require_complete()
     manifest = place.manifest
     shards = {split: place.shards(split, kind=kind) for split in place.splits}
     if manifest is None:
@@ -84,7 +83,7 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 
 def merge_sets(
     kind: DatasetKind,
-    names: Sequence[Name | Place],
+    names: Sequence[places.Name | places.Place],
     out: str,
     *,
     renumber: bool = False,
@@ -151,7 +150,11 @@ def _refuse_common_ids(sources: Sequence[_Source]) -> None:
 
 
 def divide(
-    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: JsonObject
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    fractions: Sequence[float],
+    seed: int,
+    chosen: JsonObject,
 ) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
@@ -159,13 +162,13 @@ def divide(
     or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """
-    place = open_place(name).require(kind, SPLIT).require_complete()
+    place = places.open_place(name).require(kind, SPLIT).require_complete()
     datasets = {split: kind.load(place, split) for split in place.splits}
     if not fractions:
         among = dict(chosen)
         only = among.pop("split", None)
         if only not in (None, *datasets):
-            raise unknown_split(only, tuple(datasets), place.name)
+            raise places.unknown_split(only, tuple(datasets), place.name)
         some = catalog.choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
@@ -181,7 +184,7 @@ def divide(
 
 def write_part(
     kind: DatasetKind,
-    name: Name | Place,
+    name: places.Name | places.Place,
     rows: Mapping[str, Int64],
     options: JsonObject,
     out: str,
@@ -192,7 +195,11 @@ def write_part(
 
 
 def select_rows(
-    kind: DatasetKind, name: Name | Place, chosen: JsonObject, out: str, **run: Unpack[store.RunKeywords]
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    chosen: JsonObject,
+    out: str,
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
     rows, _ = divide(kind, name, (), 0, chosen)
@@ -241,7 +248,7 @@ def _build(
     return store.build(folder, plan, write_card=made.write_card, **run)
 
 
-def unfinished_counts(sources: Iterable[_Source | Place]) -> dict[str, str]:
+def unfinished_counts(sources: Iterable[_Source | places.Place]) -> dict[str, str]:
     """Return for the specification of a copy how much of unfinished sources there was."""
     counts = [each.unfinished for each in sources if each.unfinished]
     if counts:

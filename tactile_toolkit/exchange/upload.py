@@ -31,6 +31,8 @@ _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
 
+# Asks the Hub for something, again while it is busy, and returns the answer.
+_Ask: TypeAlias = Callable[..., Any]
 _State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 
 
@@ -131,7 +133,7 @@ class PreparedUpload:
     plan: UploadPlan
     left_out: tuple[str, ...]
     scratch: Path
-    ask: Callable[..., Any] = field(repr=False)
+    ask: _Ask = field(repr=False)
     what: str
     unasked: str = ""
 
@@ -241,7 +243,7 @@ def prepare_files(
     return prepared
 
 
-def _asking(repo_id: str, on_wait: Callable[[str], None]) -> Callable[..., Any]:
+def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
     """Return what calls a function that asks the Hub for a repository; InputError for another name."""
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
@@ -254,7 +256,7 @@ def _prepared(
     state: tuple[hub.HubRepository | None, dict[str, str], bool],
     files: tuple[LocalFile, ...],
     scratch: Path,
-    ask: Callable[..., Any],
+    ask: _Ask,
     what: str,
 ) -> PreparedUpload:
     """Compare files with the state of a repository; InputError if it or its tag must not change."""
@@ -282,7 +284,7 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state_if_known(ask: Callable[..., Any], repo_id: str, branch: str) -> tuple[_State, str]:
+def _state_if_known(ask: _Ask, repo_id: str, branch: str) -> tuple[_State, str]:
     """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
     try:
         return ask(partial(_state, repo_id, branch), waits_s=()), ""

@@ -21,10 +21,9 @@ from urllib.parse import urlsplit
 
 import huggingface_hub
 
-from tactile_toolkit import store
+from tactile_toolkit import redaction, store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.redaction import redact
 
 ANSWER_BYTES = 32 << 20
 """Largest unpacked answer that is not a file: a listing of more than 100,000 files."""
@@ -115,7 +114,10 @@ def require_addresses() -> None:
 
 def public_endpoint() -> str:
     """Return the address of the Hub, without the user and password that HF_ENDPOINT may hold."""
-    return _USER_OF_ADDRESS.sub(r"\1", huggingface_hub.constants.ENDPOINT)
+    # Not among the names that the client loads when they are asked for.
+    from huggingface_hub import constants
+
+    return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
 
 
 def page_of(repo_id: str) -> str:
@@ -204,7 +206,9 @@ def failure_of(
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
-            what, then = (redact(part.format(**values), huggingface_hub.get_token()) for part in sentence)
+            what, then = (
+                redaction.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
+            )
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
             return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)

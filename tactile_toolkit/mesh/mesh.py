@@ -155,7 +155,7 @@ def placed(surface: Surface, turn: Float64, shift: Float64) -> Surface:
     return moved(vertices, turn) + shift, faces
 
 
-def joined(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
+def join_surfaces(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
     """Join several surfaces into one."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]

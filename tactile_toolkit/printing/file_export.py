@@ -16,9 +16,8 @@ from typing import IO, Any, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import mesh, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.run import runner_for
 
 CHANGED = "changed"
@@ -77,10 +76,10 @@ class FileExport(Generic[R]):
     failed: tuple[FailedExport, ...]
 
 
-def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
+def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: mesh.ManifoldCheck) -> None:
     """Raise ItemError where a mesh that was read back differs from the solid meant, of ``verdict``."""
-    back = require_solid(found)
-    moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * MM_PER_M
+    back = mesh.require_solid(found)
+    moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
     is_as_joined = (back.bodies, back.genus) == (verdict.bodies, verdict.genus)
     if not (is_as_joined and is_as_large and moved_mm <= _BOUNDS_TOLERANCE_MM):

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, ClassVar, Generic, Self, TypeAlias, TypeV
 
 import numpy as np
 
-from tactile_toolkit import builtin_values, checked_fields, shown_text
+from tactile_toolkit import builtin_values, checked_fields, shown_text, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.read import (
@@ -20,8 +20,7 @@ from tactile_toolkit.read import (
     sharded_table,
 )
 from tactile_toolkit.read.record import Record
-from tactile_toolkit.read.stored_columns import StoredColumns
-from tactile_toolkit.wording import class_name, with_count
+from tactile_toolkit.read.row_columns import RowColumns
 
 if TYPE_CHECKING:
     pass
@@ -33,7 +32,7 @@ _MOST_NAMES = 10
 _SHOWN_IDS = 4
 
 
-class RecordDataset(StoredColumns, Sequence[T], Generic[T]):
+class RecordDataset(RowColumns, Sequence[T], Generic[T]):
     """A lazy sequence of records.
 
     Indexing with an int gives a record; a slice, a list or array of ints, or a boolean mask gives a view
@@ -61,7 +60,9 @@ class RecordDataset(StoredColumns, Sequence[T], Generic[T]):
         length = len(self._rows)
         # Not `checked_index`, which would take a tenth of the time of `touches[i]`.
         if not -length <= position < length:
-            raise IndexError(f"index {position} is out of range for {with_count(length, self.things)}")
+            raise IndexError(
+                f"index {position} is out of range for {wording.with_count(length, self.things)}"
+            )
         return self._stored(int(self._rows[position]))
 
     def _select(self, chosen: slice | Int64) -> Self:
@@ -306,7 +307,7 @@ class RecordDataset(StoredColumns, Sequence[T], Generic[T]):
 
     def description(self) -> list[str]:
         """Return what the data set holds, and where it is from, in words."""
-        return self.table.described(with_count(len(self), self.things))
+        return self.table.described(wording.with_count(len(self), self.things))
 
     def each_record(self) -> Iterator[tuple[int, T]]:
         """Yield position and item, in the fastest order, for reading small fields."""
@@ -327,7 +328,7 @@ class RecordDataset(StoredColumns, Sequence[T], Generic[T]):
         if "label" not in self.plain_columns:
             return {}
         known, (numbers, counts) = self.label_names, np.unique(self.labels, return_counts=True)
-        names = (class_name(known, label) for label in numbers.tolist())
+        names = (wording.class_name(known, label) for label in numbers.tolist())
         return dict.fromkeys(known, 0) | dict(zip(names, counts.tolist(), strict=True))
 
     def _classes_in_words(self) -> str:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import IO, TYPE_CHECKING, Any, TypeAlias
+from typing import IO, TYPE_CHECKING, TypeAlias
 
 import pyarrow as pa
 
@@ -284,11 +284,11 @@ class Shard:
         with self._named_damage():
             return self._opened(None)[1]
 
-    def _found_now(self) -> tuple[Any, ...]:
+    def _found_now(self) -> tuple[int, str, int, int, int]:
         """Return the identity of the local file now."""
-        device, *others = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
+        device, number, size_bytes, changed_ns = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
         # With the name, because machines that share a cache may have other files with the same numbers.
-        return device, self.path.rpartition("/")[2], *others
+        return device, self.path.rpartition("/")[2], number, size_bytes, changed_ns
 
     @property
     def part_sizes(self) -> Sequence[int]:

@@ -20,7 +20,7 @@ def loader_worker() -> Any:
     return torch_data and torch_data.get_worker_info()
 
 
-class Stream(Generic[S]):
+class RowStream(Generic[S]):
     """Base class of streams. Each pass reads from the beginning, a bounded block of rows at a time.
 
     For torch, a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers

@@ -286,7 +286,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """Return the start of the next pass, of this process (row 0) or of worker row - 1."""
         return dict(zip(_POSITION, self._next[row, :3].tolist(), strict=True))
 
-    def _division(self, worker: Any) -> dict[str, int]:
+    def _division(self, worker: object) -> dict[str, int]:
         """Return the sizes by which items are divided."""
         workers = getattr(worker, "num_workers", 0)
         return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}

@@ -43,7 +43,7 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import channels  # noqa: E402
 from tactile_sim.learned.batches import Batch  # noqa: E402
-from tactile_sim.learned.channels import depth_of, noisy_channels, picture_channels, shades_of  # noqa: E402
+from tactile_sim.learned.channels import depth_from, noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan, _mean_error  # noqa: E402
 from tactile_sim.learned.evaluation import (  # noqa: E402
     evaluate,
@@ -339,8 +339,8 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
     network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
     monkeypatch.setattr(channels, "_TOGETHER", 3)
-    alone = np.concatenate([depth_of(network, each[None]) for each in pictures])
-    np.testing.assert_allclose(depth_of(network, pictures), alone, atol=1e-5)
+    alone = np.concatenate([depth_from(network, each[None]) for each in pictures])
+    np.testing.assert_allclose(depth_from(network, pictures), alone, atol=1e-5)
     with pytest.raises(InputError, match="device is 'tpu'"):
         evaluate(trained, pairs, device="tpu")
 

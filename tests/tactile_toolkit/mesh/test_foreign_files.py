@@ -153,7 +153,7 @@ DAMAGED = {
     "far.stl": (CUBE_STL.replace("vertex 10", "vertex 1e30", 1).encode(), "1e+30 mm long"),
     "page.stl": (b"<html>not found</html>\n" * 9, "begins with '<html>not found</html>'"),
     "short.obj": (b"v 1 2\nf 1 1 1\n", "fewer than three coordinates"),
-    "beyond.obj": (CUBE_OBJ.replace("f ", "f 99 ").encode(), "names vertex 98, counted from 0"),
+    "beyond.obj": (CUBE_OBJ.replace("f ", "f 99 ").encode(), "vertices 0 to 98, counted from 0"),
     "bare.obj": ((CUBE_OBJ + "f\n").encode(), "faces have 0 to "),
     "zero.obj": (CUBE_OBJ.replace("f ", "f 0 ").encode(), "a face names vertex 0 of 8 so far"),
     "underscore.obj": (CUBE_OBJ.replace("f 2 ", "f 0_2 ").encode(), "'0_2' is not a number"),

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from datasets import Dataset
 
 
-class StoredColumns:
+class RowColumns:
     """Numbers of stored rows, and the columns of these rows.
 
     Parameters
