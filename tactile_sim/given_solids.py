@@ -116,7 +116,7 @@ def given_solids(
     Raises
     ------
     InputError
-        A file cannot be opened, a mesh is none, or a unit is given for meshes in memory.
+        A file cannot be opened, a mesh is not valid, or a unit is given for meshes in memory.
     """
     if isinstance(source, Mapping):
         mesh.refuse_unit(unit, "meshes in memory")

@@ -51,9 +51,7 @@ def encode_depth(image: Float32) -> bytes:
     shown = np.ones(image.shape)
     if image.any():
         shown = image.astype(np.float64)
-    stream = io.BytesIO()
-    Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)).save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return touch.encode_png(Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)))
 
 
 def decode_depth(data: bytes) -> Float32:

@@ -33,9 +33,9 @@ _MOST_PRESS_M = 0.05
 _MOST_MARKERS = 100  # along a side
 _GELS = "none|elastic|FILE"
 
-# Of the options: how they are told, whose values are in newtons, metres and radians.
-_TOLD = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
-_TOLD_LENGTH = (1e3, "mm")
+# Factor and unit with which messages show values in newtons, radians and metres.
+_SHOWN_IN = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
+_SHOWN_LENGTH = (1e3, "mm")
 
 _gel = lazy("tactile_sim.elastic:Gel")
 _read_gel = lazy("tactile_sim.elastic_press:read_gel")
@@ -191,15 +191,15 @@ class ElasticPress:
             ends = (ends, ends)
         is_pair = isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(end, float) for end in ends)
         if not is_pair or not (least <= ends[0] <= ends[1] <= most and ends[0] > above):
-            factor, unit = _TOLD.get(name, _TOLD_LENGTH)
+            factor, unit = _SHOWN_IN.get(name, _SHOWN_LENGTH)
             span = f"from {factor * least:g} to {factor * most:g} {unit}"
             if above == 0:
                 span = f"above 0, to {factor * most:g} {unit}"
-            told = repr(value)
+            shown = repr(value)
             if is_pair:
-                told = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
+                shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
             raise InputError(
-                f"{name} of the press is {told}; expected a number {span}, or two of them that rise"
+                f"{name} of the press is {shown}; expected a number {span}, or two of them that rise"
             )
         object.__setattr__(self, name, ends)
 

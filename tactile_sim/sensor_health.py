@@ -123,10 +123,12 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     difference = np.where(known[..., None], today - plain, 0.0)
     drift = _smoothed(difference, _SMOOTH_PX)[known]
     gains = (today[known] * plain[known]).sum(axis=0) / (plain[known] ** 2).sum(axis=0)
+    # What the calibration left of its own touches, levels.
+    expected = max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
     values = (
         np.sqrt((drift**2).mean()),
         np.abs(gains - 1).max(),
-        np.median(_residuals(model, stack, depth_m)) / _expected_residual(model),
+        np.median(_residuals(model, stack, depth_m)) / expected,
         _marker_share(difference, known),
         (stack >= _FULL).mean(),
     )
@@ -165,11 +167,6 @@ def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
         left = images[part].astype(np.float64) - model.render_read(depth_m[part])
         found.append(np.sqrt((left**2).mean(axis=(1, 2, 3))))
     return np.concatenate(found)
-
-
-def _expected_residual(model: SensorModel) -> float:
-    """Return what the calibration left of its own touches, levels."""
-    return max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
 
 
 def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:

@@ -24,7 +24,7 @@ from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
 def _copy_file(
     source: read.Shard, changes: RowChanges | None, _shard: store.ShardName, _rows: range
 ) -> store.ShardContent:
-    """Return a shard, unchanged without changes; IntegrityError if part of it does not match its checksum."""
+    """Return a shard with its changes; without any, byte for byte. IntegrityError for a wrong checksum."""
     with source.stored() as stream:
         content = stream.read()
         table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
@@ -62,11 +62,6 @@ class _Source:
     @property
     def table(self) -> read.ShardedTable:
         return read.ShardedTable(sum(self.shards.values(), ()))
-
-
-def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
-    """List the kinds whose rows have the same columns, as all touches do."""
-    return [each for each in kinds() if each.package == kind.package]
 
 
 def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
@@ -242,14 +237,15 @@ def _build(
         options = {**options, "touches": "imported"}  # the terms of their source apply
     # Data sets that were made in different ways have no common specification.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
-    made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
+    # Kinds of one package have the same columns, as all touches do.
+    made = next((each for each in kinds() if each.name == each.package == kind.package), kind)
     style = _style([*shards, *chain.from_iterable(found.values())])
     plan = copy_plan(made, operation, options, found, source_spec, tasks, style)
     return store.build(folder, plan, write_card=made.write_card, **run)
 
 
 def unfinished_counts(sources: Iterable[_Source | places.Place]) -> dict[str, str]:
-    """Return for the specification of a copy how much of unfinished sources there was."""
+    """Return, for the specification of a copy, how much of each unfinished source was finished."""
     counts = [each.unfinished for each in sources if each.unfinished]
     if counts:
         return {"unfinished": ", ".join(counts)}
@@ -278,7 +274,7 @@ def copy_plan(
 
 
 def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
-    """Return row groups and columns without a dictionary as the first shard with rows has them."""
+    """Return the style of the first shard with rows: its row groups, and columns without a dictionary."""
     footers = (shard.metadata for shard in shards)
     groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
     group = next((each for each in groups if each.num_rows), None)

@@ -198,12 +198,7 @@ def prepare_upload(
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
-        unasked = ""
-        if dry_run:
-            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
-        else:
-            ask(huggingface_hub.HfApi().whoami)
-            state = ask(partial(_state, repo_id, chosen.branch))
+        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
         manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
         what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
@@ -231,12 +226,7 @@ def prepare_files(
         scratch = stack.enter_context(store.scratch_folder())
         for path, content in files.items():
             (scratch / path).write_bytes(content)
-        unasked = ""
-        if dry_run:
-            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
-        else:
-            ask(huggingface_hub.HfApi().whoami)
-            state = ask(partial(_state, repo_id, chosen.branch))
+        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
         local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
         prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
         weakref.finalize(prepared, stack.pop_all().close)
@@ -284,10 +274,14 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state_if_known(ask: _Ask, repo_id: str, branch: str) -> tuple[_State, str]:
-    """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
+def _asked_state(ask: _Ask, repo_id: str, branch: str, *, dry_run: bool) -> tuple[_State, str]:
+    """Return :func:`_state`; of a dry run, if the Hub cannot be asked, that of a new repository and why."""
+    state = partial(_state, repo_id, branch)
+    if not dry_run:
+        ask(huggingface_hub.HfApi().whoami)
+        return ask(state), ""
     try:
-        return ask(partial(_state, repo_id, branch), waits_s=()), ""
+        return ask(state, waits_s=()), ""
     except HubError as error:
         return (None, {}, False), error.what
 
@@ -297,6 +291,7 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
+    # Not among the names that the client loads when they are asked for.
     from huggingface_hub import errors
 
     try:

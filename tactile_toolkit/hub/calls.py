@@ -101,7 +101,7 @@ class TooLargeError(Exception):
 
 
 def require_addresses() -> None:
-    """Raise InputError for an address in the environment that is none; the client would quote it."""
+    """Raise InputError for a variable that holds no valid address; the client would quote it."""
     for name in _ADDRESSES:
         with contextlib.suppress(ValueError):
             _ = urlsplit(os.environ.get(name, "")).port
@@ -322,7 +322,7 @@ def _check_answer(response: Any, **_: object) -> None:
 
 def counting_options(count: Callable[[int], None]) -> JsonDict:
     """Return options with which the client reports the bytes of a file that have arrived, if it can."""
-    from huggingface_hub.utils.tqdm import tqdm
+    from huggingface_hub.utils.tqdm import tqdm  # only once addresses are known to be valid
 
     class Bar(tqdm):
         """Reports the bytes that are written to the disk."""

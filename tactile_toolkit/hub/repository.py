@@ -331,6 +331,7 @@ def open_repository(
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     """Ask the Hub for all files of a revision; raises exceptions of its client."""
+    # Not among the names that the client loads when they are asked for.
     from huggingface_hub import constants
 
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT

@@ -38,7 +38,7 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
     ItemError
         The mesh does not bound a solid.
     """
-    import manifold3d
+    import manifold3d  # few meshes get a plate
 
     if not base_mm > 0:
         raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")

@@ -80,7 +80,7 @@ class Mesh:
         trimesh.Trimesh
             In metres.
         """
-        import trimesh
+        import trimesh  # takes a second to import
 
         return trimesh.Trimesh(vertices=self.vertices_m, faces=self.faces, process=False)
 
@@ -108,7 +108,7 @@ class Mesh:
         manifold3d.Manifold
             In millimetres. Empty for a mesh that does not bound a solid; its ``status()`` says why.
         """
-        import manifold3d
+        import manifold3d  # few meshes are checked
 
         # Mesh64, because manifold3d merges vertices that are equal in single precision.
         return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 
-from tactile_toolkit import store
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 
@@ -98,9 +97,7 @@ def write_pictures(
 
 def png_bytes(pixels: UInt8) -> bytes:
     """Encode a picture as PNG, without metadata."""
-    stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return touch.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
 
 
 def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:

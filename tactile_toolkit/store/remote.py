@@ -173,7 +173,7 @@ def has_buckets(address: str) -> bool:
 
 def client_of(address: str) -> AbstractFileSystem:
     """Return the client of a store; folders in the same kind of store share it in this process."""
-    import fsspec
+    import fsspec  # takes a tenth of a second to import, and few data sets lie in stores
 
     scheme = scheme_of(address)
     try:
@@ -264,7 +264,10 @@ def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | 
     ):
         return None
     status = next((code for code in map(_code_of, chain) if code is not None), None)
-    is_silent = status is None and any(map(_is_connection_error, chain))
+    is_silent = status is None and any(
+        isinstance(link, (ConnectionError, TimeoutError)) or _CONNECTION.search(type(link).__name__)
+        for link in chain
+    )
     causes = " ".join([status or "", *(type(link).__name__ for link in chain), _NO_ANSWER * is_silent])
     of_client = [link for link in chain if _is_of_client(link)]
     answer = (redact(str([error, *of_client][-1])).strip().splitlines() or [""])[0][:300]
@@ -293,11 +296,6 @@ def _code_of(link: BaseException) -> str | None:
     if isinstance(status, int):
         return str(status)
     return None
-
-
-def _is_connection_error(link: BaseException) -> bool:
-    """Return whether a store gave no answer, or the connection broke during one."""
-    return bool(_CONNECTION.search(type(link).__name__)) or isinstance(link, (ConnectionError, TimeoutError))
 
 
 def _is_of_client(link: BaseException) -> bool:

@@ -158,12 +158,18 @@ def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -
 
     ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
     """
-    stream = io.BytesIO()
     if kind == "png":
-        # Pillow's default level, written out so that other releases write the same bytes.
-        Image.fromarray(pixels).save(stream, "PNG", compress_level=6)
-    else:
-        Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
+        return encode_png(Image.fromarray(pixels))
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
+    return stream.getvalue()
+
+
+def encode_png(picture: Image.Image) -> bytes:
+    """Encode a picture as PNG, without metadata."""
+    stream = io.BytesIO()
+    # Pillow's default level, written out so that other releases write the same bytes.
+    picture.save(stream, "PNG", compress_level=6)
     return stream.getvalue()
 
 
