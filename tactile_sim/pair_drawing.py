@@ -23,7 +23,7 @@ _POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
 _contacts_by_image = lazy("realtouch:contacts_by_image")
 
 
-def depth_image(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
+def drawn_depth(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
     """Return the depth image of one touch: the first of some places in the cell with contact."""
     sensor, least_m = sensor_of_window(spec.window, spec.size_px), spec.min_height_m
     assert least_m is not None, "PairsGenerator.of sets it"

@@ -134,7 +134,7 @@ class PairsGenerator(generation.RowGenerator):
                         yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
                 key, contact = f"{record.id}-{number}", not spec.is_empty(number)
-                image = pairs.encode_depth(pair_drawing.depth_image(spec, solid, record.id, number))
+                image = pairs.encode_depth(pair_drawing.drawn_depth(spec, solid, record.id, number))
                 yield pairs.PairRow(
                     key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"}
                 )
