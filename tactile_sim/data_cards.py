@@ -49,8 +49,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         return
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
-    plan = spec["plan"]
-    layer_m = spec.get("layer_m", 0.0)
+    plan, layer_m = spec["plan"], spec.get("layer_m", 0.0)
     sensor, gel = _sensor_of(spec), CardGel.of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]

@@ -12,7 +12,7 @@ from typing import Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_sim import given_solids, optics, round_press, touch_rows, touch_sources
+from tactile_sim import given_solids, round_press, spec_optics, touch_rows, touch_sources
 from tactile_sim.kind import KIND
 from tactile_sim.pressable import Pressable
 from tactile_sim.round_plan import plan_round
@@ -67,7 +67,7 @@ class TouchGenerator(generation.RowGenerator):
 
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
-        optics.optics_of(spec)  # missing packages are reported before anything is written
+        spec_optics.optics_of(spec)  # missing packages are reported before anything is written
         name, splits, unfinished = touch_sources.solids_of(source, unit, opened)
         if spec.plan.given is not None:
             touch_sources.require_known_objects(name, splits, spec.plan.given)

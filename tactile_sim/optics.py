@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from functools import lru_cache
 from pathlib import Path
 
 import numpy as np
 
 from tactile_sim.pressing import depth_image
 from tactile_sim.sensor import Sensor
-from tactile_sim.touch_spec import OPTICS, GenerateSpec
-from tactile_toolkit import store, touch
+from tactile_sim.touch_spec import OPTICS
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
 
-__all__ = ["OPTICS", "Optics", "make_optics", "optics_of", "scaled"]
+__all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
 
 
 def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
@@ -127,23 +126,3 @@ def make_optics(
         taxim: Optics = lazy("tactile_sim.taxim:TaximOptics")()
         return taxim
     return DepthOptics()
-
-
-def optics_of(spec: GenerateSpec) -> Optics:
-    """Return the optics of a specification, made once in a process and again when the weights change."""
-    if spec.optics == "twin":
-        return spec.sensor.optics
-    if spec.weights is None:
-        return _optics(spec.optics, None, ())
-    file = store.expanded(spec.weights)
-    if not file.is_file():  # refused with its name
-        return make_optics(spec.optics, spec.weights)
-    # A notebook may train into the same file again and again; the manifest has the checksum of the new one.
-    facts = file.stat()
-    return _optics(spec.optics, spec.weights, (facts.st_ino, facts.st_size, facts.st_mtime_ns))
-
-
-@lru_cache(maxsize=2)
-def _optics(name: str, weights: str | None, _stamp: tuple[int, ...]) -> Optics:
-    # Tables and networks take longer to load than a round to render.
-    return make_optics(name, weights)

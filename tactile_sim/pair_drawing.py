@@ -15,6 +15,7 @@ from tactile_toolkit import read
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
+from tactile_toolkit.wording import with_count
 
 # One real touch in five has contact: 16 places in the cell fail 3 times in 100; then places on the object are
 # tried.
@@ -60,8 +61,8 @@ def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[t
     found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
     if any(len(found[flag]) < count for flag, count in wanted.items()):
         raise InputError(
-            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
-            f"{highest}; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was written",
+            f"{real!r} holds {with_count(len(found[True]), 'touches')} with contact and "
+            f"{len(found[False]):,} without, {highest}; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was written",
             next="give a smaller --count, or another --without-contact or --min-height-mm",
         )
     pools = {

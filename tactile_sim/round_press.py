@@ -9,9 +9,9 @@ from functools import partial
 import numpy as np
 import pyarrow as pa
 
-from tactile_sim import elastic_rows, sensor
+from tactile_sim import elastic_rows, sensor, spec_optics
 from tactile_sim.markers import draw_markers
-from tactile_sim.optics import Optics, optics_of
+from tactile_sim.optics import Optics
 from tactile_sim.pressable import Pressable
 from tactile_sim.pressing import Pressed, render_touch
 from tactile_sim.random_numbers import keyed_rng
@@ -36,7 +36,7 @@ def press_round(
     spec: GenerateSpec, solid: Pressable, poses: Float64, targets: Float64, key: tuple[str, int, int]
 ) -> PressedRound:
     """Press and render the touches of a round; ``key`` is its split, object and number."""
-    optics, press, further = optics_of(spec), spec.press, JsonDict()
+    optics, press, further = spec_optics.optics_of(spec), spec.press, JsonDict()
     shown = _depth_sensor(spec, optics)
     if press is None:
         if spec.sensor.press_m != PRESS_DEPTH_M:

@@ -10,9 +10,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from tactile_sim.learned import batches, channels, generators, networks, training
-from tactile_sim.learned.measuring import Bench, Measures, Selected
+from tactile_sim.learned.measuring import Bench, Measures
 from tactile_sim.learned.processes import chosen_device
 from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights, weights_of
+from tactile_sim.learning_specs import BASELINES
 from tactile_sim.pairs import Pairs
 from tactile_sim.sensor_noise import SensorNoise
 from tactile_toolkit import cards, store
@@ -20,8 +21,7 @@ from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
-BASELINES = ("taxim", "untrained")
-"""Methods that trained weights may be compared with."""
+__all__ = ["BASELINES", "Evaluation", "Measures", "evaluate"]
 
 
 @dataclass(frozen=True)
@@ -107,8 +107,8 @@ def evaluate(
     seed : int
         Seed of noise and classifiers.
     device : str
-        Device of the generators: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one. Classifiers
-        are small, and learn on the CPU. Measures are the same on each device, up to rounding.
+        Device of the generators: ``"cpu"``, ``"cuda"``, or ``"auto"`` for a GPU if there is one; classifiers
+        learn on the CPU. Measures are the same on each device, up to rounding.
     on_progress : callable
         Called with the number of measured methods, the real touches included, and of all.
 
@@ -125,22 +125,24 @@ def evaluate(
         Taxim is not installed.
     """
     torch_device = chosen_device(device)
-    if unknown := set(baselines) - set(BASELINES):
-        raise InputError(f"baselines has {min(unknown)!r}; expected some of {', '.join(BASELINES)}")
+    _require_known(baselines)
     data, touch = Pairs.open(pairs), read_weights(Path(weights) / training.TOUCH_WEIGHTS)
     _require_size(pairs, data.size_px, touch.size_px)
     inverse = generators.make_generator(read_weights(Path(weights) / training.DEPTH_WEIGHTS), torch_device)
-    real, depth = Selected.of(data.real, count, pairs), Selected.of(data.depth, count, pairs)
+    bench = Bench.of(data, pairs, count, inverse, noise, seed)
     methods = ("trained", *baselines)
-    reach_um = 1e6 * (data.sensor.gel_m - data.sensor.press_m)
-    bench = Bench(real, depth, inverse, reach_um, noise, seed)
     made, measures = {}, [bench.measure_real()]
     for done, name in enumerate(methods, 1):
         on_progress(done, 1 + len(methods))
         made[name] = _touches_of(name, data, touch, bench, torch_device)
         measures.append(bench.measure(name, made[name]))
     on_progress(1 + len(methods), 1 + len(methods))
-    return Evaluation(tuple(measures), len(real.images), bench.sheet(made), noise)
+    return Evaluation(tuple(measures), len(bench.real.images), bench.sheet(made), noise)
+
+
+def _require_known(baselines: tuple[str, ...]) -> None:
+    if unknown := set(baselines) - set(BASELINES):
+        raise InputError(f"baselines has {min(unknown)!r}; expected some of {', '.join(BASELINES)}")
 
 
 def _require_size(pairs: str, found: tuple[int, int], expected: tuple[int, int]) -> None:

@@ -9,10 +9,11 @@ import numpy as np
 
 from tactile_sim.data_cards import sheet_png
 from tactile_sim.learned import channels, classifiers, generators
-from tactile_sim.pairs import Domain
+from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.sensor_noise import SensorNoise, add_noise_per_object
 from tactile_toolkit.array_types import AnyArray, Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 # Half of these are held back; fewer are not conclusive.
 _LEAST = 40
@@ -29,7 +30,7 @@ class Measures:
     ----------
     name : str
         ``"real"`` (one half of the real touches against the other, the best value possible), ``"trained"``,
-        or one of :data:`tactile_sim.learned.evaluation.BASELINES`.
+        or one of :data:`tactile_sim.learning_specs.BASELINES`.
     depth_um : float
         Mean absolute error of the depth that the trained inverse recovers from the images, micrometres, over
         touches with contact.
@@ -70,8 +71,8 @@ class Selected:
         kinds = len(np.unique(objects))
         if len(rows) < _LEAST or not contact.any() or contact.all() or kinds < 2:
             raise InputError(
-                f"{pairs!r} holds {len(rows)} images of one kind, {int(contact.sum())} with contact, of "
-                f"{kinds} objects; expected at least {_LEAST}, with and without contact, of several objects",
+                f"{pairs!r} holds {with_count(len(rows), 'images')} of one kind, {int(contact.sum())} with "
+                f"contact, of {with_count(kinds, 'objects')}; expected at least {_LEAST}, with and without contact, of several objects",
                 next="make pairs with a larger --count or another --without-contact (`tactile-sim pairs`)",
             )
         return cls(
@@ -98,6 +99,20 @@ class Bench:
     reach_um: float  # range of depth images from 0 to 1
     noise: SensorNoise | None
     seed: int
+
+    @classmethod
+    def of(
+        cls,
+        data: Pairs,
+        name: str,
+        count: int,
+        inverse: generators.Generator,
+        noise: SensorNoise | None,
+        seed: int,
+    ) -> Bench:
+        """Select images of both kinds; messages call the data ``name`` (InputError)."""
+        real, depth = Selected.of(data.real, count, name), Selected.of(data.depth, count, name)
+        return cls(real, depth, inverse, 1e6 * (data.sensor.gel_m - data.sensor.press_m), noise, seed)
 
     def measure_real(self) -> Measures:
         """Measure one half of the real touches against the other."""

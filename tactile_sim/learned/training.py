@@ -100,16 +100,13 @@ def train(
         cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
     config = config or TrainConfig()
-    data, folder = Pairs.open(pairs), store.open_folder(os.fspath(out))
-    _require_trainable(pairs, data, config)
+    data, folder = _trainable(pairs, config), store.open_folder(os.fspath(out))
     with (
         processes.joined_processes(device, deterministic=deterministic) as process,
         training_folder.held(folder, process),
     ):
         if process.rank == 0:
-            training_folder.claim(
-                folder, {"config": config.to_dict(), "pairs": data.fingerprint}, resume=resume
-            )
+            training_folder.claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
         model = cyclegan.CycleGan(config, process.device, compiled=compiled)
@@ -117,7 +114,9 @@ def train(
         return run.to_the_end(*run.restored())
 
 
-def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
+def _trainable(pairs: str, config: TrainConfig) -> Pairs:
+    """Open a training set; InputError if nothing can be learned from it with these settings."""
+    data = Pairs.open(pairs)
     config.crop_px(data.size_px)
     for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
         if not domain.contact.any():
@@ -133,6 +132,7 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
             raise errors.InputError(
                 f"{error}, or train without paired first steps: pretrain_steps = 0"
             ) from error
+    return data
 
 
 @dataclass(eq=False)

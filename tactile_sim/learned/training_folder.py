@@ -9,9 +9,10 @@ from contextlib import contextmanager
 import msgspec
 
 from tactile_sim.learned.processes import Process
+from tactile_sim.learning_specs import TrainConfig
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, SpecMismatchError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict
 
 SETTINGS = "training.json"
 
@@ -21,9 +22,10 @@ class _Settings(msgspec.Struct):
     pairs: str
 
 
-def claim(folder: store.DataFolder, settings: JsonObject, *, resume: bool) -> None:
+def claim(folder: store.DataFolder, config: TrainConfig, pairs: str, *, resume: bool) -> None:
     """Begin a training in a folder, or continue the one that is there, if it has the same settings."""
     folder.require_folder()
+    settings = {"config": config.to_dict(), "pairs": pairs}
     if folder.exists(SETTINGS):
         there = store.decode(folder.read_bytes(SETTINGS), _Settings, folder.address(SETTINGS))
         # Compared as they would be read back: tuples become lists.

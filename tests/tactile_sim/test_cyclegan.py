@@ -19,7 +19,8 @@ from tactile_sim.learned import DepthEstimator, weights as files  # noqa: E402
 from tactile_sim.learned.cyclegan_optics import CycleganOptics  # noqa: E402
 from tactile_sim.learned.networks import GeneratorNetwork, initialise  # noqa: E402
 from tactile_sim.learned.weights import generator_of, weights_of  # noqa: E402
-from tactile_sim.optics import make_optics, optics_of  # noqa: E402
+from tactile_sim.optics import make_optics  # noqa: E402
+from tactile_sim.spec_optics import optics_of  # noqa: E402
 from tactile_toolkit.errors import InputError, ToolkitError  # noqa: E402
 from tactile_toolkit.store import open_folder  # noqa: E402
 
