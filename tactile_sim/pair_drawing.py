@@ -62,7 +62,8 @@ def draw_touches(touches: read.AnyRecords, spec: PairsSpec, real: str) -> list[t
     if any(len(found[flag]) < count for flag, count in wanted.items()):
         raise InputError(
             f"{real!r} holds {with_count(len(found[True]), 'touches')} with contact and "
-            f"{len(found[False]):,} without, {highest}; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was written",
+            f"{len(found[False]):,} without, {highest}; expected at least {wanted[True]:,} and "
+            f"{wanted[False]:,}; nothing was written",
             next="give a smaller --count, or another --without-contact or --min-height-mm",
         )
     pools = {

@@ -72,7 +72,8 @@ class Selected:
         if len(rows) < _LEAST or not contact.any() or contact.all() or kinds < 2:
             raise InputError(
                 f"{pairs!r} holds {with_count(len(rows), 'images')} of one kind, {int(contact.sum())} with "
-                f"contact, of {with_count(kinds, 'objects')}; expected at least {_LEAST}, with and without contact, of several objects",
+                f"contact, of {with_count(kinds, 'objects')}; expected at least {_LEAST}, with and "
+                "without contact, of several objects",
                 next="make pairs with a larger --count or another --without-contact (`tactile-sim pairs`)",
             )
         return cls(
