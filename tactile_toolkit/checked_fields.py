@@ -144,13 +144,13 @@ def _or_none(optional: bool) -> str:
     return "None or " * optional
 
 
-def rule_of(declared: Field[Any]) -> Rule | None:
+def rule_of(declared: Field[object]) -> Rule | None:
     """Return the rule of a field; None if it was declared in another way."""
     rule: Rule | None = declared.metadata.get(_RULE)
     return rule
 
 
-def option_name(declared: Field[Any]) -> str:
+def option_name(declared: Field[object]) -> str:
     """Return the option of a field: ``--size`` of ``size_px``."""
     rule = rule_of(declared)
     stated = rule and rule.option.get("name")

@@ -89,8 +89,6 @@ def evaluate(
 ) -> Evaluation:
     """Measure the weights of a training on a set of pairs that it did not see.
 
-    Images of one half of the objects train classifiers; those of the other half are measured.
-
     Parameters
     ----------
     weights : str or path-like
@@ -102,8 +100,7 @@ def evaluate(
     count : int
         Greatest number of images of each kind.
     noise : SensorNoise, optional
-        Noise of the sensor of the real touches, added to all generated images, a round for each object; not
-        for depth.
+        Noise of the real sensor, added to all generated images, a round for each object; not for depth.
     seed : int
         Seed of noise and classifiers.
     device : str
@@ -115,7 +112,7 @@ def evaluate(
     Returns
     -------
     Evaluation
-        Measures of all methods.
+        Measures of all methods: images of one half of the objects train classifiers, the others are measured.
 
     Raises
     ------

@@ -12,7 +12,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import IO, Generic, TypeVar
 
 import numpy as np
 
@@ -173,7 +173,7 @@ def write_products(
     if not dry_run:
         store.open_folder(out).require_folder()
         store.remove_drafts(folder)  # drafts of killed exports
-    found: dict[str, tuple[str, Any]] = {}
+    found: dict[str, tuple[str, R | FailedExport]] = {}
 
     def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
         make = partial(_exported, folder, overwrite, dry_run)

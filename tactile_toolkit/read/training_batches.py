@@ -193,7 +193,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._next[1 + worker.id] = torch.tensor(following)
         return self._batches(self._current, worker.id, worker.num_workers)
 
-    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[Any]:
+    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[object]:
         share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
