@@ -273,8 +273,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
     assert "images in" in part.output
     assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
-    for module in ("classifiers", "evaluation"):
-        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 60)
+    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
     noise = tmp_path / "noise.json"
