@@ -319,8 +319,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
 
 
 def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monkeypatch):
-    for module in ("classifiers", "evaluation"):
-        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 20)
+    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 20)
     steps: list[tuple[int, int]] = []
     found = []
     for together in (1, 64):
