@@ -27,7 +27,7 @@ from tactile_toolkit.kind import DatasetKind, lazy
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
 
-@command(app, asks_hub=False)
+@command(app)
 def generate(
     *,
     split: str | None = choice(

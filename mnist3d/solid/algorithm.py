@@ -100,6 +100,7 @@ def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "f
         made = solid_steps(sized.mask, sized.spec).mesh
     if sized.is_fine:
         made = without_flat_vertices(made)
+    made = sized.size.fitted(made)
     return made if base_mm is None else on_base_plate(made, base_mm)
 
 

@@ -60,6 +60,8 @@ class SizedInk(NamedTuple):
     notes: tuple[str, ...]
     is_fine: bool = False
     """Whether the lattice is as fine as the strokes need, so that even parts have too many vertices."""
+    size: SolidSize = SolidSize()
+    """The size that the solid is to have; its pixels have it within some tenths of a millimetre."""
 
 
 def sized_ink(
@@ -89,7 +91,7 @@ def sized_ink(
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
     if spec is not None or _is_grey(picture):
-        return SizedInk(ink.cleaned_ink(sheet, fitted, level), fitted, tuple(notes))
+        return SizedInk(ink.cleaned_ink(sheet, fitted, level), fitted, tuple(notes), size=size)
     before = ink.ink_of_levels(sheet, fitted.threshold)
     fitted = for_strokes(before, fitted)
     mask = ink.cleaned_ink(sheet, fitted)
@@ -100,7 +102,7 @@ def sized_ink(
     count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
-    return SizedInk(mask, fitted, tuple(notes), is_fine)
+    return SizedInk(mask, fitted, tuple(notes), is_fine, size)
 
 
 def _is_grey(picture: PictureLike) -> bool:

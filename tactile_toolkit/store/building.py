@@ -135,6 +135,8 @@ def _begun(
                     )
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
+                if is_replaced and isinstance(folder, LocalFolder):
+                    replacing.keep_card(folder)
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
