@@ -125,8 +125,10 @@ def command(
     The default of a parameter declares its option, as in `tactile_toolkit.checked_fields`. A parameter whose
     type is a dataclass is a group of options, and the function gets the object; if it is marked with
     :class:`OptionsOf`, the function gets a dict of the options that were given. The function also gets those
-    ``known`` arguments that it has parameters for. All parameters are keyword-only. A command that opens names
-    of the Hub, which has ``--revision``, has ``--token`` too; ``asks_hub`` marks others that need it.
+    ``known`` arguments that it has parameters for. All parameters are keyword-only.
+
+    A command with ``--revision`` opens names of the Hub, so it has ``--token`` too. ``asks_hub`` marks others
+    that need it.
     """
 
     def add(function: F) -> F:

@@ -11,6 +11,7 @@ import pyarrow as pa
 from tactile_toolkit import store
 from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
+from tactile_toolkit.wording import with_count
 
 _MOST_LISTED = 12
 
@@ -54,7 +55,7 @@ class SplitSummary:
         if len(counts) > 1 and len(set(counts.values())) == 1:
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MOST_LISTED:
-            return f"{len(counts):,} values"
+            return with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 
 

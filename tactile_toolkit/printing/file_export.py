@@ -20,6 +20,7 @@ from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.run import runner_for
+from tactile_toolkit.wording import with_count
 
 CHANGED = "changed"
 """Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
@@ -189,7 +190,8 @@ def write_products(
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
     if others:
         raise InputError(
-            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
+            f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
+            "nothing was written",
             next="add --overwrite to replace them, or choose another --out",
         )
     if not dry_run:

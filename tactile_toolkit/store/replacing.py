@@ -72,6 +72,7 @@ def _next(folder: LocalFolder) -> LocalFolder:
 
 def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
     """Return the folder in which the next data set is made, without files of any other one.
+
     A run holds the lock of that folder, shared with other runs of the same job. Raises BusyError if another
     data set is being made there.
     """
