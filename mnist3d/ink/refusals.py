@@ -23,7 +23,8 @@ _SENTENCES = {
     "border": "ink touches {:.0%} of the border of the image; expected {:.0%} at most, and paper elsewhere",
     "several-digits": "the page shows {} digits or other pieces of ink; expected one digit",
     "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
-    "drawing-cut-off": "the ink reaches the edge of the page; expected paper on all sides of it",
+    "drawing-cut-off": "much ink, or something thicker than the strokes, reaches the edge of the page; "
+    "expected paper there",
     "not-a-digit": "found {}; expected {} for a digit",
     "only-specks": "no piece of ink is as large as {} mm^2 (min_speck_mm2); expected a digit",
     "topology": "no lattice keeps the topology of the ink (bodies: {}, holes: {}); the finest has {} and {}",
@@ -43,8 +44,8 @@ _NEXT = {
     "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
     "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
     "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
-    "drawing-cut-off": "take the picture again with room around the drawing, or cut away what surrounds "
-    "the page",
+    "drawing-cut-off": "take the picture again without fingers and with room around the page, or cut away "
+    "what surrounds it",
     "not-a-digit": "leave the picture out, or photograph the digit from closer, in even light",
     "empty-page": "leave the picture out, or photograph the digit from closer, in even light",
     "only-specks": "make the solid larger, or draw with a thicker pen",

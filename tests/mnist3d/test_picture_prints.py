@@ -123,6 +123,38 @@ def test_small_parts_near_the_edge_of_a_photographed_page_are_kept() -> None:
     assert pieces(inked(photographed(desk), width_mm=100).mask) == 6
 
 
+@pytest.mark.parametrize("surroundings", [0, 200])
+def test_strokes_that_run_to_the_edge_of_a_photographed_page_are_kept(surroundings: int) -> None:
+    page = word()
+    draw = ImageDraw.Draw(page)
+    draw.line([(0, 370), (800, 370)], fill=PEN, width=16)  # the ground
+    at = 775 if surroundings else 790  # up to 1.5 % from the edge of a page on a desk, ink is its edge
+    draw.line([(at, 40), (at, 60)], fill=PEN, width=14)
+    desk = Image.new("RGB", (800 + 2 * surroundings, 400 + 2 * surroundings), (95, 62, 40))
+    desk.paste(page, (surroundings, surroundings))
+    mask = inked(photographed(desk), pixel_mm=0.2).mask
+    assert pieces(mask) == 7
+    columns = np.flatnonzero(mask.any(axis=0))
+    scale = 1200 / desk.width
+    assert np.ptp(columns) > (800 - 40) * scale * mask.shape[1] / 1200
+
+
+def test_a_finger_on_a_photographed_page_is_refused() -> None:
+    page = word()
+    ImageDraw.Draw(page).ellipse([-80, 150, 90, 230], fill=(190, 140, 120))
+    with pytest.raises(ItemError, match="reaches the edge of the page; expected paper there"):
+        inked(photographed(page))
+
+
+@pytest.mark.parametrize(
+    "corners", [[(600, 0), (800, 0), (800, 120)], [(0, 0), (60, 0), (60, 400), (0, 400)]]
+)
+def test_what_lies_beside_a_photographed_page_is_no_ink(corners: list[tuple[int, int]]) -> None:
+    page = word()
+    ImageDraw.Draw(page).polygon(corners, fill=(40, 30, 20))
+    assert pieces(inked(photographed(page)).mask) == 5
+
+
 def test_specks_that_are_left_out_are_counted() -> None:
     dirty = word()
     for x in range(60, 160, 20):
