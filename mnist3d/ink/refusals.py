@@ -19,7 +19,7 @@ _SENTENCES = {
     "all-ink": "ink covers {:.0%} of the margin of the image, which would make a slab; expected a digit on "
     "paper, with less than {:.0%} of the margin ink",
     "empty-page": "no part of the page is as dark as ink and has edges like ink; expected a digit",
-    "half-ink": "ink covers {:.0%} of the image, which would make a slab; expected at most half of it",
+    "half-ink": "ink covers {:.0%} of the image, which would make a slab; expected at most {:.0%} of it",
     "border": "ink touches {:.0%} of the border of the image; expected {:.0%} at most, and paper elsewhere",
     "several-digits": "the page shows {} digits or other pieces of ink; expected one digit",
     "cut-off": "the ink reaches the edge of the page; expected paper on all sides of the digit",
@@ -40,8 +40,8 @@ _NEXT = {
     "not-finite": "repair or rescale this image in the file, or leave it out",
     "bad-pixels": "repair or rescale this image in the file, or leave it out",
     "too-small": "leave pixel_mm out, or give a larger image",
-    "unclear-ink": "give dark or light (--foreground, ink=), or crop the image",
-    "all-ink": "give ink='light' if the ink is the lighter part, or leave room around the digit",
+    "unclear-ink": "give dark or light (ink=, --foreground, --invert), or crop the image",
+    "all-ink": "say that the ink is lighter (ink='light', --invert) if it is, or leave room around it",
     "several-digits": "cut the picture so that each digit has its own file, or cover the rest",
     "cut-off": "take the picture again with room around the digit, or cut away what surrounds the page",
     "drawing-cut-off": "take the picture again without fingers and with room around the page, or cut away "
@@ -49,7 +49,7 @@ _NEXT = {
     "not-a-digit": "leave the picture out, or photograph the digit from closer, in even light",
     "empty-page": "leave the picture out, or photograph the digit from closer, in even light",
     "only-specks": "make the solid larger, or draw with a thicker pen",
-    "half-ink": "give ink='light' if the ink is the lighter part, or crop the image to its page",
+    "half-ink": "say that the ink is lighter (ink='light', --invert) if it is, or crop the image to its page",
     "border": "leave room around the digit, or crop the image to its page",
     "layers": "leave the digit out, or try method='fast'",
     "vertex-budget": "raise target_vertices (--vertices) to {5:,}",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import math
 import os
@@ -106,6 +107,28 @@ def test_a_transparent_logo_keeps_light_colours() -> None:
     draw.rectangle([60, 60, 160, 160], fill=(20, 40, 160, 255))
     draw.rectangle([240, 240, 340, 340], fill=(255, 220, 40, 255))
     assert pieces(inked(logo).mask) == 2
+
+
+@pytest.mark.parametrize("mode", ["RGBA", "RGB", "L"])
+def test_a_logo_may_be_mostly_ink(mode: str, tmp_path: Path) -> None:
+    logo = Image.new("RGBA", (600, 600), (255, 255, 255, 0))
+    ImageDraw.Draw(logo).ellipse([20, 20, 580, 580], fill=(200, 0, 80, 255))
+    white = Image.new("RGBA", logo.size, "white")
+    picture = logo if mode == "RGBA" else Image.alpha_composite(white, logo).convert(mode)
+    mesh = mnist3d.solidify(picture, mnist3d.SolidSpec(profile="flat"), height_mm=40)
+    disc_mm2 = math.pi * 20**2
+    assert check_manifold(mesh).volume_mm3 == pytest.approx(disc_mm2 * size_mm(mesh)[2], rel=0.03)
+    # A channel that is black in most of the picture shows no paper.
+    with contextlib.suppress(ItemError):
+        mnist3d.solidify(picture, threshold="local")
+
+
+def test_a_sheet_on_a_light_desk_is_no_logo() -> None:
+    sheet = Image.new("RGB", (800, 600), (252, 252, 252))
+    sheet.paste((232, 230, 226), (60, 40, 740, 560))
+    letter = word().resize((600, 300))
+    sheet.paste(Image.fromarray(np.minimum(np.asarray(letter), 230)), (100, 150))
+    assert pieces(inked(sheet).mask) == 5
 
 
 def test_a_photograph_of_a_word_keeps_all_letters_and_dots() -> None:
