@@ -17,11 +17,11 @@ C = TypeVar("C", bound="Classified")
 
 
 class Classified(Protocol):
-    """Rows with ids and classes."""
+    """Rows with ids of objects and classes."""
 
     @property
-    def ids(self) -> AnyArray:
-        """Id of each row."""
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row."""
 
     @property
     def labels(self) -> Int64:
@@ -65,7 +65,7 @@ def choose_rows(
 ) -> list[tuple[str, C, Int64]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
-    Rows must have one of these ``ids`` (a pair means all numbers from its first to its last, or the text
+    The object of a row must have one of these ``ids`` (a pair means all numbers from its first to its last, or the text
     ``first-last``) and one of these classes. Of these, the first ``per_class`` of each class are taken, and
     then the first ``limit`` of each split. Raises InputError if an id, a range or a class matches no row, or
     no row is left.
@@ -75,7 +75,7 @@ def choose_rows(
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ids is not None:
-            inside, values = np.zeros((len(asked), len(rows)), bool), rows.ids
+            inside, values = np.zeros((len(asked), len(rows)), bool), rows.object_ids
             for number, each in enumerate(asked):
                 inside[number] = _with_id(values, each)
             wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)

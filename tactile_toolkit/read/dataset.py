@@ -86,6 +86,11 @@ class RecordDataset(Sequence[T], Generic[T]):
         return values.astype(np.int64) if are_whole else values
 
     @property
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row, shape (len,), by which users choose; a row is an object by default."""
+        return self.ids
+
+    @property
     def column_names(self) -> tuple[str, ...]:
         """Stored columns that all rows have; fields of structs have dotted names: ``info.gel_id``."""
         return tuple(self._types)
