@@ -87,7 +87,7 @@ class RecordDataset(Sequence[T], Generic[T]):
 
     @property
     def object_ids(self) -> AnyArray:
-        """Id of the object of each row, shape (len,), by which users choose; a row is an object by default."""
+        """Id of the object of each row, shape (len,), by which users choose; usually that of the row."""
         return self.ids
 
     @property
