@@ -24,7 +24,6 @@ from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, sec
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
-from tactile_toolkit.wording import with_count
 
 _LOSSLESS = ("ffv1", "ffvhuff", "huffyuv", "magicyuv", "png", "qtrle", "rawvideo", "utvideo")
 _LOSSY = (
@@ -69,7 +68,7 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
         words.append(CUT_SHORT)
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
     if count * pixels > _MOST_PIXELS:
-        what = f"{with_count(count, 'pictures')} of {pixels:,} pixels"
+        what = f"{count:,} pictures of {pixels:,} pixels"
         raise ItemError("length", f"{what}; the limit is {_MOST_PIXELS:,} in all")
     picture_bytes = packets.total_bytes // len(packets.pts)
     if not reader.is_kept:

@@ -15,7 +15,6 @@ from realtouch.touch_clips import TouchClip
 from tactile_toolkit import catalog, read, run
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
-from tactile_toolkit.wording import with_count
 
 _NAMES_SHOWN = 12
 
@@ -160,7 +159,7 @@ def check_round(
             return found  # the number of touches is unknown
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
-        problem = f"{with_count(count, 'touches')}; expected {expected_touches} as in the other rounds"
+        problem = f"{count} touches; expected {expected_touches} as in the other rounds"
         found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
     for name in schema.extra_columns(row.group.names):
         with noted():

@@ -22,7 +22,6 @@ from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Record, RowGroup, positions
 from tactile_toolkit.system import usable_cores
-from tactile_toolkit.wording import with_count
 
 _MOST_THREADS = 4
 
@@ -115,11 +114,11 @@ class TouchRound(Record):
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
         pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return picture_views.round_html(title, [*words, with_count(self.touch_count, "touches")], pictures)
+        return picture_views.round_html(title, [*words, f"{self.touch_count} touches"], pictures)
 
     def tile_html(self) -> str:
         """Return HTML of a small picture with a caption, for notebooks."""
-        words = [*self.label_words(), with_count(self.touch_count, "touches")]
+        words = [*self.label_words(), f"{self.touch_count} touches"]
         return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:

@@ -23,7 +23,6 @@ from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
-from tactile_toolkit.wording import with_count
 
 _NEXT = "run `realtouch verify` to list everything that is wrong, then download or convert again"
 
@@ -205,9 +204,9 @@ class StoredColumns(Row):
         values = column.flat(1, start, stop)
         touches = stop - start
         if len(values) != touches * width:
-            problem = f"{with_count(len(values), 'values')} for {touches} touches; expected {width} each"
+            problem = f"{len(values)} values for {touches} touches; expected {width} each"
             if touch is not None:
-                problem = f"{with_count(len(values), 'values')}; expected {width}"
+                problem = f"{len(values)} values; expected {width}"
             raise self.damaged(name, problem, touch)
         return values.reshape(touches, width)
 
@@ -267,9 +266,7 @@ class StoredColumns(Row):
             raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
         values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
         if len(values) != wanted * max(width, 1):
-            problem = (
-                f"{with_count(len(values), 'values')} for {wanted} frames; expected {max(width, 1)} each"
-            )
+            problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
             raise self.damaged(name, problem, touch)
         return values.reshape(wanted, width) if width else values
 
@@ -299,9 +296,7 @@ class StoredColumns(Row):
             if frames is None:
                 frames = pa.nulls(length, values.type.value_type)
             if len(frames) < length:
-                raise self.damaged(
-                    stored, f"{with_count(len(frames), 'frames')}; expected at least {length}", touch
-                )
+                raise self.damaged(stored, f"{len(frames)} frames; expected at least {length}", touch)
             with self.naming(stored, touch):
                 found.append(array_with_gaps(frames.slice(0, length)))
         return tuple(found)

@@ -20,7 +20,6 @@ from tactile_sim.twin.sources import image_files, read_image, spaced
 from tactile_toolkit import places, store
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import with_count
 
 LEAST_IMAGES = 5
 MOST_IMAGES = 64
@@ -113,7 +112,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     seen = [scaled(np.asarray(each)[None], size_px)[0] for each in images]
     if len(seen) < LEAST_IMAGES:
         raise InputError(
-            f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {LEAST_IMAGES}",
+            f"{len(seen)} images to compare with the sensor; expected at least {LEAST_IMAGES}",
             next="record more touches, at different places of the gel",
         )
     stack = np.stack(seen)

@@ -19,7 +19,6 @@ from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.text_tables import TABLE_ENDINGS, UTF16_MARKS, table_text
-from tactile_toolkit.wording import with_count
 
 MOST_ROWS = 1 << 25
 """Longest table that is read: nine hours of 1,000 rows a second."""
@@ -157,9 +156,7 @@ def _checked_names(names: Sequence[str], path: str) -> list[str]:
     """Return the names of columns, each once; InputError for too many, or two of one name."""
     found = [name.strip() or f"column_{number}" for number, name in enumerate(names, 1)]
     if len(found) > _MOST_COLUMNS:
-        raise InputError(
-            f"{path!r} has {with_count(len(found), 'columns')}; expected at most {_MOST_COLUMNS:,}"
-        )
+        raise InputError(f"{path!r} has {len(found):,} columns; expected at most {_MOST_COLUMNS:,}")
     twice = next((name for name in found if found.count(name) > 1), None)
     if twice is not None:
         raise InputError(f"{path!r} has two columns {twice!r}; expected different names")

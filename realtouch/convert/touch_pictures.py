@@ -18,7 +18,6 @@ from realtouch.touch_clips import SensorClips, TouchClip
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
-from tactile_toolkit.wording import with_count
 
 # What exports and their readers know by other meanings.
 _OTHER_COLUMNS = (
@@ -123,7 +122,7 @@ def shown_extra(row: StoredRound, stored: str, shown: Sequence[TouchPicture]) ->
         if frames is None:  # missing for the whole clip
             frames = pa.nulls(each.frame + 1, entries.type.value_type)
         if each.frame >= len(frames):
-            problem = f"{with_count(len(frames), 'frames')}; expected at least {each.frame + 1}"
+            problem = f"{len(frames)} frames; expected at least {each.frame + 1}"
             raise row.damaged(stored, problem, each.touch)
         found.append(frames.slice(each.frame, 1))
     return pa.concat_arrays(found)

@@ -15,7 +15,6 @@ import numpy as np
 
 from realtouch.exchange.oxt import INSTRUCTION, PICTURE, SENSOR, TIMES
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.wording import with_count
 
 _CAMERA = "camera_(main|ego)_rgb|(left|right)_wrist_camera_rgb"
 _STATE = "(left|right)_(wrist_pose|arm_joints|hand_joints)"
@@ -44,7 +43,7 @@ def _rises(times: AnyArray, starts: Int64) -> str:
     if not len(wrong):
         return ""
     before, after = times[wrong[0] - 1 : wrong[0] + 1].tolist()
-    return f"{before} and then {after} in frame {wrong[0]:,}; {with_count(len(wrong), 'such frames')}"
+    return f"{before} and then {after} in frame {wrong[0]:,}; {len(wrong):,} such frames"
 
 
 def _is_finite(values: AnyArray, starts: Int64) -> str:
@@ -56,7 +55,7 @@ def _are_slots(values: AnyArray, starts: Int64) -> str:
 
 
 def _such_as(wrong: AnyArray) -> str:
-    return f"{with_count(len(wrong), 'values')} such as {wrong[0]}" if len(wrong) else ""
+    return f"{len(wrong):,} values such as {wrong[0]}" if len(wrong) else ""
 
 
 def _is_text(pattern: str, values: AnyArray, starts: Int64) -> str:

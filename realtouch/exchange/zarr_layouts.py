@@ -21,7 +21,6 @@ import pyarrow as pa
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import needs_extra
-from tactile_toolkit.wording import with_count
 
 _DIRECTIONS = {"C": 1, "F": -1}
 # Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
@@ -104,7 +103,7 @@ class ZarrLayout:
         if not fits:
             return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
         count = math.prod(self.counts)
-        return f"{with_count(count, 'chunks')}; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
+        return f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
 
     def chunk_name(self, index: Iterable[int]) -> str:
         """Return the name of the file of a chunk."""

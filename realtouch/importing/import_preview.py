@@ -22,7 +22,6 @@ from tactile_toolkit import store
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE
 from tactile_toolkit.units import stated_unit
-from tactile_toolkit.wording import with_count
 
 _TOUCHES_SHOWN = 3
 _VALUES_SHOWN = 8
@@ -139,7 +138,7 @@ def _in_words(value: Any, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:
-        return f"{with_count(len(value), 'entries')}, the first {printable(str(value[0]))[:_LONGEST_SHOWN]}"
+        return f"{len(value)} entries, the first {printable(str(value[0]))[:_LONGEST_SHOWN]}"
     return printable(str(value))[:_LONGEST_SHOWN]
 
 

@@ -19,7 +19,7 @@ from tactile_toolkit import column_types, run, store
 from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.text_tables import read_text_table
-from tactile_toolkit.wording import did_you_mean, with_count
+from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
@@ -145,7 +145,7 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
     for name in wanted:
         count = known.count(name)
         if count != 1:
-            found = f"{with_count(count, 'columns')} {name!r}; expected one"
+            found = f"{count} columns {name!r}; expected one"
             if not count:
                 found = f"no column {name!r}{did_you_mean(name, known)}"
             raise InputError(

@@ -52,7 +52,9 @@ class SplitSummary:
             spread = self.measures[column.name]
             return "{0} to {2} (median {1})".format(*map(column.text, spread)) if spread else "-"
         counts = self.facets[column.name]
-        if len(counts) > 1 and len(set(counts.values())) == 1:
+        # A row has one class, but any number of warnings, of which each is named.
+        is_even = len(counts) > 1 and len(set(counts.values())) == 1
+        if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MOST_LISTED:
             return with_count(len(counts), "values")
