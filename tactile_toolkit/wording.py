@@ -34,7 +34,7 @@ def class_name(names: Sequence[str], label: int) -> str:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the end of a message with the most similar name: ``"; did you mean 'test'?"``, or ``""``."""
-    import difflib  # here: it takes 4 ms of every command, and few need it
+    import difflib  # takes 4 ms, and few commands need it
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)
