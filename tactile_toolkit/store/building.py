@@ -104,6 +104,8 @@ def build(
         if options.part is not None:
             return _finish_partial_run(job, records)
         with folder.locked(is_patient=True):
+            if write_card is not None and job.folder is not folder and isinstance(folder, LocalFolder):
+                replacing.keep_card(folder)
             manifest = _finish(job, records, write_card)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
@@ -135,8 +137,6 @@ def _begun(
                     )
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
-                if is_replaced and isinstance(folder, LocalFolder):
-                    replacing.keep_card(folder)
             yield job, hold
         except BaseException as error:
             # A run that waited in vain does not wait again.
