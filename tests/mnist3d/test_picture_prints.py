@@ -500,7 +500,7 @@ def test_folders_are_classes_and_divide_into_train_and_test(words: Path, tmp_pat
     assert call("mnist3d", "generate", *options) == 0
     told = capsys.readouterr().out
     assert "10: 4, house: 4, li: 5" in told
-    assert "separate-bodies: 9" in told  # words and houses
+    assert "separate-bodies: 13" in told
     assert "(--base-mm 2 of `mnist3d export` and `solidify`)" in told
     assert mnist3d.load(out, "train").label_names == ("10", "house", "li")
     rows = [row for split in ("train", "test") for row in mnist3d.load(out, split)]
