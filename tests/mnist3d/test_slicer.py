@@ -22,7 +22,7 @@ from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, w
 from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlacedObject
 from tests.command_line import call
-from tests.mnist3d.test_picture_prints import child, word
+from tests.mnist3d.drawn_pictures import child, word
 from tests.processes import PATIENCE_S
 
 SLICER = shutil.which("prusa-slicer") or ""
