@@ -87,6 +87,11 @@ class GivenSolids:
         return self.column("id")
 
     @property
+    def object_ids(self) -> Int64:
+        """Number of each solid, shape (len,)."""
+        return self.ids
+
+    @property
     def labels(self) -> Int64:
         """Class of each solid, shape (len,)."""
         return self.column("label")

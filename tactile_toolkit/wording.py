@@ -6,12 +6,15 @@ from collections.abc import Iterable, Sequence
 
 # Touches, meshes, classes and boxes; in anything else the e belongs to the word.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
+_IRREGULAR = {"vertices": "vertex", "entries": "entry", "bodies": "body", "copies": "copy"}
 
 
 def with_count(count: int, nouns: str) -> str:
     """Return a number with its noun: ``1 file``, ``2,000 files``, ``1 touch``."""
     if count == 1:
-        nouns = nouns.removesuffix("es" if nouns.endswith(_LONG_PLURALS) else "s")
+        before, space, noun = nouns.rpartition(" ")
+        noun = _IRREGULAR.get(noun, noun.removesuffix("es" if noun.endswith(_LONG_PLURALS) else "s"))
+        nouns = f"{before}{space}{noun}"
     return f"{count:,} {nouns}"
 
 

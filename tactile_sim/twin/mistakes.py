@@ -19,6 +19,7 @@ from tactile_sim.twin import gel_kernels
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+from tactile_toolkit.wording import with_count
 
 LEAST_TOUCHES = 5
 """Touches that a fit needs at least; 20 are enough."""
@@ -86,7 +87,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     found = [
         Mistake(
             "too-few",
-            f"there are {len(recordings)} touches; expected at least {LEAST_TOUCHES}, better 20",
+            f"{with_count(len(recordings), 'touches')}; expected at least {LEAST_TOUCHES}, better 20",
             float(len(recordings)),
         )
     ] * few

@@ -11,6 +11,7 @@ import pyarrow.compute as pc
 
 from tactile_toolkit import parsed_text, store
 from tactile_toolkit.rows import Column
+from tactile_toolkit.wording import with_count
 
 _MOST_LISTED = 12
 
@@ -53,10 +54,12 @@ class SplitSummary:
                 return "-"
             return "{0} to {2} (median {1})".format(*map(column.text, spread))
         counts = self.facets[column.name]
-        if len(counts) > 1 and len(set(counts.values())) == 1:
+        # A row has one class, but any number of warnings, of which each is named.
+        is_even = len(counts) > 1 and len(set(counts.values())) == 1
+        if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MOST_LISTED:
-            return f"{len(counts):,} values"
+            return with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 
 

@@ -25,6 +25,7 @@ from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
+from tactile_toolkit.wording import with_count
 
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
@@ -393,7 +394,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
         paths = [*(file.path for file in wrong.to_send), *wrong.removed]
         raise IntegrityError(
             f"{prepared.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-            f"{paths[0]} differs ({len(paths)} such files)",
+            f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
             next="run the same upload again, it sends what is missing",
         )
     if options.tag:

@@ -19,6 +19,7 @@ import numpy as np
 from tactile_toolkit import mesh, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.run import runner_for
+from tactile_toolkit.wording import with_count
 
 CHANGED = "changed"
 """Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
@@ -188,7 +189,8 @@ def write_products(
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
     if others:
         raise InputError(
-            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
+            f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
+            "nothing was written",
             next="add --overwrite to replace them, or choose another --out",
         )
     if not dry_run:

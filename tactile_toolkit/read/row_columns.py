@@ -58,6 +58,11 @@ class RowColumns:
         return values
 
     @property
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row, shape (len,), by which users choose; usually that of the row."""
+        return self.ids
+
+    @property
     def column_names(self) -> tuple[str, ...]:
         """Stored columns that all rows have; fields of structs have dotted names: ``info.gel_id``."""
         return tuple(self._types)

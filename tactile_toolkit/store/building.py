@@ -99,6 +99,8 @@ def build(
         if options.part is not None:
             return _finish_partial_run(job, records)
         with folder.locked(is_patient=True):
+            if write_card is not None and job.folder is not folder and isinstance(folder, LocalFolder):
+                replacing.keep_card(folder)
             manifest = _finish(job, records, write_card)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()

@@ -23,7 +23,7 @@ from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.run_options import RunOptions
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import AnyTask
-from tactile_toolkit.wording import shortened
+from tactile_toolkit.wording import shortened, with_count
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
@@ -271,7 +271,7 @@ def _short(value: object) -> str:
     if short == text:
         return text
     if isinstance(value, list):
-        short = f"{len(value):,} entries"
+        short = with_count(len(value), "entries")
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 

@@ -14,7 +14,7 @@ from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.owned_files import extra_files, is_ours
+from tactile_toolkit.store.owned_files import CARD_FILE, extra_files, is_ours
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.sealed_json import decode
 from tactile_toolkit.store.shards import DATA_FOLDER
@@ -85,6 +85,13 @@ def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
             remove_next(folder)
         after.require_folder()
     return after
+
+
+def keep_card(folder: LocalFolder) -> None:
+    """Copy the card to the next data set, whose card takes from it what the owner stated."""
+    after = _next(folder)
+    if folder.exists(CARD_FILE) and not after.exists(CARD_FILE):
+        after.write_bytes(CARD_FILE, folder.read_bytes(CARD_FILE))
 
 
 def resume_promotion(folder: DataFolder) -> None:
