@@ -24,10 +24,9 @@ from PIL import Image
 
 import realtouch
 from tactile_sim import center_view
-from tactile_sim.learned.channels import depth_of
+from tactile_sim.learned.channels import depth_from
 from tactile_sim.learned.classifiers import two_sample_test
 from tactile_sim.learned.cyclegan_optics import CycleganOptics
-from tactile_sim.learned.evaluation import add_noise_per_object
 from tactile_sim.learned.generators import make_generator
 from tactile_sim.learned.networks import GeneratorNetwork, initialise
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS, train
@@ -42,7 +41,7 @@ from tactile_sim.learned.weights import (
 from tactile_sim.learning_specs import TrainConfig
 from tactile_sim.optics import scaled
 from tactile_sim.pairs import Pairs
-from tactile_sim.sensor_noise import SensorNoise
+from tactile_sim.sensor_noise import SensorNoise, add_noise_per_object
 from tactile_sim.taxim import TaximOptics
 from tactile_toolkit.store import open_folder
 
@@ -137,7 +136,7 @@ def depth_again(weights: Path, pictures: NDArray[np.uint8]) -> NDArray[np.float3
     """Return the depth images that a file of weights reads from pictures, whatever size it was trained in."""
     read = read_weights(weights)
     trained_in = scaled(pictures, read.size_px)
-    found = depth_of(make_generator(read), trained_in)
+    found = depth_from(make_generator(read), trained_in)
     return np.stack([resized_depth(each, SIZE) for each in found])
 
 
@@ -170,7 +169,8 @@ def peer_errors(work: Path) -> None:
     known = Known(work, "own-")
     inverse = make_generator(read_weights(published_weights("depth")))
     for name, pictures in (("with noise", known.noisy), ("without noise", known.clean)):
-        print_depth_error(f"published inverse, 256 pixels, {name}", depth_of(inverse, pictures), known.depth)
+        found = depth_from(inverse, pictures)
+        print_depth_error(f"published inverse, 256 pixels, {name}", found, known.depth)
 
 
 def print_depth_error(name: str, found: NDArray[np.float32], true: NDArray[np.float32]) -> None:

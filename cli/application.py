@@ -118,15 +118,17 @@ class _Command(TyperCommand):
 
 
 def command(
-    app: typer.Typer, name: str | None = None, *, asks_hub: bool = True, **known: Any
+    app: typer.Typer, name: str | None = None, *, asks_hub: bool = False, **known: Any
 ) -> Callable[[F], F]:
     """Return a decorator that adds a function as a command, by its own name or another one.
 
     The default of a parameter declares its option, as in `tactile_toolkit.checked_fields`. A parameter whose
     type is a dataclass is a group of options, and the function gets the object; if it is marked with
     :class:`OptionsOf`, the function gets a dict of the options that were given. The function also gets those
-    ``known`` arguments that it has parameters for. All parameters are keyword-only. A command that never asks
-    the Hub has no ``--token``.
+    ``known`` arguments that it has parameters for. All parameters are keyword-only.
+
+    A command with ``--revision`` opens names of the Hub, so it has ``--token`` too. ``asks_hub`` marks others
+    that need it.
     """
 
     def add(function: F) -> F:

@@ -66,11 +66,11 @@ _TOKEN = text(metavar="TOKEN", read=_use_token, help="Token of the Hugging Face 
 
 
 def with_options(
-    function: Callable[..., None], known: Mapping[str, object], *, asks_hub: bool
+    function: Callable[..., None], known: Mapping[str, object], *, asks_hub: bool = False
 ) -> Callable[..., None]:
     """Return a function for Typer, which takes each field of an option group as an option.
 
-    One that may ask the Hub has ``--token``.
+    One that may ask the Hub has ``--token``: each with ``--revision``, and others if ``asks_hub``.
     """
     # Annotations are strings. Those of a group name types of its own module, where Typer would not look.
     hints = get_type_hints(function, include_extras=True)
@@ -100,7 +100,9 @@ def with_options(
         inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=False, annotation=hint)
         for name, hint in eager.items()
     ]
-    token = [_parameter("token", _TOKEN)] * asks_hub
+    token = []
+    if asks_hub or any(each.name == "revision" for each in options):
+        token = [_parameter("token", _TOKEN)]
     parameters = [context, *options, *token, *global_options]
     call.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
     call.__annotations__ = {

@@ -291,7 +291,7 @@ def _print_download(sink: Sink, plan: exchange.DownloadPlan, place: str, kind: D
     done = f"fetched {missing}, removed {leftover} no longer on the Hub"
     if plan.is_done:
         done = "nothing was left to fetch"
-    sink.line(f"{done}; all {len(files):,} files are intact, in {place}")
+    sink.line(f"{done}; all {with_count(len(files), 'files')} are intact, in {place}")
     # Files in the Hub's cache are found by the name of the repository and the requested revision.
     name, revision = plan.repository.repo_id, plan.repository.revision
     if plan.folder is not None:

@@ -20,14 +20,14 @@ from mnist3d.digit_options import SOURCES, DigitPreviewSpec, SourceOptions
 from mnist3d.kind import KIND
 from mnist3d.published_splits import SPLITS, SplitSpec
 from mnist3d.solid_spec import SolidSpec
-from tactile_toolkit import cards, catalog, places, run, store
+from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
 
 
-@command(app, asks_hub=False)
+@command(app)
 def generate(
     *,
     split: str | None = choice(
@@ -95,6 +95,8 @@ def _print_made(
     facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
     print_left_out(sink, manifest)
     print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
+    for line in mesh.print_advice(word for each in summaries for word in each.facets["warnings"]):
+        sink.line(line)
 
 
 _CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.quantities import bytes_text
+from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -50,7 +51,7 @@ def brief(value: object) -> JsonValue:
     if isinstance(value, bytes):
         return bytes_text(len(value))
     if isinstance(value, list) and len(value) > _SHOWN:
-        return f"{len(value):,} values"
+        return with_count(len(value), "values")
     if isinstance(value, list):
         return [brief(each) for each in value]
     if isinstance(value, (bool, int, float, str, type(None))):

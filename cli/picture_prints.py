@@ -19,6 +19,7 @@ from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _DOING = {True: "checking", False: "making"}
+_DONE = {True: "would write", False: "wrote"}
 _FORMATS = ("stl", "3mf", "ply", "obj", "glb")
 _INK = {True: "light", False: "auto"}
 # A relief on a plate is as thick as the upper half of a solid without one.
@@ -68,6 +69,19 @@ class Shape:
         return changed
 
 
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Options for what is ink in a picture."""
+
+    threshold: str = choice(
+        "auto",
+        ("auto", "local", "global"),
+        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
+        "local for pictures without clean paper.",
+    )
+    invert: bool = switch(False, help="The ink is lighter than the paper; otherwise this is found out.")
+
+
 def solidify(
     *,
     pictures: list[str] = argument("PICTURE", "Pictures, or folders of pictures.", several=True),
@@ -86,13 +100,7 @@ def solidify(
     ),
     size: SolidSize,
     shape: Shape,
-    threshold: str = choice(
-        "auto",
-        ("auto", "local", "global"),
-        help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
-        "local for pictures without clean paper.",
-    ),
-    invert: bool = switch(False, help="The ink is lighter than the paper; otherwise this is found out."),
+    reading: Reading,
     nozzle_mm: float = real(0.4, above=0, help="Nozzle of the printer: walls need two lines of it."),
     preview: bool = switch(False, help="Write a picture of each solid beside its file: NAME-preview.png."),
     job: Job,
@@ -110,8 +118,8 @@ def solidify(
         changes=shape.changes(),
         size=size,
         base_mm=shape.base_mm,
-        ink=_INK[invert],
-        threshold=threshold,
+        ink=_INK[reading.invert],
+        threshold=reading.threshold,
         profile=mesh.PrintProfile(nozzle_mm=nozzle_mm),
         ending=f".{file_format}",
         preview=preview,
@@ -121,26 +129,19 @@ def solidify(
             *(pictures, out, spec),
             overwrite=job.overwrite,
             dry_run=job.dry_run,
-            workers=min(process_count(job.workers), len(pictures)),
+            workers=process_count(job.workers),
             on_progress=update,
         )
-    sink.document(
-        {
-            "out": out,
-            "files": [file.to_dict() for file in made.files],
-            "failed": [
-                {"picture": failed.name, "problem": failed.problem, "detail": failed.detail}
-                for failed in made.failed
-            ],
-        }
-    )
+    files = [file.to_dict() for file in made.files]
+    failed = [{"picture": each.name, "problem": each.problem, "detail": each.detail} for each in made.failed]
+    sink.document({"out": out, "files": files, "failed": failed})
     _print_files(sink, made.files, spec)
-    verb = "would write" if job.dry_run else "wrote"
     size_text = bytes_text(sum(file.bytes for file in made.files))
     if made.files:
-        sink.line(f"{verb} {with_count(len(made.files), 'files')} ({size_text}), each checked to be a solid")
-    for failed in made.failed:
-        sink.warn(f"failed: {failed.name}: {failed.detail}")
+        counted = with_count(len(made.files), "files")
+        sink.line(f"{_DONE[job.dry_run]} {counted} ({size_text}), each checked to be a solid")
+    for each in made.failed:
+        sink.warn(f"failed: {each.name}: {each.detail}")
     if made.failed:
         raise typer.Exit(EXIT_FAILED)
 

@@ -35,8 +35,8 @@ _COMMANDS: dict[str, Any] = {
     "export": export,
 }
 
-_LOCAL = ("cache",)
-"""Commands that never ask the Hub."""
+_ASK_HUB = ("list",)
+"""Commands that ask the Hub without opening one of its names."""
 
 
 def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
@@ -47,4 +47,4 @@ def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], *
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:
-            command(app, name, asks_hub=name not in _LOCAL, kind=kind, **known)(function)
+            command(app, name, asks_hub=name in _ASK_HUB, kind=kind, **known)(function)

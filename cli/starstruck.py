@@ -28,7 +28,7 @@ app = new_app(
 )
 
 
-@command(app, asks_hub=False)
+@command(app)
 def generate(
     *,
     split: str = choice("all", ("train", "test", "all"), help="Split to make."),

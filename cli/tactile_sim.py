@@ -197,7 +197,7 @@ def render(
         )
 
 
-@command(app)
+@command(app, asks_hub=True)
 def pairs(
     *,
     objects: str = argument("DIGITS", "Digits or other meshes."),

@@ -12,6 +12,7 @@ import tactile_sim
 from cli.output import Sink
 from tactile_toolkit import pictures, places, store
 from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.wording import with_count
 
 _ROUNDS = 20  # of one gel, which was replaced half-way
 _SHOWN = 6
@@ -41,7 +42,10 @@ def calibrate_published(sink: Sink, place: places.Place, solids: str, out: Path)
     rows = [(each.name, f"{each.value:.3g}", f"{each.limit:g}") for each in health.figures]
     sink.table(("held-out touches", "found", "limit"), rows)
     error = model.report["image_error_levels"]
-    sink.line(f"{len(recordings)} touches, {error:.2f} levels left of their images; figures are in {out}")
+    sink.line(
+        f"{with_count(len(recordings), 'touches')}, {error:.2f} levels left of their images; "
+        f"figures are in {out}"
+    )
 
 
 def _sheet(model: tactile_sim.SensorModel, images: UInt8) -> UInt8:

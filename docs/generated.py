@@ -48,7 +48,7 @@ SHARED = (
     "tactile_toolkit.mesh.UNREADABLE",
     "tactile_toolkit.mesh.WARNINGS",
     "tactile_toolkit.mesh.RecordStream",
-    "tactile_toolkit.read.Stream",
+    "tactile_toolkit.read.RowStream",
     "tactile_toolkit.mesh.SolidRecord",
     "tactile_toolkit.mesh.PROBLEMS",
     "tactile_toolkit.mesh.SolidTensors",

@@ -145,7 +145,7 @@ def _limits(
 def source_words(name: str) -> dict[str, str]:
     """Return the texts about a source of digits; an unknown source has neutral ones."""
     known = cards.card_words("digit_words.toml")
-    return {"name": name, **known.get(name, known["other"])}
+    return {"name": name, **(known.get(name) or known["other"])}
 
 
 def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:

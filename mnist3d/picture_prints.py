@@ -122,6 +122,7 @@ def print_pictures(
         )
         for stem, (path, page) in zip(stems, found, strict=True)
     ]
+    workers = min(workers, len(products))
     return printing.write_products(
         products, folder, overwrite=overwrite, dry_run=dry_run, workers=workers, on_progress=on_progress
     )
@@ -166,7 +167,7 @@ def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tup
     if place.suffix.lower() in mesh.FORMATS:
         if len(found) != 1:
             raise InputError(
-                f"--out is the file {out!r}, but there are {len(found):,} pictures",
+                f"--out is the file {out!r}, but {_counted(found)}",
                 next="give a folder, and the format by --format",
             )
         return str(place.parent), place.suffix.lower(), [place.stem]
@@ -184,6 +185,14 @@ def _file_names(found: Sequence[tuple[Path, int]], out: str, ending: str) -> tup
             f"two pictures would make {twice + ending!r}", next="rename one, or make them in two commands"
         )
     return str(place), ending, stems
+
+
+def _counted(found: Sequence[tuple[Path, int]]) -> str:
+    """State how many pictures there are, or pages of one file."""
+    files = {path for path, _ in found}
+    if len(files) > 1 or found[-1][1] == 0:
+        return f"there are {len(found):,} pictures"
+    return f"{found[0][0]} has {len(found):,} pages, each of which is a picture"
 
 
 def _made(path: Path, page: int, stem: str, ending: str, spec: PrintSpec) -> printing.Made[PrintedPicture]:

@@ -19,6 +19,7 @@ from tactile_toolkit.array_types import Float32, Floating
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+from tactile_toolkit.wording import with_count
 
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
@@ -95,4 +96,4 @@ class DepthMaps(Sequence[Float32]):
         return (DepthMaps, (self.row, self._column))
 
     def __repr__(self) -> str:
-        return f"DepthMaps({self._count} touches)"
+        return f"DepthMaps({with_count(self._count, 'touches')})"

@@ -15,6 +15,7 @@ from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
+from tactile_toolkit.wording import with_count
 
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
@@ -42,7 +43,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     if out is None:
         if count * height * width > MAX_BATCH_PIXELS:
             raise ValueError(
-                f"{count:,} images of {width} x {height} pixels at once; the limit is "
+                f"{with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
                 f"{MAX_BATCH_PIXELS:,} pixels"
             )
         return np.empty((count, height, width, 3), np.uint8)
@@ -149,4 +150,4 @@ class SensorImages(Sequence[UInt8]):
         return (SensorImages, (self.row,))
 
     def __repr__(self) -> str:
-        return f"SensorImages({self._count} touches)"
+        return f"SensorImages({with_count(self._count, 'touches')})"

@@ -76,6 +76,11 @@ class TouchDataset(read.RecordDataset[R]):
         return StoredRound(*self.table.locate(number))
 
     @property
+    def object_ids(self) -> Int64:
+        """Id of the touched object of each round, shape (len,), int64, -1 without one."""
+        return self._integers("object_id", lambda: np.full(len(self), -1), lambda each: each.object_id)
+
+    @property
     def touch_counts(self) -> Int64:
         """T of each round, shape (len,), int64; reads at most the column of intended positions."""
         return self._stored_counts[self.row_numbers]
@@ -206,8 +211,8 @@ _DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
 }
 
 
-class TouchStream(read.Stream[read.Shard]):
-    """Rounds one after another; see :class:`tactile_toolkit.read.Stream`.
+class TouchStream(read.RowStream[read.Shard]):
+    """Rounds one after another; see :class:`tactile_toolkit.read.RowStream`.
 
     Parameters
     ----------

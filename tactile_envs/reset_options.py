@@ -11,6 +11,7 @@ import numpy as np
 from tactile_envs.gym_types import Options
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.wording import with_count
 
 Rows = slice | Int64
 """Numbers of environments, or a slice of them."""
@@ -90,7 +91,7 @@ def _rows(options: Options, num_envs: int) -> Rows:
 def _given(options: Options, name: str, num_envs: int) -> Sequence[Any]:
     given = list(options.get(name, [None] * num_envs))
     if len(given) != num_envs:
-        raise InputError(f"option {name!r} has {len(given)} entries; expected {num_envs}")
+        raise InputError(f"option {name!r} has {with_count(len(given), 'entries')}; expected {num_envs}")
     return given
 
 

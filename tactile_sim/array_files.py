@@ -9,9 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import bounds, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.bounds import require_unpackable
 
 
 def npz_bytes(arrays: Mapping[str, AnyArray], comment: bytes = b"") -> bytes:
@@ -30,7 +29,7 @@ def npz_bytes(arrays: Mapping[str, AnyArray], comment: bytes = b"") -> bytes:
 def read_npz(path: Path) -> tuple[dict[str, AnyArray], bytes]:
     """Read the arrays and the comment of a file; numpy and zipfile raise many kinds of errors for others."""
     with store.open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
-        require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
+        bounds.require_unpackable(sum(entry.file_size for entry in archive.infolist()), repr(str(path)))
         comment = archive.comment
         stream.seek(0)
         with np.load(stream, allow_pickle=False) as stored:

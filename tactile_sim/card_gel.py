@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+
+from tactile_toolkit.json_types import JsonObject
 
 _RIGID_LIMIT = (
     "No force, dynamics or tilt: the gel stops by geometry alone, and nothing moves while it is touched."
@@ -28,7 +29,7 @@ class CardGel:
     limits: Sequence[str]
 
     @classmethod
-    def of(cls, spec: Mapping[str, Any]) -> CardGel:
+    def of(cls, spec: JsonObject) -> CardGel:
         """Return the words for a specification, as its manifest states it."""
         press = spec.get("press")
         if press is None:

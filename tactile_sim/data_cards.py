@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -16,12 +15,11 @@ from tactile_sim.sensor import sensor_of_model
 from tactile_sim.sensor_models import GELSIGHT_MINI, SensorModel
 from tactile_sim.touch_rows import SyntheticRound
 from tactile_sim.touch_spec import WINDOWS
-from tactile_toolkit import cards, store
+from tactile_toolkit import cards, shown_text, store, touch
 from tactile_toolkit.array_types import AnyArray, UInt8
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.pictures import Tile, in_rows, png_bytes, sheet
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.shown_text import markdown_text
-from tactile_toolkit.touch import PRESS_DEPTH_M, decode_image, height_text, missed_text
 from tactile_toolkit.wording import with_count
 
 # Width of images in sheets, about.
@@ -35,9 +33,10 @@ _OPTICS = {
     "cyclegan": "a generator that was trained on real touches, from the depth image",
     "twin": "the twin of a sensor, which `tactile-sim calibrate` made from its touches",
 }
+_TAGS = ["tactile", "active-perception", "gelsight", "touch", "synthetic"]
 _LIKE = {"published": "published data sets", "environment": "published environments at this size"}
 _NOISE = ("of a real sensor, added to the finished image", "as stated below, added to the finished image")
-_DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": decode_image}
+_DECODERS: dict[str, Callable[[bytes], AnyArray]] = {"depth": decode_depth, "real": touch.decode_image}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -50,8 +49,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         return
     spec = manifest.spec["options"]
     width, height = spec["size_px"]
-    plan = spec["plan"]
-    layer_m = spec.get("layer_m", 0.0)
+    plan, layer_m = spec["plan"], spec.get("layer_m", 0.0)
     sensor, gel = _sensor_of(spec), CardGel.of(spec)
     statistics = manifest.statistics()  # counted while the shards were made
     counts = [statistics[split] for split in manifest.splits]
@@ -62,7 +60,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         columns=meanings(SyntheticRound),
         picture=("touches.png", _touches_sheet, "The first touches of the first rounds"),
         licence="mit",
-        tags=["tactile", "active-perception", "gelsight", "touch", "synthetic"],
+        tags=_TAGS,
         tasks={
             "task_categories": ["robotics", "image-classification"],
             "task_ids": ["multi-class-image-classification"],
@@ -116,12 +114,12 @@ class _CardSensor:
     def more(self) -> str:
         """The columns that the published schema does not have."""
         more = "one more column: the pose of the object during the touch"
-        if self.model.press_m == PRESS_DEPTH_M:
+        if self.model.press_m == touch.PRESS_DEPTH_M:
             return more
         return f"{more}; and `plate_z_m`, the height of the sensor on the bare plate"
 
 
-def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
+def _sensor_of(spec: JsonObject) -> _CardSensor:
     size_px, like = spec["size_px"], spec["like"]
     if "sensor" in spec:
         geometry = SensorModel.geometry_names()
@@ -129,7 +127,7 @@ def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
         (window,) = (name for name, stored in WINDOWS.items() if stored == like)
         sides_mm = [1e3 * side_m for side_m in sensor_of_model(model, window, tuple(size_px)).window_m]
         shown = " x ".join(f"{side_mm:.4g}" for side_mm in sides_mm)
-        name, source = map(markdown_text, (model.name, model.source or "no source is stated"))
+        name, source = map(shown_text.markdown_text, (model.name, model.source or "no source is stated"))
         area = f"{shown} mm of the {model.width_mm:g} x {model.height_mm:g} mm of the gel"
         lines = [("sensor", f"{name}, by its geometry; {source}"), ("window", area)]
         return _CardSensor(model, f"sensor ({name})", shown, lines)
@@ -140,7 +138,7 @@ def _sensor_of(spec: Mapping[str, Any]) -> _CardSensor:
     return _CardSensor(GELSIGHT_MINI, "GelSight Mini", shown, lines)
 
 
-def _objects_in_words(source: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[tuple[str, str]]:
+def _objects_in_words(source: Mapping[str, Sequence[JsonObject]]) -> list[tuple[str, str]]:
     """Return a line about the mesh files or meshes that were touched; none for those of a data set."""
     files = [each for listed in source.values() for each in listed if not each["file"].endswith(".parquet")]
     if not files:
@@ -152,7 +150,7 @@ def _objects_in_words(source: Mapping[str, Sequence[Mapping[str, Any]]]) -> list
     return [("objects", words)]
 
 
-def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:
+def _limits(spec: JsonObject, touches: int, on_object: int) -> list[str]:
     lacking = [
         "the wear of gels",
         *([] if spec.get("layer_m") else ["the texture of prints"]),
@@ -164,7 +162,7 @@ def _limits(spec: Mapping[str, Any], touches: int, on_object: int) -> list[str]:
     return [
         *CardGel.of(spec).limits,
         shown,
-        *missed_text(touches - on_object, touches),
+        *touch.missed_text(touches - on_object, touches),
     ]
 
 
@@ -172,7 +170,7 @@ def _touches_sheet(facts: cards.FolderSummary) -> bytes | None:
     """Draw the first touches of the first rounds as PNG, a row for each round."""
     rounds = islice(cards.rows_to_draw(facts, ["sensor_image"]), _ROUNDS_SHOWN)
     shown = (row.value("sensor_image")[:_COLUMNS_SHOWN] for row in rounds)
-    rows = [("", [decode_image(each["bytes"]) for each in images]) for images in shown]
+    rows = [("", [touch.decode_image(each["bytes"]) for each in images]) for images in shown]
     if not rows:
         return None
     return sheet_png(rows)
@@ -198,7 +196,7 @@ def _write_pairs_card(folder: store.DataFolder, manifest: store.Manifest) -> Non
         figures={"with contact": [f"{counts[split]['on_object']:,}" for split in manifest.splits]},
         made=[
             ("without contact, asked for", f"{100 * spec['without_contact']:.4g} % of each split"),
-            ("contact", height_text(spec["min_height_m"])),
+            ("contact", touch.height_text(spec["min_height_m"])),
         ],
         values={"size_text": f"{width} x {height} pixels"},
     ).write(folder, manifest, KIND)

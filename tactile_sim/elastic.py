@@ -10,12 +10,12 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tactile_toolkit.array_types import AnyArray, Bool, Float64
-from tactile_toolkit.builtin_values import is_integer, to_builtin
+from tactile_toolkit import builtin_values, touch
+from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 _TOLERANCE = 1e-3  # error of the gap in the contact, relative to the depth
 _SHEAR_TOLERANCE = 1e-4  # root mean square of the error along the surface, relative to the largest motion
@@ -111,7 +111,7 @@ class Contact:
 
 
 def solve_contact(
-    height_m: AnyArray,
+    height_m: ArrayLike,
     pixel_m: float | tuple[float, float],
     gel: Gel,
     *,
@@ -124,35 +124,32 @@ def solve_contact(
 ) -> Contact:
     """Press a rigid body into a gel, then slide and twist it.
 
-    Press, slide and twist are made at once: the result is that of one step, not of a history. Points of the
-    gel are named by where they are at rest; the shape of the body is that under them before the slide.
-    No pixel outside of the window is loaded: give the heights under the whole gel, and cut out what an image
-    shows. Results depend on the arguments alone.
+    Press, slide and twist are made at once: the result is that of one step, not of a history. Maps refer to
+    points of the gel at rest, and to the body before the slide. No pixel outside of the window is loaded:
+    give the heights under the whole gel, and cut out what an image shows.
 
     Parameters
     ----------
     height_m : array_like, shape (H, W)
-        Height of the body under the gel, metres, towards the gel, from any zero; row 0 at the greatest y.
+        Height of the body, metres, towards the gel, from any zero; row 0 at the greatest y.
     pixel_m : float or tuple of float
-        Size of a pixel, metres, or its width and height: a micrometre to 0.1 m, one at most 100 times the
-        other.
+        Size of a pixel, or width and height: a micrometre to 0.1 m, one at most 100 times the other.
     gel : Gel
         Material and friction.
     thickness_m : float
         Thickness of the gel, metres; infinite for a half-space. At least 1 / 60 of the diagonal of the
-        window, and no less than the sides of its pixels, or blocks of them.
+        window, and the sides of its pixels or blocks.
     depth_m : float, optional
         How far the highest point of the body is pressed in, metres, 1e-9 to 1.
     force_n : float, optional
         The force of the press, newtons, 1e-9 to 1e6; exactly one of depth and force is given.
     slide_m : tuple of float
-        How far the body then moves along x and y, metres; it drags the gel with it, so that a slide along
-        +x makes a force along +x.
+        How far the body then moves along x and y, metres; a slide along +x makes a force along +x.
     twist_rad : float
         How far it turns about the centre of the window, radians, counter-clockwise as seen in the image.
     block_px : int
-        Side of the blocks of pixels whose mean heights are solved, with a result in the size of
-        ``height_m``; 1 solves every pixel. H and W are multiples of it.
+        Side of the blocks of pixels whose mean heights are solved; 1 solves every pixel. H and W are
+        multiples of it.
 
     Returns
     -------
@@ -170,19 +167,7 @@ def solve_contact(
     slide = _checked_motion(slide_m, twist_rad)
     thinnest_m = math.hypot(heights.shape[1] * pixel[0], heights.shape[0] * pixel[1]) / _MOST_LAYERS
     thickness = _checked_number("thickness_m", thickness_m, thinnest_m, math.inf)
-    block = to_builtin(block_px)
-    _require(
-        is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
-        f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
-        f"{heights.shape[1]} columns are multiples",
-    )
-    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as
-    # the gel is thick, forces are 3 % off, and where they are wider all is wrong.
-    _require(
-        max(pixel) * block <= thickness,
-        f"pixels, or blocks of them, are {1e3 * max(pixel) * block:.3g} mm wide; expected no more than the "
-        f"gel is thick, {1e3 * thickness:.3g} mm",
-    )
+    block = _checked_block(block_px, heights, pixel, thickness)
     return _solve(heights, pixel, gel, thickness, *target, slide, block)
 
 
@@ -272,7 +257,7 @@ def _require(fits: bool, what: str) -> None:
 
 
 def _checked_number(name: str, value: object, least: float, most: float) -> float:
-    number = to_builtin(value, float)
+    number = builtin_values.to_builtin(value, float)
     _require(
         isinstance(number, float) and least <= number <= most,
         f"{name} is {value!r}; expected a number from {least:.3g} to {most:.3g}",
@@ -280,16 +265,16 @@ def _checked_number(name: str, value: object, least: float, most: float) -> floa
     return float(number)
 
 
-def _checked_heights(height_m: AnyArray) -> Float64:
+def _checked_heights(height_m: ArrayLike) -> Float64:
     try:
         given = np.asarray(height_m)
     except ValueError:
         given = np.empty(0, object)
-    _require(given.dtype.kind in "iuf", "height_m is no array of real numbers; expected shape (H, W)")
+    _require(given.dtype.kind in "iuf", "height_m is not an array of real numbers; expected shape (H, W)")
     heights = np.ascontiguousarray(given, np.float64)
     _require(
-        heights.ndim == 2 and 0 < heights.size <= MAX_IMAGE_PIXELS,
-        f"height_m has shape {heights.shape}; expected (H, W), at most {MAX_IMAGE_PIXELS:,} pixels",
+        heights.ndim == 2 and 0 < heights.size <= touch.MAX_IMAGE_PIXELS,
+        f"height_m has shape {heights.shape}; expected (H, W), at most {touch.MAX_IMAGE_PIXELS:,} pixels",
     )
     low, high = float(heights.min()), float(heights.max())
     _require(
@@ -300,7 +285,7 @@ def _checked_heights(height_m: AnyArray) -> Float64:
 
 
 def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
-    pixel = to_builtin(pixel_m, float)
+    pixel = builtin_values.to_builtin(pixel_m, float)
     width, height = pixel if isinstance(pixel, tuple) and len(pixel) == 2 else (pixel, pixel)
     _require(
         all(isinstance(each, float) and _LEAST_PIXEL_M <= each <= _MOST_PIXEL_M for each in (width, height))
@@ -309,6 +294,23 @@ def _checked_pixel(pixel_m: float | tuple[float, float]) -> tuple[float, float]:
         f"width and height, one at most {_MOST_ASPECT:g} times the other",
     )
     return width, height
+
+
+def _checked_block(block_px: int, heights: Float64, pixel_m: tuple[float, float], thickness_m: float) -> int:
+    block = builtin_values.to_builtin(block_px)
+    _require(
+        builtin_values.is_integer(block) and block >= 1 and not any(count % block for count in heights.shape),
+        f"block_px is {block_px!r}; expected an integer of which {heights.shape[0]} rows and "
+        f"{heights.shape[1]} columns are multiples",
+    )
+    # The correction for the layer takes the load of a pixel to act at its centre: where pixels are as wide as
+    # the gel is thick, forces are 3 % off, and where they are wider, results are useless.
+    _require(
+        max(pixel_m) * block <= thickness_m,
+        f"pixels, or blocks of them, are {1e3 * max(pixel_m) * block:.3g} mm wide; expected no more than the "
+        f"gel is thick, {1e3 * thickness_m:.3g} mm",
+    )
+    return int(block)
 
 
 def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float, bool]:
@@ -320,7 +322,7 @@ def _checked_target(depth_m: float | None, force_n: float | None) -> tuple[float
 
 
 def _checked_motion(slide_m: tuple[float, float], twist_rad: float) -> tuple[float, float, float]:
-    slide = to_builtin(slide_m, float)
+    slide = builtin_values.to_builtin(slide_m, float)
     _require(
         isinstance(slide, tuple) and len(slide) == 2, f"slide_m is {slide_m!r}; expected two numbers, metres"
     )

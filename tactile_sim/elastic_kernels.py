@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tactile_sim import elastic_vectors as vectors
-from tactile_sim.elastic_response import Layer, Work, respond, work_of
+from tactile_sim.elastic_response import Layer, Workspace, respond, work_of
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
 
@@ -37,7 +37,7 @@ def press(
     target: float,
     is_force: bool,
     layer: Layer,
-    work: Work,
+    work: Workspace,
     width: int,
     tolerance: float,
 ) -> tuple[float, float, int]:
@@ -195,7 +195,7 @@ def shear(
     wanted: Float32,
     slips: Bool,
     layer: Layer,
-    work: Work,
+    work: Workspace,
     width: int,
     tolerance: float,
 ) -> int:

@@ -4,25 +4,25 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactile_sim.elastic import Contact, Gel, solve_contact
 from tactile_sim.press_spec import MOST_FORCE_N, MOST_SLIDE_M, MOST_TWIST_RAD
 from tactile_sim.sensor import Sensor
 from tactile_sim.value_files import read_values
-from tactile_toolkit.array_types import Float64
+from tactile_toolkit.array_types import Bool, Float64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
-
-if TYPE_CHECKING:
-    from tactile_sim.elastic import Contact, Gel
 
 MOST_SHARE = 0.5
 """Greatest press depth, as a share of the thickness of the gel: where linear theory is but indicative."""
 
-STILL = (0.0, 0.0)
-"""No slide."""
+STILL: ArrayLike = (0.0, 0.0)
+STRAIGHT: ArrayLike = 0.0
+"""No slide, and no twist."""
 
 # Pixels of 64 x 64 images have 0.22 mm. At 80 x 60 blocks of 320 x 240 pixels the depth is off by 2 um.
 _SOLVED_M = 0.00024
@@ -96,8 +96,6 @@ def _filled(size_px: int, least: int, block_px: int) -> int | None:
 
 def read_gel(path: str) -> Gel:
     """Read the properties of a gel from a JSON file; InputError for any other file."""
-    from tactile_sim.elastic import Gel  # numba
-
     return read_values(path, Gel, "the gel")
 
 
@@ -107,7 +105,7 @@ class Load(NamedTuple):
     gel: Gel
     force_n: float | None
     depth_m: float | None
-    slide_m: tuple[float, float] = STILL
+    slide_m: tuple[float, float] = (0.0, 0.0)
     twist_rad: float = 0.0
 
     def press(self, heights_m: Float64, whole: WholeGel, out: Float64) -> Contact:
@@ -115,7 +113,7 @@ class Load(NamedTuple):
 
         ``out`` (H, W) gets the distance of its surface from the sensor, metres.
         """
-        from tactile_sim.press_kernels import show_surface  # numba
+        from tactile_sim.press_kernels import show_surface  # numba takes half a second to import
 
         sensor, (rows, columns) = whole.sensor, whole.window()
         if heights_m.min() < heights_m.max():
@@ -135,8 +133,6 @@ class Load(NamedTuple):
         return found
 
     def _solved(self, heights_m: Float64, whole: WholeGel) -> Contact:
-        from tactile_sim.elastic import solve_contact  # numba
-
         return solve_contact(
             heights_m,
             whole.sensor.pixel_m,
@@ -155,7 +151,7 @@ class Load(NamedTuple):
         In the contact that is the body, whose shape the surface has, also where it slips over the gel; far
         from it, the gel itself; and in between, one goes over into the other.
         """
-        from scipy.ndimage import distance_transform_edt
+        from scipy.ndimage import distance_transform_edt  # takes a tenth of a second to import
 
         rows, columns = contact.is_contact.shape
         width_m, height_m = sensor.pixel_m
@@ -205,14 +201,22 @@ def _about_axis(contact: Contact, sensor: Sensor) -> tuple[float, float, float]:
 
 
 def loads_of(
-    gel: Gel | None, count: int, sensor: Sensor, force_n: Any, depth_m: Any, slide_m: Any, twist_rad: Any
+    gel: Gel | None,
+    count: int,
+    sensor: Sensor,
+    force_n: ArrayLike | None,
+    depth_m: ArrayLike | None,
+    slide_m: ArrayLike,
+    twist_rad: ArrayLike,
 ) -> list[Load] | None:
     """Return the loads of ``count`` touches, None without an elastic gel; see :func:`render_touch`.
 
     InputError for numbers out of range, and unless an elastic gel has one of force and depth.
     """
-    given = {"force_n": force_n, "depth_m": depth_m}
+    given: dict[str, ArrayLike | None] = {"force_n": force_n, "depth_m": depth_m}
     stops = {name: value for name, value in given.items() if value is not None}
+    if gel is None and not stops and slide_m is STILL and twist_rad is STRAIGHT:
+        return None  # at once: most touches are of a rigid gel
     slides, twists = _numbers("slide_m", slide_m, (count, 2)), _numbers("twist_rad", twist_rad, (count,))
     if gel is None:
         moved = [name for name, each in (("slide_m", slides), ("twist_rad", twists)) if each.any()]
@@ -229,20 +233,21 @@ def loads_of(
             next="give force_n=5.0, for example",
         )
     ((name, value),) = stops.items()
-    most = MOST_FORCE_N if name == "force_n" else sensor.gel_m
+    most = {"force_n": MOST_FORCE_N, "depth_m": sensor.gel_m}[name]
     numbers = _numbers(name, value, (count,))
     _require(name, (numbers > 0) & (numbers < most), numbers, f"above 0 and below {most:g}")
     _require("slide_m", np.abs(slides) <= MOST_SLIDE_M, slides, f"at most {MOST_SLIDE_M:g} along x and y")
     _require(
         "twist_rad", np.abs(twists) <= MOST_TWIST_RAD, twists, f"at most {MOST_TWIST_RAD:.4g} either way"
     )
-    moves = zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
-    if name == "force_n":
-        return [Load(gel, number, None, (x, y), twist) for number, (x, y), twist in moves]
-    return [Load(gel, None, number, (x, y), twist) for number, (x, y), twist in moves]
+    still = Load(gel, None, None)
+    return [
+        still._replace(**{name: number}, slide_m=(x, y), twist_rad=twist)
+        for number, (x, y), twist in zip(numbers.tolist(), slides.tolist(), twists.tolist(), strict=True)
+    ]
 
 
-def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float64:
+def _numbers(name: str, value: ArrayLike, shape: tuple[int, ...]) -> Float64:
     """Return finite numbers in a shape, from those of each touch or of all; InputError for anything else."""
     try:
         found = np.asarray(value, np.float64)
@@ -258,7 +263,7 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float64:
     return numbers
 
 
-def _require(name: str, fits: Any, numbers: Float64, expected: str) -> None:
+def _require(name: str, fits: Bool, numbers: Float64, expected: str) -> None:
     if not np.all(fits):
         first = numbers[~fits].flat[0]
         raise InputError(f"{name} is {first:g}; expected {expected}")

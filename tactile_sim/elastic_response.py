@@ -59,7 +59,7 @@ class Layer(NamedTuple):
     own_shear: float
 
 
-class Work(NamedTuple):
+class Workspace(NamedTuple):
     """Arrays of a convolution, real and imaginary: field, spectrum along y, along both, and of the answer."""
 
     field: Float32
@@ -111,11 +111,11 @@ def _backward(re: Float32, im: Float32, plan: Transform, groups: int) -> None:
 
 
 @compiled
-def work_of(layer: Layer, width: int) -> Work:
+def work_of(layer: Layer, width: int) -> Workspace:
     """Return arrays for convolutions of fields of a width."""
     keep_apart()
     kept = len(layer.zz) // layer.across.length  # wave numbers along y, a multiple of LANES
-    return Work(
+    return Workspace(
         np.empty((2, width * layer.down.length), np.float32),
         np.zeros((2, 2 * width * kept), np.float32),
         np.empty((2, 2 * len(layer.zz)), np.float32),
@@ -124,7 +124,7 @@ def work_of(layer: Layer, width: int) -> Work:
 
 
 @compiled
-def _spectra(load: Float32, layer: Layer, work: Work, width: int) -> None:
+def _spectra(load: Float32, layer: Layer, work: Workspace, width: int) -> None:
     """Transform one real field, its halves as one complex field, or two."""
     keep_apart()
     down, across, size = layer.down, layer.across, len(layer.zz)
@@ -171,7 +171,7 @@ def _spectra(load: Float32, layer: Layer, work: Work, width: int) -> None:
 
 
 @compiled
-def _fields(out: Float32, layer: Layer, work: Work, width: int) -> None:
+def _fields(out: Float32, layer: Layer, work: Workspace, width: int) -> None:
     """Transform the spectra of the answer back to one real field or two."""
     keep_apart()
     down, across, size = layer.down, layer.across, len(layer.zz)
@@ -228,7 +228,7 @@ def _weighted(out: Float32, a: Float32, one: Float32, b: Float32, two: Float32, 
 
 
 @compiled
-def respond(load: Float32, out: Float32, layer: Layer, work: Work, width: int) -> None:
+def respond(load: Float32, out: Float32, layer: Layer, work: Workspace, width: int) -> None:
     """Write displacements (metres) by loads (Pa): one field is along z, two are along x and y."""
     keep_apart()
     _spectra(load, layer, work, width)

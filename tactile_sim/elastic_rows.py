@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 import pyarrow as pa
@@ -16,13 +15,13 @@ from tactile_sim.press_spec import ElasticPress, Span
 from tactile_sim.pressing import Pressed
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.sensor import Sensor
-from tactile_toolkit import read
-from tactile_toolkit.arithmetic import cosine_sine
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit import arithmetic, read
+from tactile_toolkit.array_types import AnyArray, Float32, Float64
 
 # The plate is met a little deeper or higher, depending on the slide and the tolerance of the solver.
 _PLATE_MARGIN_M = 1e-5
 _KILO, _MILLI = 1e3, 1e-3
+_NONE: Span = (0.0, 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,25 +37,18 @@ class DrawnLoads:
     def of(cls, press: ElasticPress, touches: int, *key: str | int) -> DrawnLoads:
         """Draw the loads of a round, which depend on its key alone."""
         shares = keyed_rng(*key, "press").random((touches, 4))
-        far_m = _within(press.slide_m, shares[:, 1])
-        assert far_m is not None, "a press has a span of slides"
-        towards = np.array([cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
-        twist_rad = _within(press.twist_rad, shares[:, 3])
-        assert twist_rad is not None, "a press has a span of twists"
+        far_m = _within(press.slide_m or _NONE, shares[:, 1])
+        towards = np.array([arithmetic.cosine_sine(2 * np.pi * share) for share in shares[:, 2].tolist()])
         return cls(
-            _within(press.force_n, shares[:, 0]),
-            _within(press.press_m, shares[:, 0]),
+            press.force_n and _within(press.force_n, shares[:, 0]),
+            press.press_m and _within(press.press_m, shares[:, 0]),
             far_m[:, None] * towards.reshape(-1, 2) + 0.0,  # not -0.0
-            twist_rad,
+            _within(press.twist_rad or _NONE, shares[:, 3]),
         )
 
-    def keywords(self) -> dict[str, Any]:
-        """Return them as keywords of :func:`tactile_sim.render_touch`."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}
 
-
-def _within(span: Span | None, shares: Float64) -> Float64 | None:
-    return None if span is None else span[0] + (span[1] - span[0]) * shares
+def _within(span: Span, shares: Float64) -> Float64:
+    return span[0] + (span[1] - span[0]) * shares
 
 
 def bare_plate_z_m(press: ElasticPress, sensor: Sensor) -> float:
@@ -91,14 +83,14 @@ def elastic_types(press: ElasticPress, size_px: tuple[int, int]) -> Mapping[str,
 
 def elastic_values(
     press: ElasticPress, pressed: Pressed, loads: DrawnLoads, sensor: Sensor, size_px: tuple[int, int]
-) -> dict[str, Any]:
+) -> dict[str, AnyArray]:
     """Return the attributes of a row of touches of an elastic gel."""
     contacts = pressed.contacts
     force_n = np.array([each.force_n for each in contacts])
     torque_nm = np.array([each.torque_nm for each in contacts])
     # Where the force of the press acts: the moments of it alone about x and y.
     point_m = np.column_stack([-torque_nm[:, 1], torque_nm[:, 0]]) / force_n[:, 2:]
-    values: dict[str, Any] = {
+    values: dict[str, AnyArray] = {
         "force_n": force_n,
         "torque_nm": torque_nm,
         "press_depth_m": np.array([each.depth_m for each in contacts]),

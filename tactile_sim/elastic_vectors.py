@@ -8,28 +8,40 @@ place of them. Numba's cache on disk does not look at this file: when it changes
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeAlias
+from collections.abc import Callable, Sequence
+from typing import TypeAlias
 
 from llvmlite import ir
 from numba import types
+from numba.core.types import Array, Type
+from numba.core.typing.templates import Signature
 from numba.extending import intrinsic
 
-from tactile_sim.taxim_kernels import spread
+from tactile_sim.taxim_kernels import Build, Context, spread
 
 LANES = 16
 """Numbers that are computed at once."""
 
 _SINE_60 = math.sqrt(0.75)
 
-Vector: TypeAlias = Any
+Vector: TypeAlias = ir.Value
 Complex: TypeAlias = tuple[Vector, Vector]
+Typed: TypeAlias = tuple[Signature, Build]
+"""Signature of an intrinsic, and what writes its instructions."""
+
+Intrinsic: TypeAlias = Callable[..., None]
 
 
 class _Lanes:
     """Vectors of an array, and sums and products of complex ones, while code is built."""
 
-    def __init__(self, context: Any, builder: Any, kinds: Any, arrays: Any) -> None:
+    def __init__(
+        self,
+        context: Context,
+        builder: ir.IRBuilder,
+        kinds: Sequence[Array],
+        arrays: Sequence[ir.Value],
+    ) -> None:
         self.builder = builder
         self.kind = ir.VectorType(context.get_data_type(kinds[0].dtype), LANES)
         self.arrays = [
@@ -37,17 +49,17 @@ class _Lanes:
             for kind, array in zip(kinds, arrays, strict=True)
         ]
 
-    def _pointer(self, array: int, place: Any) -> Any:
-        builder: Any = self.builder
+    def _pointer(self, array: int, place: ir.Value) -> ir.Value:
+        builder = self.builder
         return builder.bitcast(builder.gep(self.arrays[array], [place]), self.kind.as_pointer())
 
-    def load(self, array: int, place: Any) -> Vector:
+    def load(self, array: int, place: ir.Value) -> Vector:
         return self.builder.load(self._pointer(array, place), align=4)
 
-    def store(self, vector: Vector, array: int, place: Any) -> None:
+    def store(self, vector: Vector, array: int, place: ir.Value) -> None:
         self.builder.store(vector, self._pointer(array, place), align=4)
 
-    def number(self, array: int, place: Any) -> Vector:
+    def number(self, array: int, place: ir.Value) -> Vector:
         return spread(
             self.builder, self.builder.load(self.builder.gep(self.arrays[array], [place])), self.kind
         )
@@ -72,7 +84,7 @@ class _Lanes:
         return a[1], self.builder.fsub(zero, a[0])
 
     def multiply(self, a: Complex, b: Complex, is_conjugate: bool) -> Complex:
-        build: Any = self.builder
+        build = self.builder
         real, cross = build.fmul(a[0], b[0]), build.fmul(a[1], b[1])
         first, second = build.fmul(a[1], b[0]), build.fmul(a[0], b[1])
         if is_conjugate:
@@ -99,18 +111,26 @@ def _small_transform(lanes: _Lanes, x: list[Complex], sign: int) -> list[Complex
     ]
 
 
-def _butterfly(radix: int, sign: int) -> Any:
+def _butterfly(radix: int, sign: int) -> Intrinsic:
     """Return a step of a transform: ``radix`` vectors, ``step`` apart from ``at`` on, in place.
 
     Forward (sign -1) the results are multiplied by twiddle factors, backward the numbers before.
     """
 
     def typed(
-        _typing: Any, re: Any, im: Any, twiddles: Any, at: Any, step: Any, first: Any
-    ) -> tuple[Any, Callable[..., Any]]:
+        _typing: Context,
+        re: Type,
+        im: Type,
+        twiddles: Type,
+        at: Type,
+        step: Type,
+        first: Type,
+    ) -> Typed:
         place = types.int64
 
-        def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+        def build(
+            context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+        ) -> ir.Value:
             lanes = _Lanes(context, builder, signature.args[:3], given[:3])
             places = [given[3]]
             for _ in range(radix - 1):
@@ -143,10 +163,12 @@ forward_2, forward_3, forward_4 = (_butterfly(radix, -1) for radix in (2, 3, 4))
 backward_2, backward_3, backward_4 = (_butterfly(radix, 1) for radix in (2, 3, 4))
 
 
-def _copy(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
+def _copy(_typing: Context, source: Type, target: Type, at: Type, to: Type) -> Typed:
     """Copy LANES numbers from ``at`` on, to ``to``."""
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         lanes = _Lanes(context, builder, signature.args[:2], given[:2])
         lanes.store(lanes.load(0, given[2]), 1, given[3])
         return context.get_dummy_value()
@@ -154,17 +176,19 @@ def _copy(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any
     return types.void(source, target, types.int64, types.int64), build
 
 
-copy_vector: Any = intrinsic(_copy)
+copy_vector: Intrinsic = intrinsic(_copy)
 
 
-def _transpose(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tuple[Any, Callable[..., Any]]:
+def _transpose(_typing: Context, source: Type, target: Type, at: Type, to: Type) -> Typed:
     """Transpose LANES x LANES numbers, contiguous from ``at`` on, to ``to``."""
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         lanes = _Lanes(context, builder, signature.args[:2], given[:2])
         kind = given[2].type
 
-        def row(start: Any, number: int) -> Any:
+        def row(start: ir.Value, number: int) -> ir.Value:
             return builder.add(start, ir.Constant(kind, number * LANES))
 
         rows = [lanes.load(0, row(given[2], number)) for number in range(LANES)]
@@ -189,15 +213,25 @@ def _transpose(_typing: Any, source: Any, target: Any, at: Any, to: Any) -> tupl
     return types.void(source, target, types.int64, types.int64), build
 
 
-transpose: Any = intrinsic(_transpose)
+transpose: Intrinsic = intrinsic(_transpose)
 
 
 def _split(
-    _typing: Any, re: Any, im: Any, out_re: Any, out_im: Any, at: Any, mirror: Any, first: Any, second: Any
-) -> tuple[Any, Callable[..., Any]]:
+    _typing: Context,
+    re: Type,
+    im: Type,
+    out_re: Type,
+    out_im: Type,
+    at: Type,
+    mirror: Type,
+    first: Type,
+    second: Type,
+) -> Typed:
     """Write twice the spectra of the two real fields of a complex one: at k, from k and -k."""
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         lanes = _Lanes(context, builder, signature.args[:4], given[:4])
         here, there = ((lanes.load(0, place), lanes.load(1, place)) for place in given[4:6])
         both, less = lanes.add(here, there), lanes.subtract(here, there)
@@ -211,15 +245,25 @@ def _split(
     return types.void(re, im, out_re, out_im, place, place, place, place), build
 
 
-split_fields: Any = intrinsic(_split)
+split_fields: Intrinsic = intrinsic(_split)
 
 
 def _join(
-    _typing: Any, re: Any, im: Any, out_re: Any, out_im: Any, at: Any, mirror: Any, first: Any, second: Any
-) -> tuple[Any, Callable[..., Any]]:
+    _typing: Context,
+    re: Type,
+    im: Type,
+    out_re: Type,
+    out_im: Type,
+    at: Type,
+    mirror: Type,
+    first: Type,
+    second: Type,
+) -> Typed:
     """Write the spectrum of a complex field at k and -k, of the spectra of its two real ones at k."""
 
-    def build(context: Any, builder: Any, signature: Any, given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
+    ) -> ir.Value:
         lanes = _Lanes(context, builder, signature.args[:4], given[:4])
         a, b = ((lanes.load(0, place), lanes.load(1, place)) for place in given[6:8])
         lanes.store(builder.fsub(a[0], b[1]), 2, given[4])
@@ -232,17 +276,19 @@ def _join(
     return types.void(re, im, out_re, out_im, place, place, place, place), build
 
 
-join_fields: Any = intrinsic(_join)
+join_fields: Intrinsic = intrinsic(_join)
 
 
-def _keep_apart(_typing: Any) -> tuple[Any, Callable[..., Any]]:
+def _keep_apart(_typing: Context) -> Typed:
     """Keep LLVM from copying the function that calls this into others, which then compile much longer."""
 
-    def build(context: Any, builder: Any, _signature: Any, _given: Any) -> Any:
+    def build(
+        context: Context, builder: ir.IRBuilder, _signature: Signature, _given: Sequence[ir.Value]
+    ) -> ir.Value:
         builder.function.attributes.add("noinline")
         return context.get_dummy_value()
 
     return types.void(), build
 
 
-keep_apart: Any = intrinsic(_keep_apart)
+keep_apart: Intrinsic = intrinsic(_keep_apart)

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
+from numpy.typing import ArrayLike
 
+from tactile_sim.elastic import Gel
 from tactile_sim.elastic_press import Load, plate_z_m
 from tactile_sim.sensor import Sensor, full_view
 from tactile_toolkit.errors import InputError
@@ -14,8 +14,8 @@ _TRIED_PA, _TRIED_N = 1e6, 1.0
 
 
 def fit_youngs_modulus(
-    depth_m: Any,
-    force_n: Any,
+    depth_m: ArrayLike,
+    force_n: ArrayLike,
     sensor: Sensor | None = None,
     *,
     poisson_ratio: float = 0.49,
@@ -49,8 +49,6 @@ def fit_youngs_modulus(
     InputError
         Fewer than two depths, numbers that are not finite, or forces that do not grow with depth.
     """
-    from tactile_sim.elastic import Gel  # numba
-
     try:
         depths, forces = np.asarray(depth_m, np.float64), np.asarray(force_n, np.float64)
     except (TypeError, ValueError):

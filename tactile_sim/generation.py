@@ -2,38 +2,25 @@
 
 from __future__ import annotations
 
-import hashlib
 import logging
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import lru_cache, partial
-from typing import Any, TypeAlias, Unpack
+from functools import partial
+from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_sim.given_solids import GivenSolid, GivenSolids, Meshes, given_solids
+from tactile_sim import given_solids, round_press, spec_optics, touch_rows, touch_sources
 from tactile_sim.kind import KIND
-from tactile_sim.optics import Optics, make_optics
 from tactile_sim.pressable import Pressable
-from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import plan_round
-from tactile_sim.round_press import further_types, images_without_noise, pressed_round
-from tactile_sim.sensor import Sensor, sensor_of_model, sensor_of_window
-from tactile_sim.sensor_noise import add_noise
-from tactile_sim.touch_rows import DRAWN, SyntheticRound, synthetic_schema
 from tactile_sim.touch_spec import GenerateSpec
-from tactile_toolkit import catalog, generation, mesh, read, store
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit import catalog, generation, places, read, store, touch
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.places import Name, Place, open_place
-from tactile_toolkit.touch import (
-    CLASS_NAMES,
-    IMAGE_SUFFIX,
-    RENDERED_CONTACT_M,
-    encode_image,
-)
+from tactile_toolkit.json_types import JsonObject
 
 # Encoded images in memory, which is all that a worker holds of a shard.
 _SHARD_BYTES = 64 << 20
@@ -51,23 +38,7 @@ _JPEG_BYTES_PER_PX = 0.25
 _MAP_BYTES_PER_PX = 8  # pressure and displacement, in half precision
 
 
-Solids: TypeAlias = "mesh.SolidDataset[Any] | GivenSolids"
-
 _LOG = logging.getLogger(__name__)
-
-
-def open_split(place: Place, split: str) -> mesh.SolidDataset[Any]:
-    """Open a split of a data set of solids; InputError for a source without meshes."""
-    table = read.ShardedTable(place.shards(split))
-    mesh.require_mesh_columns(table.schema, place.name, "mnist3d generate")
-    return mesh.SolidDataset(table, label_names=read.class_names(table.schema, CLASS_NAMES, place.name))
-
-
-def content_fingerprint(shard: read.Shard) -> dict[str, Any]:
-    """Return JSON values that identify a file by all of its bytes, for sources of moderate size."""
-    with shard.stored() as stream:
-        digest = hashlib.file_digest(stream, "sha256").hexdigest()  # type: ignore[arg-type]
-    return {"file": shard.path.rpartition("/")[2], "rows": len(shard), "sha256": digest}
 
 
 @dataclass(frozen=True)
@@ -79,27 +50,30 @@ class TouchGenerator(generation.RowGenerator):
     """
 
     spec: GenerateSpec
-    source: Mapping[str, Solids] = field(repr=False)
-    rows: Mapping[str, Any] = field(repr=False)
+    source: Mapping[str, touch_sources.Solids] = field(repr=False)
+    rows: Mapping[str, range | Int64] = field(repr=False)
     unfinished: str = ""
     kind = KIND
 
     @classmethod
     def of(
         cls,
-        source: Name | Place | Meshes,
+        source: places.Name | places.Place | given_solids.Meshes,
         spec: GenerateSpec,
         unit: str | None = None,
-        opened: Callable[[Any], Place] = open_place,
+        opened: touch_sources.Opener = places.open_place,
     ) -> TouchGenerator:
         """Open the source; InputError if it holds no solids, or not the objects of a given plan.
 
         ``unit`` is that of STL, PLY and OBJ files. ``opened`` opens a data set by its name.
         """
-        optics_of(spec)  # missing packages are reported before anything is written
-        name, splits, unfinished = _open_source(source, unit, opened)
-        _require_known_objects(name, splits, spec)
-        rows: dict[str, Any] = {split: range(len(each))[: spec.limit] for split, each in splits.items()}
+        spec_optics.optics_of(spec)  # missing packages are reported before anything is written
+        name, splits, unfinished = touch_sources.solids_of(source, unit, opened)
+        if spec.plan.given is not None:
+            touch_sources.require_known_objects(name, splits, spec.plan.given)
+        rows: dict[str, range | Int64] = {
+            split: range(len(each))[: spec.limit] for split, each in splits.items()
+        }
         if spec.chosen:
             chosen = catalog.choose_rows(splits.items(), **spec.chosen, limit=spec.limit)
             rows = {split: places for split, _, places in chosen}
@@ -108,17 +82,17 @@ class TouchGenerator(generation.RowGenerator):
     @property
     def has_own_objects(self) -> bool:
         """Whether the objects are mesh files or meshes in memory, not a data set."""
-        return any(isinstance(each, GivenSolids) for each in self.source.values())
+        return any(isinstance(each, given_solids.GivenSolids) for each in self.source.values())
 
-    def refuse_sources(self, source: Name | Meshes, out: Name) -> None:
+    def refuse_sources(self, source: places.Name | given_solids.Meshes, out: places.Name) -> None:
         """Refuse to write into the source, which messages call ``source`` (InputError)."""
         files = [file for each in self.source.values() for file in each.files]
         if not isinstance(source, Mapping):
             catalog.refuse_source(store.open_folder(os.fspath(out)), os.fspath(source), files)
 
-    def manifest(self) -> Mapping[str, Any]:
+    def manifest(self) -> JsonObject:
         """Return options and the source of each split, so that a folder can be filled split by split."""
-        source = {split: _fingerprints(each) for split, each in self.source.items()}
+        source = {split: touch_sources.fingerprints(each) for split, each in self.source.items()}
         options = self.spec.to_dict()
         if self.unfinished:
             options["unfinished"] = self.unfinished
@@ -130,8 +104,12 @@ class TouchGenerator(generation.RowGenerator):
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored: images and random numbers without a dictionary."""
-        vectors = (name for name, each in further_types(self.spec).items() if read.list_depth(each)[0] == 2)
-        drawn = (f"{name}.list.element.list.element" for name in (*DRAWN, *vectors))
+        vectors = (
+            name
+            for name, each in round_press.further_types(self.spec).items()
+            if read.list_depth(each)[0] == 2
+        )
+        drawn = (f"{name}.list.element.list.element" for name in (*touch_rows.DRAWN, *vectors))
         values_per_page = None
         if self._rounds_for(_PAGE_BYTES) >= _ROUNDS_PER_PAGE:
             values_per_page = _ROUNDS_PER_PAGE * self.spec.plan.touches
@@ -168,26 +146,26 @@ class TouchGenerator(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return synthetic_schema(self.source[split].label_names, further_types(self.spec))
+        return touch_rows.synthetic_schema(
+            self.source[split].label_names, round_press.further_types(self.spec)
+        )
 
-    def make(self, split: str, items: Any) -> Iterator[SyntheticRound | store.Skipped]:
+    def make(self, split: str, items: Sequence[int]) -> Iterator[touch_rows.SyntheticRound | store.Skipped]:
         """Render the rounds; for an object that bounds no solid yield the reason, once."""
         solids, plan = self.source[split], self.spec.plan
-        for place in range(items.start // plan.rounds, (items.stop - 1) // plan.rounds + 1):
-            record: Any = solids[int(self.rows[split][place])]
-            start = place * plan.rounds
-            numbers = range(max(items.start - start, 0), min(items.stop - start, plan.rounds))
+        for place in range(items[0] // plan.rounds, items[-1] // plan.rounds + 1):
+            record = solids[int(self.rows[split][place])]
+            numbers = (item - place * plan.rounds for item in items if item // plan.rounds == place)
             touched = [number for number in numbers if plan.touches_of(record.id, number)]
             if not touched:
                 continue
-            # What is said of an object is said once, in the shard of its first round.
+            # What concerns an object is stated once, in the shard of its first round.
             is_first = not any(plan.touches_of(record.id, number) for number in range(touched[0]))
-            name, held = f"object {record.id}", record
+            name = touch_sources.title(record)
             try:
-                if isinstance(record, GivenSolid):
-                    name = f"{name} ({record.name})"
-                    held = record.mesh()
-                    _warn_of(name, held.notes if is_first else ())
+                held = touch_sources.mesh_of(record)
+                for note in held.notes * is_first:
+                    _LOG.warning("%s: %s", name, note)
                 solid = Pressable.of(held, layer_m=self.spec.layer_m)
             except InputError as error:
                 if is_first:
@@ -195,67 +173,31 @@ class TouchGenerator(generation.RowGenerator):
                     yield store.Skipped(record.id, reason, f"{name}: {error}")
                 continue
             for number in touched:
-                yield _make_row(self.spec, solid, split, record.id, record.label, number)
+                yield _make_row(self.spec, solid, (split, record.id, number), record.label)
 
-    def statistics(self, rows: Sequence[SyntheticRound]) -> Mapping[str, int]:
+    def statistics(self, rows: Sequence[touch_rows.SyntheticRound]) -> Mapping[str, int]:
         """Count touches, and those on the object."""
-        plate_m = self.spec.sensor.press_m
         on_object = 0
         for row in rows:
-            if row.plate_z_m is not None:
-                plate_m = row.plate_z_m
-            on_object += int((row.gel_position_m[:, 2] >= plate_m + RENDERED_CONTACT_M).sum())
+            plate_m = row.plate_z_m or self.spec.sensor.press_m
+            on_object += int((row.gel_position_m[:, 2] >= plate_m + touch.RENDERED_CONTACT_M).sum())
         return {"touches": sum(len(row.images) for row in rows), "on_object": on_object}
 
 
-def optics_of(spec: GenerateSpec) -> Optics:
-    """Return the optics of a specification, made once in a process and again when the weights change."""
-    if spec.optics == "twin":
-        return spec.sensor.optics
-    if spec.weights is None:
-        return _optics(spec.optics, None, ())
-    file = store.expanded(spec.weights)
-    if not file.is_file():  # refused with its name
-        return make_optics(spec.optics, spec.weights)
-    # A notebook may train into the same file again and again; the manifest has the checksum of the new one.
-    facts = file.stat()
-    return _optics(spec.optics, spec.weights, (facts.st_ino, facts.st_size, facts.st_mtime_ns))
-
-
-@lru_cache(maxsize=2)
-def _optics(name: str, weights: str | None, _stamp: tuple[int, ...]) -> Optics:
-    # Tables and networks take longer to load than a round to render.
-    return make_optics(name, weights)
-
-
-def depth_sensor(spec: GenerateSpec, optics: Optics) -> Sensor:
-    """Return the sensor whose depth maps the optics render."""
-    size_px, model = spec.size_px, spec.sensor
-    if spec.window == "full":
-        size_px = (model.width_px, model.height_px)
-    if spec.has_other_sensor:
-        return sensor_of_model(model, spec.window, optics.depth_size(*size_px))
-    # Environments show the window of the pixels that they render, whatever these are scaled to.
-    return sensor_of_window(spec.window, optics.depth_size(*size_px))
-
-
 def _make_row(
-    spec: GenerateSpec, solid: Pressable, split: str, object_id: int, label: int, number: int
-) -> SyntheticRound:
-    optics = optics_of(spec)
-    sensor = depth_sensor(spec, optics)
-    plan = plan_round(spec.plan, solid, split, object_id, number)
+    spec: GenerateSpec, solid: Pressable, key: tuple[str, int, int], label: int
+) -> touch_rows.SyntheticRound:
+    _, object_id, number = key
+    plan = plan_round(spec.plan, solid, *key)
     touches = len(plan.positions_m)
     # The gel comes straight down: sensors of the published environments never tilt.
     targets = np.tile(np.eye(4), (touches, 1, 1))
     targets[:, :2, 3] = plan.positions_m
     # The last pose is that after the last touch.
-    key = (split, object_id, number)
-    pressed, further = pressed_round(spec, solid, plan.object_poses[:-1], targets, sensor, key)
-    pictures = noisy(spec, images_without_noise(spec, optics, sensor, pressed), *key)
-    images = [encode_image(each, spec.image_format, spec.quality) for each in pictures]
-    suffix = IMAGE_SUFFIX[spec.image_format]
-    return SyntheticRound(
+    made = round_press.press_round(spec, solid, plan.object_poses[:-1], targets, key)
+    images = [touch.encode_image(each, spec.image_format, spec.quality) for each in made.images]
+    suffix = touch.IMAGE_SUFFIX[spec.image_format]
+    return touch_rows.SyntheticRound(
         id=f"{object_id}-{number}",
         label=label,
         object_id=object_id,
@@ -263,68 +205,17 @@ def _make_row(
         moved_position_m=plan.object_position_m[1:],
         moved_quaternion=plan.object_quaternion[1:],
         positions_m=plan.positions_m,
-        gel_position_m=np.column_stack([plan.positions_m, pressed.sensor_z_m]),
+        gel_position_m=np.column_stack([plan.positions_m, made.pressed.sensor_z_m]),
         gel_quaternion=np.tile([0.0, 0.0, 0.0, 1.0], (touches, 1)),  # no turn, as x, y, z, w
-        images=[(each, f"{touch:03d}.{suffix}") for touch, each in enumerate(images)],
+        images=[(each, f"{index:03d}.{suffix}") for index, each in enumerate(images)],
         object_position_m=plan.object_position_m[:-1],
         object_quaternion=plan.object_quaternion[:-1],
-        **further,
+        **made.further,
     )
 
 
-def noisy(spec: GenerateSpec, pictures: UInt8, split: str, object_id: int, number: int) -> UInt8:
-    """Return the images of a round with the noise of the specification, drawn for this round alone."""
-    if spec.noise is None:
-        return pictures
-    draw = partial(keyed_rng, spec.plan.seed, split, object_id, number, "noise")
-    if spec.optics == "depth":  # grey
-        return np.repeat(add_noise(pictures[..., :1], spec.noise, draw(), draw), 3, axis=-1)
-    return add_noise(pictures, spec.noise, draw(), draw)
-
-
-def _open_source(
-    source: Name | Place | Meshes, unit: str | None, opened: Callable[[Any], Place]
-) -> tuple[str, Mapping[str, Solids], str]:
-    """Return name, splits and what is unfinished of a data set, of mesh files, or of meshes in memory."""
-    given = None
-    if not isinstance(source, Place):
-        given = given_solids(source, unit)
-    if given is not None:
-        return "the source", given, ""
-    assert not isinstance(source, Mapping), "meshes in memory are given solids"
-    place = opened(source)
-    mesh.refuse_unit(unit, place.name)
-    place.require_meshes("tactile-sim generate").require_complete()
-    return place.name, {split: open_split(place, split) for split in place.splits}, place.unfinished
-
-
-def _fingerprints(solids: Solids) -> list[dict[str, Any]]:
-    if isinstance(solids, GivenSolids):
-        return solids.fingerprints()
-    return list(map(content_fingerprint, solids.files))
-
-
-def _warn_of(name: str, notes: Sequence[str]) -> None:
-    for note in notes:
-        _LOG.warning("%s: %s", name, note)
-
-
-def _require_known_objects(name: str, splits: Mapping[str, Solids], spec: GenerateSpec) -> None:
-    """Refuse given touches of objects that no split holds (InputError)."""
-    given = spec.plan.given
-    if given is None or given.object_id is None:
-        return
-    held = [each.column("id") for each in splits.values()]
-    unknown = np.setdiff1d(given.object_id, np.concatenate(held))
-    if len(unknown):
-        shown = ", ".join([*map(str, unknown[:5]), "..."][: len(unknown)])
-        raise InputError(
-            f"touches of objects {shown} are given, and {name} holds no such id", next="correct `object_id`"
-        )
-
-
 def generate(
-    source: Name | Meshes,
+    source: places.Name | given_solids.Meshes,
     spec: GenerateSpec,
     out: str | os.PathLike[str],
     splits: Sequence[str] | None = None,

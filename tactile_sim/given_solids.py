@@ -7,15 +7,14 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from os import PathLike
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 import numpy as np
 
-from tactile_toolkit import mesh
+from tactile_toolkit import mesh, touch
 from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.touch import CELL_M
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 Meshes: TypeAlias = "Mapping[str, mesh.MeshLike | Sequence[mesh.MeshLike]]"
 """Meshes in memory by the name of their class: one each, or several."""
@@ -32,7 +31,7 @@ class _MeshFile:
     unit: str | None
     sha256: str
 
-    def read(self) -> Mesh:
+    def read(self) -> mesh.Mesh:
         path = Path(self.path)
         content = mesh.file_content(path, self.root)
         if hashlib.sha256(content).hexdigest() != self.sha256:
@@ -52,10 +51,10 @@ class GivenSolid:
     id: int
     label: int
     name: str
-    source: _MeshFile | Mesh = field(repr=False)
-    facts: Mapping[str, Any] = field(repr=False)
+    source: _MeshFile | mesh.Mesh = field(repr=False)
+    facts: JsonObject = field(repr=False)
 
-    def mesh(self) -> Mesh:
+    def mesh(self) -> mesh.Mesh:
         """Read the mesh, metres; ItemError if it cannot be read, or is larger than the cell."""
         found = self.source
         if isinstance(found, _MeshFile):
@@ -88,6 +87,11 @@ class GivenSolids:
         return self.column("id")
 
     @property
+    def object_ids(self) -> Int64:
+        """Number of each solid, shape (len,)."""
+        return self.ids
+
+    @property
     def labels(self) -> Int64:
         """Class of each solid, shape (len,)."""
         return self.column("label")
@@ -101,7 +105,7 @@ class GivenSolids:
         """The files, each with its ``path``."""
         return tuple(each.source for each in self.solids if isinstance(each.source, _MeshFile))
 
-    def fingerprints(self) -> list[dict[str, Any]]:
+    def fingerprints(self) -> list[JsonDict]:
         """Return JSON values that identify the solids, in the order of their numbers."""
         return [{"file": each.name, "rows": 1, "id": each.id, **each.facts} for each in self.solids]
 
@@ -117,7 +121,7 @@ def given_solids(
     Raises
     ------
     InputError
-        A file cannot be opened, a mesh is none, or a unit is given for meshes in memory.
+        A file cannot be opened, a mesh is not valid, or a unit is given for meshes in memory.
     """
     if isinstance(source, Mapping):
         mesh.refuse_unit(unit, "meshes in memory")
@@ -130,7 +134,7 @@ def given_solids(
     solids: dict[str, list[GivenSolid]] = {}
     for number, (split, file) in enumerate(listed):
         content = _digest_of(file, found.root)
-        facts: dict[str, Any] = {"sha256": content}
+        facts: JsonDict = {"sha256": content}
         stated = mesh.unit_of_file(file, unit)
         if stated is not None:
             facts["unit"] = stated
@@ -156,7 +160,7 @@ def _in_memory(meshes: Meshes) -> dict[str, GivenSolids]:
         for number, each in enumerate(several):
             found = mesh.as_mesh(each)
             # A copy, because the mesh may change while touches are made.
-            held = Mesh(np.array(found.vertices_m, np.float64), np.array(found.faces, np.int32))
+            held = mesh.Mesh(np.array(found.vertices_m, np.float64), np.array(found.faces, np.int32))
             facts = {"sha256": _digest(held)}
             solids.append(GivenSolid(len(solids), label, f"{name}/{number}", held, facts))
     if not solids:
@@ -164,19 +168,20 @@ def _in_memory(meshes: Meshes) -> dict[str, GivenSolids]:
     return {_TRAIN: GivenSolids(tuple(solids), tuple(meshes))}
 
 
-def _digest(held: Mesh) -> str:
+def _digest(held: mesh.Mesh) -> str:
     content = hashlib.sha256(repr((held.vertices_m.shape, held.faces.shape)).encode())
     content.update(np.ascontiguousarray(held.vertices_m, "<f8").tobytes())
     content.update(np.ascontiguousarray(held.faces, "<i4").tobytes())
     return content.hexdigest()
 
 
-def _require_within_cell(found: Mesh) -> None:
+def _require_within_cell(found: mesh.Mesh) -> None:
     sides_m = np.ptp(found.vertices_m, axis=0)[:2]
-    if (sides_m > CELL_M).any():
+    if (sides_m > touch.CELL_M).any():
         width_mm, depth_mm = 1e3 * sides_m
         raise ItemError(
             "too-large",
             f"it is {width_mm:.4g} x {depth_mm:.4g} mm as seen from above; expected at most "
-            f"{1e3 * CELL_M[0]:g} x {1e3 * CELL_M[1]:g} mm, the cell; next: look at its unit, or scale it",
+            f"{1e3 * touch.CELL_M[0]:g} x {1e3 * touch.CELL_M[1]:g} mm, the cell; next: look at its unit, or "
+            "scale it",
         )

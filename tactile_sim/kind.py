@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from tactile_toolkit.kind import DatasetKind, lazy
+from tactile_toolkit.kind import DatasetKind, Specified, lazy
 
 
-def _loader(manifest: Any) -> str:
+def _loader(manifest: Specified | None) -> str:
     # A training set has one picture a row, which `datasets` opens.
     is_pairs = manifest is not None and manifest.spec.get("operation") == "pairs"
     return "datasets.load_dataset" if is_pairs else "realtouch.load"

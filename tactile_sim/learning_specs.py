@@ -4,20 +4,22 @@ from __future__ import annotations
 
 import math
 import tomllib
-from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.touch_spec import SENSOR_NOISE, WINDOWS
-from tactile_toolkit.builtin_values import to_builtin
+from tactile_toolkit import builtin_values, touch
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch import contact_height_option, size_option
 
 if TYPE_CHECKING:
     from tactile_sim.sensor_noise import SensorNoise
+
+BASELINES = ("taxim", "untrained")
+"""Methods with which trained weights are compared."""
 
 _SIDES_PX = range(16, 2049, 4)
 
@@ -61,12 +63,12 @@ class PairsSpec:
         Seed of everything that is drawn.
     """
 
-    size_px: tuple[int, int] = size_option((256, 256), shown="256x256")
+    size_px: tuple[int, int] = touch.size_option((256, 256), shown="256x256")
     count: int = integer(20_000, 1, 10_000_000, help="Number of depth images, and of real touches.")
     without_contact: float = real(
         0.05, 0, 1, metavar="SHARE", help="Fraction of touches without contact, 0 to 1."
     )
-    min_height_m: float | None = contact_height_option(
+    min_height_m: float | None = touch.contact_height_option(
         above=0, below=0.1, name="--min-height-mm", metavar="MM", read=_metres
     )
     window: str = choice(
@@ -82,7 +84,7 @@ class PairsSpec:
     seed: int = integer(0, help="Random seed.")
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "size_px", to_builtin(self.size_px))
+        object.__setattr__(self, "size_px", builtin_values.to_builtin(self.size_px))
         check_fields(self, "the training set")
         if len(self.size_px) != 2 or not all(side in _SIDES_PX for side in self.size_px):
             raise InputError(
@@ -93,7 +95,7 @@ class PairsSpec:
         """Return whether a touch has no contact; these are spread evenly over the shards."""
         return int((number + 1) * self.without_contact) > int(number * self.without_contact)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide every row."""
         values = asdict(self)
         return {**values, "like": WINDOWS[values.pop("window")]}
@@ -183,7 +185,7 @@ class TrainConfig:
         check_fields(self, "the training")
 
     @classmethod
-    def read(cls, path: Path | None, given: Mapping[str, Any]) -> TrainConfig:
+    def read(cls, path: Path | None, given: JsonObject) -> TrainConfig:
         """Read a TOML file with values of some fields; those ``given`` override them.
 
         Raises
@@ -231,6 +233,6 @@ class TrainConfig:
         """Return the noise that discriminators see at a step, counted from 0."""
         return self.discriminator_noise * max(0.0, 1 - step / max(self.decay_from * self.steps, 1.0))
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return asdict(self)

@@ -9,10 +9,10 @@ import numpy as np
 
 from tactile_sim.sensor import Sensor
 from tactile_sim.sensor_parts import OPTICS
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch import resized
 
 __all__ = ["OPTICS", "Optics", "make_optics", "scaled"]
 
@@ -22,7 +22,7 @@ def scaled(pictures: UInt8, size_px: tuple[int, int]) -> UInt8:
     width, height = size_px
     if pictures.shape[1:3] == (height, width):
         return pictures
-    return np.stack([resized(each, width, height) for each in pictures])
+    return np.stack([touch.resized(each, width, height) for each in pictures])
 
 
 def depth_image(depth_m: Float64, sensor: Sensor) -> Float32:

@@ -7,39 +7,25 @@ touches, with a reduced share of touches without contact; it does not state whic
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any, Unpack
 
-import numpy as np
 import pyarrow as pa
 
-from tactile_sim.generation import content_fingerprint, open_split
+from tactile_sim import pair_drawing, pairs, touch_sources
 from tactile_sim.kind import KIND
 from tactile_sim.learning_specs import PairsSpec
 from tactile_sim.optics import scaled
-from tactile_sim.pairs import PairRow, encode_depth, pair_schema
 from tactile_sim.pressable import Pressable
-from tactile_sim.pressing import render_touch
-from tactile_sim.random_numbers import rng_key
-from tactile_sim.round_plan import plan_round
-from tactile_sim.sensor import sensor_of_window
-from tactile_sim.touch_spec import TouchPlan
-from tactile_toolkit import catalog, generation, mesh, places, read, store
-from tactile_toolkit.array_types import Float32, Float64
+from tactile_toolkit import catalog, generation, places, read, store, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch import IMAGE_SUFFIX, encode_image
+from tactile_toolkit.json_types import JsonObject
 
 # Images of 256 x 256 pixels take some 100 MB then.
 _ROWS_PER_SHARD = 1000
-# One real touch in five has contact: 16 places in the cell fail 3 times in 100; then places on the object are
-# tried.
-_TRIES = 16
 _OF_OBJECT = ("label", "object_id")
-_POSES = ("gel_pose_cell_frame.position", "gel_pose_cell_frame_seq.position")
-_contacts_by_image = lazy("realtouch:contacts_by_image")
 
 
 @dataclass(frozen=True)
@@ -50,10 +36,10 @@ class PairsGenerator(generation.RowGenerator):
     """
 
     spec: PairsSpec
-    objects: mesh.SolidDataset[Any] = field(repr=False)
+    objects: touch_sources.Records = field(repr=False)
     real: str
     split: str
-    touches: read.RecordDataset[Any] = field(repr=False)
+    touches: read.AnyRecords = field(repr=False)
     unfinished: str = ""
     kind = replace(KIND, nouns="images")
 
@@ -64,11 +50,11 @@ class PairsGenerator(generation.RowGenerator):
         real: str,
         split: str,
         spec: PairsSpec,
-        opened: Callable[[Any], places.Place] = places.open_place,
+        opened: touch_sources.Opener = places.open_place,
     ) -> PairsGenerator:
         """Open both sources by their names; InputError for another kind, or without meshes."""
         sources = [opened(objects).require_meshes("tactile-sim pairs"), opened(real)]
-        solids = open_split(sources[0], split)
+        solids = touch_sources.open_split(sources[0], split)
         if not len(solids):
             raise InputError(f"split {split!r} of {objects!r} holds no mesh", next="choose another split")
         touches = KIND.load(sources[1], split)
@@ -83,7 +69,7 @@ class PairsGenerator(generation.RowGenerator):
         catalog.refuse_source(folder, objects, self.objects.files)
         catalog.refuse_source(folder, self.real, self.touches.files)
 
-    def manifest(self) -> Mapping[str, Any]:
+    def manifest(self) -> JsonObject:
         """Return options and sources."""
         options = self.spec.to_dict()
         if self.unfinished:
@@ -93,17 +79,20 @@ class PairsGenerator(generation.RowGenerator):
             "options": options,
             "split": self.split,
             "source": {
-                "depth": list(map(content_fingerprint, self.objects.files)),
+                "depth": list(map(touch_sources.content_fingerprint, self.objects.files)),
                 "real": [each.fingerprint() for each in self.touches.files],
             },
         }
 
-    def items(self) -> Mapping[str, Any]:
+    def items(self) -> JsonObject:
         """Return both splits; reads poses, or all images where there are none.
 
         InputError if there are too few touches.
         """
-        return {"depth": range(self.spec.count), "real": _draw(self.touches, self.spec, self.real)}
+        return {
+            "depth": range(self.spec.count),
+            "real": pair_drawing.draw_touches(self.touches, self.spec, self.real),
+        }
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored: images, which do not compress further, without a dictionary."""
@@ -117,16 +106,16 @@ class PairsGenerator(generation.RowGenerator):
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard, with the classes of the source."""
         if split == "depth":
-            return pair_schema(self.objects.label_names)
-        return pair_schema(self.touches.label_names)
+            return pairs.pair_schema(self.objects.label_names)
+        return pairs.pair_schema(self.touches.label_names)
 
-    def make(self, split: str, items: Sequence[Any]) -> Iterator[PairRow | store.Skipped]:
+    def make(self, split: str, items: Sequence[Any]) -> Iterator[pairs.PairRow | store.Skipped]:
         """Yield the rows of a split."""
         if split == "depth":
             return self._depth(items)
         return self._real(items)
 
-    def _depth(self, items: Sequence[int]) -> Iterator[PairRow | store.Skipped]:
+    def _depth(self, items: Sequence[int]) -> Iterator[pairs.PairRow | store.Skipped]:
         """Press the gel onto the objects; for one that bounds no solid yield the reason, once."""
         spec, solids = self.spec, self.objects
         last, solid = -1, None
@@ -145,73 +134,28 @@ class PairsGenerator(generation.RowGenerator):
                         yield store.Skipped(record.id, "no-solid", f"object {record.id}: {error}")
             if solid is not None:
                 key, contact = f"{record.id}-{number}", not spec.is_empty(number)
-                image = encode_depth(_touched(spec, solid, record.id, number))
-                yield PairRow(key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"})
+                image = pairs.encode_depth(pair_drawing.drawn_depth(spec, solid, record.id, number))
+                yield pairs.PairRow(
+                    key, record.label, record.id, contact, {"bytes": image, "path": f"{key}.png"}
+                )
 
-    def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[PairRow]:
+    def _real(self, items: Sequence[tuple[int, bool]]) -> Iterator[pairs.PairRow]:
         """Decode, scale and encode touches."""
         kind = self.spec.image_format
         for number, contact in items:
-            touch = self.touches[number]
-            (picture,) = scaled(touch.image[None], self.spec.size_px)
-            key = f"{touch.round_id}-{touch.touch_index}"
+            real = self.touches[number]
+            (picture,) = scaled(real.image[None], self.spec.size_px)
+            key = f"{real.round_id}-{real.touch_index}"
             image: Mapping[str, str | bytes] = {
-                "bytes": encode_image(picture, kind),
-                "path": f"{key}.{IMAGE_SUFFIX[kind]}",
+                "bytes": touch.encode_image(picture, kind),
+                "path": f"{key}.{touch.IMAGE_SUFFIX[kind]}",
             }
-            known = {name: getattr(touch, name) for name in _OF_OBJECT if name in self.touches.column_names}
-            yield PairRow(key, known.get("label", -1), known.get("object_id", -1), contact, image)
+            known = {name: getattr(real, name) for name in _OF_OBJECT if name in self.touches.column_names}
+            yield pairs.PairRow(key, known.get("label", -1), known.get("object_id", -1), contact, image)
 
-    def statistics(self, rows: Sequence[PairRow]) -> Mapping[str, int]:
+    def statistics(self, rows: Sequence[pairs.PairRow]) -> Mapping[str, int]:
         """Count touches, and those that met the object."""
         return {"touches": len(rows), "on_object": sum(row.contact for row in rows)}
-
-
-def _touched(spec: PairsSpec, solid: Pressable, object_id: int, number: int) -> Float32:
-    """Return the depth image of one touch: the first of some places in the cell with contact."""
-    sensor, least_m = sensor_of_window(spec.window, spec.size_px), spec.min_height_m
-    assert least_m is not None, "set by PairsGenerator.of"
-    if spec.is_empty(number):  # a bare plate is the same wherever it is touched
-        return np.ones(spec.size_px[::-1], np.float32)
-    for positions in ("cell", "object"):  # small objects are seldom met by chance
-        plan = TouchPlan(1, _TRIES, positions, turn_rad=spec.turn_rad, perturb=False, seed=spec.seed)
-        drawn = plan_round(plan, solid, "depth", object_id, number)
-        for position in drawn.positions_m:
-            target = np.eye(4)
-            target[:2, 3] = position
-            pressed = render_touch(solid, drawn.object_poses[0], target, sensor)
-            if float(pressed.sensor_z_m) - sensor.press_m >= least_m:
-                return np.asarray(pressed.image)
-    raise InputError(
-        f"object {object_id} is nowhere {1e3 * least_m:.1f} mm high: no touch of it counts as contact",
-        next="lower --min-height-mm",
-    )
-
-
-def _draw(touches: read.RecordDataset[Any], spec: PairsSpec, real: str) -> list[tuple[int, bool]]:
-    """Draw touches with and without contact, each once, in the pattern of the other split."""
-    assert spec.min_height_m is not None, "set by PairsGenerator.of"
-    if set(_POSES).isdisjoint(touches.column_names):
-        contact, highest = _contacts_by_image(touches).contact, "as their images show"
-    else:
-        heights_m: Float64 = touches.heights_m()  # type: ignore[attr-defined]
-        contact = heights_m >= spec.min_height_m
-        highest = f"the highest {1e3 * heights_m.max(initial=0.0):.1f} mm above the plate"
-    # A seed here, where `keyed_rng` has a key: the recorded sets were drawn so.
-    rng = np.random.Generator(np.random.Philox(rng_key(spec.seed, "real")))
-    flags = [not spec.is_empty(number) for number in range(spec.count)]
-    wanted = {True: sum(flags), False: spec.count - sum(flags)}
-    found = {flag: np.flatnonzero(contact == flag) for flag in wanted}
-    if any(len(found[flag]) < count for flag, count in wanted.items()):
-        raise InputError(
-            f"{real!r} holds {len(found[True]):,} touches with contact and {len(found[False]):,} without, "
-            f"{highest}; expected at least {wanted[True]:,} and {wanted[False]:,}; nothing was written",
-            next="give a smaller --count, or another --without-contact or --min-height-mm",
-        )
-    pools = {
-        flag: iter(np.sort(rng.permutation(found[flag])[:count]).tolist()) for flag, count in wanted.items()
-    }
-    return [(next(pools[flag]), flag) for flag in flags]
 
 
 def make_pairs(
@@ -254,6 +198,6 @@ def make_pairs(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    pairs = PairsGenerator.of(objects, real, split, spec)
-    require = partial(pairs.refuse_sources, objects, out)
-    return generation.generate(pairs, out, require=require, **run)
+    generator = PairsGenerator.of(objects, real, split, spec)
+    require = partial(generator.refuse_sources, objects, out)
+    return generation.generate(generator, out, require=require, **run)

@@ -14,11 +14,10 @@ from PIL import Image
 from tactile_sim.kind import KIND
 from tactile_sim.sensor import Sensor, sensor_of_window
 from tactile_sim.touch_spec import WINDOWS
-from tactile_toolkit import places, read
+from tactile_toolkit import places, read, touch
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.rows import column, plain_schema, row
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, decode_image, with_features
 
 SPLITS = ("depth", "real")
 """Splits of a training set."""
@@ -37,13 +36,13 @@ class PairRow:
     label: int = column(pa.int64(), "", "class of the touched object, -1 if unknown")
     object_id: int = column(pa.int64(), "", "`id` of its mesh, -1 if unknown")
     contact: bool = column(pa.bool_(), "", "whether the gel met the object")
-    image: Mapping[str, str | bytes] = column(MEDIA_TYPE, "H x W", _PICTURE, name="sensor_image")
+    image: Mapping[str, str | bytes] = column(touch.MEDIA_TYPE, "H x W", _PICTURE, name="sensor_image")
 
 
 @cache
 def pair_schema(class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of a shard."""
-    return with_features(plain_schema(PairRow), class_names)
+    return touch.with_features(plain_schema(PairRow), class_names)
 
 
 def encode_depth(image: Float32) -> bytes:
@@ -52,21 +51,21 @@ def encode_depth(image: Float32) -> bytes:
     shown = np.ones(image.shape)
     if image.any():
         shown = image.astype(np.float64)
-    stream = io.BytesIO()
-    Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)).save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return touch.encode_png(Image.fromarray(np.rint(shown * DEPTH_LEVELS).astype(np.uint16)))
 
 
 def decode_depth(data: bytes) -> Float32:
     """Decode a PNG of :func:`encode_depth` to a depth image, 0 to 1; ValueError for other pictures."""
     try:
         with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
-            if image.width * image.height > MAX_IMAGE_PIXELS or image.mode not in ("I;16", "I"):
+            if image.width * image.height > touch.MAX_IMAGE_PIXELS or image.mode not in ("I;16", "I"):
                 problem = f"{image.width} x {image.height} pixels of mode {image.mode}"
                 raise ValueError(problem)
             return (np.asarray(image) / np.float32(DEPTH_LEVELS)).astype(np.float32)
     except Exception as error:  # Pillow raises OSError, SyntaxError, struct.error and more on bad files
-        message = f"expected a grey PNG of 16 bits and at most {MAX_IMAGE_PIXELS:,} pixels, found {error}"
+        message = (
+            f"expected a grey PNG of 16 bits and at most {touch.MAX_IMAGE_PIXELS:,} pixels, found {error}"
+        )
         raise ValueError(message) from error
 
 
@@ -115,7 +114,7 @@ class Domain:
     def _decode(self, data: bytes) -> AnyArray:
         if self.is_depth:
             return decode_depth(data)
-        return decode_image(data)
+        return touch.decode_image(data)
 
     def images(self, rows: Sequence[int] | Int64) -> AnyArray:
         """Decode several images; raises as :meth:`image`."""

@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Protocol, TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from tactile_toolkit.arithmetic import cosine_sine
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
 
 _RIGID = 1e-6  # greatest error of the entries of a rotation
+
+
+class HasMatrix(Protocol):
+    """A pose of another library, such as those of `realtouch` and `tactile-mnist`."""
+
+    @property
+    def matrix(self) -> ArrayLike:
+        """Rotation and translation, shape (4, 4) or (n, 4, 4), metres."""
+
+
+PoseLike: TypeAlias = ArrayLike | HasMatrix
+"""One pose or several, as matrices or as objects that have them."""
 
 
 def turn_quaternion(angle_rad: float) -> tuple[float, float, float, float]:
@@ -48,10 +61,9 @@ def pose(x_m: float = 0.0, y_m: float = 0.0, z_m: float = 0.0, *, turn_rad: floa
     return np.array(rows, np.float64)
 
 
-def as_matrices(value: Any, name: str) -> Float64:
+def as_matrices(value: PoseLike, name: str) -> Float64:
     """Return poses as matrices, shape (4, 4) or (n, 4, 4).
 
-    ``value`` is such an array, or has it as ``matrix``, like the poses of `realtouch` and `tactile-mnist`.
     InputError, which begins with ``name``, for anything that is not a rigid motion.
     """
     found = getattr(value, "matrix", value)
@@ -78,7 +90,7 @@ def as_matrices(value: Any, name: str) -> Float64:
     return matrices
 
 
-def product(one: Float64, other: Float64) -> Float64:
+def pose_product(one: Float64, other: Float64) -> Float64:
     """Return ``one @ other`` of matrices (n, 4, 4) in a stated order of sums, which `@` does not have."""
     parts = [one[:, :, k, None] * other[:, None, k, :] for k in range(4)]
     return ((parts[0] + parts[1]) + parts[2]) + parts[3]
@@ -90,4 +102,4 @@ def inverse_times(one: Float64, other: Float64) -> Float64:
     inverse[:, :3, :3] = one[:, :3, :3].swapaxes(1, 2)
     x, y, z = (one[:, k, :3] * one[:, k, 3:] for k in range(3))
     inverse[:, :3, 3], inverse[:, 3, 3] = -((x + y) + z), 1.0
-    return product(inverse, other)
+    return pose_product(inverse, other)

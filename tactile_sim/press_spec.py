@@ -8,13 +8,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import TYPE_CHECKING, TypeAlias
 
-from tactile_toolkit.builtin_values import is_integer, to_builtin
+from tactile_toolkit import builtin_values, parsed_text
 from tactile_toolkit.checked_fields import check_fields, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
-from tactile_toolkit.parsed_text import is_count
 
 if TYPE_CHECKING:
     from tactile_sim.elastic import Gel
@@ -33,9 +33,9 @@ _MOST_PRESS_M = 0.05
 _MOST_MARKERS = 100  # along a side
 _GELS = "none|elastic|FILE"
 
-# Of the options: how they are told, whose values are in newtons, metres and radians.
-_TOLD = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
-_TOLD_LENGTH = (1e3, "mm")
+# Factor and unit with which messages show values in newtons, radians and metres.
+_SHOWN_IN = {"force_n": (1.0, "N"), "twist_rad": (180 / math.pi, "degrees")}
+_SHOWN_LENGTH = (1e3, "mm")
 
 _gel = lazy("tactile_sim.elastic:Gel")
 _read_gel = lazy("tactile_sim.elastic_press:read_gel")
@@ -73,7 +73,7 @@ def _span_of(option: str, per_unit: float) -> Callable[[str], Span]:
 
 def _markers_of(words: str) -> tuple[int, int]:
     columns, _, rows = words.strip().lower().partition("x")
-    if not (is_count(columns) and is_count(rows)):
+    if not (parsed_text.is_count(columns) and parsed_text.is_count(rows)):
         raise InputError(f"--markers is {words!r}; expected COLUMNSxROWS, such as 7x9")
     return int(columns), int(rows)
 
@@ -172,8 +172,8 @@ class ElasticPress:
                 "markers are drawn, but there are none", next="give markers, such as --markers 7x9"
             )
         if self.markers is not None:
-            grid = to_builtin(self.markers)
-            if not (isinstance(grid, tuple) and len(grid) == 2 and is_integer(*grid)) or not (
+            grid = builtin_values.to_builtin(self.markers)
+            if not (isinstance(grid, tuple) and len(grid) == 2 and builtin_values.is_integer(*grid)) or not (
                 1 <= min(grid) <= max(grid) <= _MOST_MARKERS
             ):
                 raise InputError(
@@ -183,27 +183,27 @@ class ElasticPress:
             object.__setattr__(self, "markers", grid)
 
     def _set_span(
-        self, name: str, value: Any, most: float, *, least: float = 0.0, above: float = -math.inf
+        self, name: str, value: object, most: float, *, least: float = 0.0, above: float = -math.inf
     ) -> None:
         """Normalize a number or a pair to a span; InputError unless it rises and lies within bounds."""
-        ends = to_builtin(value, float)
+        ends = builtin_values.to_builtin(value, float)
         if isinstance(ends, float):
             ends = (ends, ends)
         is_pair = isinstance(ends, tuple) and len(ends) == 2 and all(isinstance(end, float) for end in ends)
         if not is_pair or not (least <= ends[0] <= ends[1] <= most and ends[0] > above):
-            factor, unit = _TOLD.get(name, _TOLD_LENGTH)
+            factor, unit = _SHOWN_IN.get(name, _SHOWN_LENGTH)
             span = f"from {factor * least:g} to {factor * most:g} {unit}"
             if above == 0:
                 span = f"above 0, to {factor * most:g} {unit}"
-            told = repr(value)
+            shown = repr(value)
             if is_pair:
-                told = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
+                shown = f"{':'.join(f'{factor * end:g}' for end in dict.fromkeys(ends))} {unit}"
             raise InputError(
-                f"{name} of the press is {told}; expected a number {span}, or two of them that rise"
+                f"{name} of the press is {shown}; expected a number {span}, or two of them that rise"
             )
         object.__setattr__(self, name, ends)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide images and columns."""
         assert self.gel is not None
         return {

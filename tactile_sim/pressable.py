@@ -18,9 +18,8 @@ from dataclasses import dataclass
 import numpy as np
 import xxhash
 
+from tactile_toolkit import builtin_values, cache
 from tactile_toolkit.array_types import AnyArray, Float64, Int32
-from tactile_toolkit.builtin_values import to_builtin_number
-from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh, check_manifold, merge_equal_vertices
 
@@ -41,7 +40,7 @@ _CACHE_BYTES = 64 << 20
 
 def checked_layer_m(layer_m: object) -> float:
     """Return the height of layers as Python's own number, metres; 0 for none. InputError for any other."""
-    found = to_builtin_number(layer_m, float)
+    found = builtin_values.to_builtin_number(layer_m, float)
     if isinstance(found, float) and (found == 0 or _LEAST_LAYER_M <= found <= _MOST_LAYER_M):
         return found
     raise InputError(
@@ -171,7 +170,7 @@ def _digest(values: AnyArray) -> tuple[str, bytes]:
 
 
 # By content, which takes a thousandth of the time of the check: a mesh may change in place.
-_SOLIDS: MemoryCache[tuple[object, ...], Pressable] = MemoryCache(
+_SOLIDS: cache.MemoryCache[tuple[object, ...], Pressable] = cache.MemoryCache(
     _CACHE_BYTES, lambda solid: solid.vertices_m.nbytes + solid.faces.nbytes + solid.blocks_m.nbytes
 )
 

@@ -5,23 +5,25 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence, Sized
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TypeAlias
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from tactile_sim.elastic_press import STILL, Load, WholeGel, loads_of
+from tactile_sim.elastic import Contact, Gel
+from tactile_sim.elastic_press import STILL, STRAIGHT, Load, WholeGel, loads_of
 from tactile_sim.optics import depth_image
-from tactile_sim.poses import as_matrices, inverse_times
+from tactile_sim.poses import PoseLike, as_matrices, inverse_times
 from tactile_sim.pressable import Pressable
 from tactile_sim.sensor import Sensor, full_view
 from tactile_sim.sensor_models import SensorModel
+from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import MeshLike
 from tactile_toolkit.touch import CELL_M
 
-if TYPE_CHECKING:
-    from tactile_sim.elastic import Contact, Gel
+Solid: TypeAlias = "mesh.MeshLike | Pressable"
+"""What the gel can be pressed onto."""
 
 _PLATE_FACES: Int32 = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 
@@ -62,17 +64,17 @@ class Pressed:
 
 
 def render_touch(
-    solid: MeshLike | Pressable | Sequence[MeshLike | Pressable],
-    object_pose: Any,
-    sensor_pose: Any,
+    solid: Solid | Sequence[Solid],
+    object_pose: PoseLike,
+    sensor_pose: PoseLike,
     sensor: Sensor | SensorModel | None = None,
     *,
     cell_m: tuple[float, float] = CELL_M,
     gel: Gel | None = None,
-    force_n: Any = None,
-    depth_m: Any = None,
-    slide_m: Any = STILL,
-    twist_rad: Any = 0.0,
+    force_n: ArrayLike | None = None,
+    depth_m: ArrayLike | None = None,
+    slide_m: ArrayLike = STILL,
+    twist_rad: ArrayLike = STRAIGHT,
 ) -> Pressed:
     """Press the gel onto a solid that lies on the plate.
 
@@ -93,20 +95,13 @@ def render_touch(
         Width and depth of the plate, metres.
     gel : Gel, optional
         Elastic properties of the gel. The rest is for an elastic gel only.
-    force_n : float or array_like, shape (n,), optional
-        Normal force at which the sensor stops, newtons; but at half the thickness of the gel at the latest,
-        where linear theory ends.
-    depth_m : float or array_like, shape (n,), optional
-        How far the highest point under the whole gel is pressed in, metres; in place of a force.
+    force_n, depth_m : float or array_like, shape (n,), optional
+        Normal force at which the sensor stops, newtons, but at half the thickness of the gel at the latest,
+        where linear theory ends; or how far the highest point under the whole gel is pressed in, metres.
     slide_m : array_like, shape (2,) or (n, 2)
         How far the solid then slides along x and y of the gel's frame, metres.
     twist_rad : float or array_like, shape (n,)
         How far it then turns about the sensor's axis, radians, counter-clockwise with x right and y up.
-
-    Returns
-    -------
-    Pressed
-        Of one touch, or of n.
 
     Raises
     ------
@@ -117,42 +112,57 @@ def render_touch(
     sensor = sensor or full_view()
     if isinstance(sensor, SensorModel):
         sensor = sensor.sensor
-    objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
-    solids: list[Any] = list(solid) if isinstance(solid, (list, tuple)) else [solid]
-    is_single = not isinstance(solid, (list, tuple)) and objects.ndim == targets.ndim == 2
-    objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
-    count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
-    _require_above_cell(targets, cell_m)
-    loads = None
-    if gel is not None or not (force_n is None and depth_m is None and slide_m is STILL and twist_rad == 0.0):
-        loads = loads_of(gel, count, sensor, force_n, depth_m, slide_m, twist_rad)
-    if loads is None:
-        scene = _Scene.of(solids, objects, targets, sensor, cell_m)
-        made = _cut(scene, count, sensor)
-    else:
-        whole = WholeGel.of(sensor)
-        scene = _Scene.of(solids, objects, targets, whole.sensor, cell_m)
-        made = _given_way(scene, loads, whole, sensor)
-    sensor_z_m = targets[:, 2, 3] + targets[:, 2, 2] * made.sensor_z_m
-    if is_single:
+    seen = _Seen.of(solid, object_pose, sensor_pose, cell_m)
+    loads = loads_of(gel, seen.count, sensor, force_n, depth_m, slide_m, twist_rad)
+    made = _cut(seen, sensor) if loads is None else _given_way(seen, loads, sensor)
+    sensor_z_m = seen.targets[:, 2, 3] + seen.targets[:, 2, 2] * made.sensor_z_m
+    if seen.is_single:
         return Pressed(made.depth_m[0], made.image[0], float(sensor_z_m[0]), made.contacts)
     return replace(made, sensor_z_m=sensor_z_m)
 
 
-def _cut(scene: _Scene, count: int, sensor: Sensor) -> Pressed:
-    """Press a gel that shows the solid, cut where it stops; heights are counted from the targets."""
-    from tactile_sim.press_kernels import to_depth  # numba
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Solids, their poses (n, 4, 4), and those of sensors; ``count`` touches, or a single one."""
 
-    shape = (count, *sensor.size_px[::-1])
-    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(count)
-    for touch in range(count):
+    solids: Sequence[Solid]
+    objects: Float64
+    targets: Float64
+    cell_m: tuple[float, float]
+    count: int
+    is_single: bool
+
+    @classmethod
+    def of(
+        cls,
+        solid: Solid | Sequence[Solid],
+        object_pose: PoseLike,
+        sensor_pose: PoseLike,
+        cell_m: tuple[float, float],
+    ) -> _Seen:
+        objects, targets = as_matrices(object_pose, "object_pose"), as_matrices(sensor_pose, "sensor_pose")
+        is_single = not isinstance(solid, Sequence) and objects.ndim == targets.ndim == 2
+        solids = solid if isinstance(solid, Sequence) else [solid]
+        objects, targets = objects.reshape(-1, 4, 4), targets.reshape(-1, 4, 4)
+        count = _count_of(solids=solids, object_poses=objects, sensor_poses=targets)
+        _require_above_cell(targets, cell_m)
+        return cls(solids, objects, targets, cell_m, count, is_single)
+
+
+def _cut(seen: _Seen, sensor: Sensor) -> Pressed:
+    """Press a gel that shows the solid, cut where it stops; heights are counted from the targets."""
+    scene, shape = _Scene.of(seen, sensor), (seen.count, *sensor.size_px[::-1])
+    depths_m, image, highest_m = np.empty(shape), np.empty(shape, np.float32), np.empty(seen.count)
+    for touch in range(seen.count):
         scene.raise_heights(touch, depths_m[touch])
-        highest_m[touch] = to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
+        highest_m[touch] = scene.to_depth(depths_m[touch], image[touch], sensor.press_m, sensor.gel_m)
     return Pressed(depths_m, image, highest_m + sensor.press_m)
 
 
-def _given_way(scene: _Scene, loads: Sequence[Load], whole: WholeGel, sensor: Sensor) -> Pressed:
+def _given_way(seen: _Seen, loads: Sequence[Load], sensor: Sensor) -> Pressed:
     """Press an elastic gel; heights are counted from the targets."""
+    whole = WholeGel.of(sensor)
+    scene = _Scene.of(seen, whole.sensor)
     depths_m, stops_m = np.empty((len(loads), *sensor.size_px[::-1])), np.empty(len(loads))
     contacts = []
     for touch, load in enumerate(loads):
@@ -176,24 +186,19 @@ class _Scene:
     corners_m: Float64
     ball_m: Float64
     rasterise: Callable[..., None]
+    to_depth: Callable[[Float64, Float32, float, float], float]
 
     @classmethod
-    def of(
-        cls,
-        solids: list[Any],
-        objects: Float64,
-        targets: Float64,
-        sensor: Sensor,
-        cell_m: tuple[float, float],
-    ) -> _Scene:
-        # Importing numba takes half a second.
-        from tactile_sim.press_kernels import rasterise
+    def of(cls, seen: _Seen, sensor: Sensor) -> _Scene:
+        from tactile_sim import press_kernels  # numba takes half a second to import
 
-        affines = _to_pixels(inverse_times(targets, objects), sensor)
-        plates = _to_pixels(inverse_times(targets, np.eye(4)[None]), sensor)
-        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*cell_m, 0.0] / 2
-        ball_m = np.array([[0.0, 0.0, 0.0, max(cell_m)]])
-        return cls([Pressable.of(each) for each in solids], affines, plates, corners_m, ball_m, rasterise)
+        affines = _to_pixels(inverse_times(seen.targets, seen.objects), sensor)
+        plates = _to_pixels(inverse_times(seen.targets, np.eye(4)[None]), sensor)
+        corners_m = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * [*seen.cell_m, 0.0] / 2
+        ball_m = np.array([[0.0, 0.0, 0.0, max(seen.cell_m)]])
+        solids = [Pressable.of(each) for each in seen.solids]
+        kernels = press_kernels.rasterise, press_kernels.to_depth
+        return cls(solids, affines, plates, corners_m, ball_m, *kernels)
 
     def raise_heights(self, touch: int, out: Float64) -> None:
         """Write the heights under the pixels of one touch, metres along the sensor's axis."""

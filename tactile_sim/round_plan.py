@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_sim.poses import pose, product, turn_quaternion
+from tactile_sim.poses import pose, pose_product, turn_quaternion
 from tactile_sim.pressable import Pressable
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.touch_spec import TouchPlan
-from tactile_toolkit.arithmetic import cosine_sine
+from tactile_toolkit import arithmetic, touch
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.touch import CELL_M
 
 REACH_M = (0.0385, 0.0405)
 """Greatest distance of the gel from the middle of the cell along x and y, metres: half the cell less
@@ -92,7 +91,7 @@ def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, pertur
     lies = [(x_m, y_m, angle_rad)]
     scale = np.array([_SHIFT_M, _SHIFT_M, _SHIFT_RAD]) * perturb
     for dx_m, dy_m, turned_rad in (drawn * scale).tolist():
-        cosine, sine = cosine_sine(angle_rad)
+        cosine, sine = arithmetic.cosine_sine(angle_rad)
         x_m, y_m = x_m + (cosine * dx_m - sine * dy_m), y_m + (sine * dx_m + cosine * dy_m)
         angle_rad += turned_rad
         lies.append((x_m, y_m, angle_rad))
@@ -102,12 +101,12 @@ def _shifted(drawn: Float64, x_m: float, y_m: float, angle_rad: float, *, pertur
 def _lying_place(plan: TouchPlan, solid: Pressable, angle_rad: float, drawn: Float64) -> tuple[float, float]:
     if plan.object_placement == "middle":
         return 0.0, 0.0
-    cosine, sine = cosine_sine(angle_rad)
+    cosine, sine = arithmetic.cosine_sine(angle_rad)
     x, y, _ = solid.vertices_m.T
     place = []
     for axis, turned in enumerate((cosine * x - sine * y, sine * x + cosine * y)):
-        low = -CELL_M[axis] / 2 + _MARGIN_M - float(turned.min())
-        high = CELL_M[axis] / 2 - _MARGIN_M - float(turned.max())
+        low = -touch.CELL_M[axis] / 2 + _MARGIN_M - float(turned.min())
+        high = touch.CELL_M[axis] / 2 - _MARGIN_M - float(turned.max())
         share = float(drawn[axis])
         if low > high:  # larger than the cell: in its middle
             low = high = (low + high) / 2
@@ -146,4 +145,4 @@ def on_object(touches: int, solid: Pressable, poses: Float64, rng: np.random.Gen
     point = a[face] + folded[:, :1] * (b[face] - a[face]) + folded[:, 1:] * (c[face] - a[face])
     local = np.tile(np.eye(4), (touches, 1, 1))
     local[:, :2, 3] = point
-    return product(poses[:touches], local)[:, :2, 3]
+    return pose_product(poses[:touches], local)[:, :2, 3]

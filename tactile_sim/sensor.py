@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from tactile_sim.sensor_parts import FlatGel
-from tactile_toolkit.builtin_values import is_integer, to_builtin
+from tactile_toolkit import builtin_values, touch
 from tactile_toolkit.checked_fields import check_fields, real
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, PRESS_DEPTH_M
 
 MESA_SAMPLE_PX = (-0.125, -0.375)
 """Sample position of a pixel in the published environments with Mesa 22.3.6 (llvmpipe, 4 samples): the first
@@ -49,7 +48,7 @@ class Sensor:
     size_px: tuple[int, int]
     window_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
     gel_m: float = real(GEL_M, above=0, most=0.1)
-    press_m: float = real(PRESS_DEPTH_M, above=0)
+    press_m: float = real(touch.PRESS_DEPTH_M, above=0)
     sample_px: tuple[float, float] = real((0.0, 0.0), -0.5, 0.5, many=2)
     surface_m: tuple[float, float] = real(_SURFACE_M, above=0, most=1, many=2)
 
@@ -69,12 +68,14 @@ class Sensor:
 
 def checked_size_px(size_px: object) -> tuple[int, int]:
     """Return width and height of an image as Python's own integers, pixels; InputError for anything else."""
-    size = to_builtin(size_px)
-    if not (isinstance(size, tuple) and len(size) == 2 and is_integer(*size) and min(size) >= 1):
+    size = builtin_values.to_builtin(size_px)
+    if not (
+        isinstance(size, tuple) and len(size) == 2 and builtin_values.is_integer(*size) and min(size) >= 1
+    ):
         raise InputError(f"size of the image is {size_px!r}; expected width and height in whole pixels")
-    if size[0] * size[1] > MAX_IMAGE_PIXELS:
+    if size[0] * size[1] > touch.MAX_IMAGE_PIXELS:
         raise InputError(
-            f"size of the image is {size[0]} x {size[1]}; expected at most {MAX_IMAGE_PIXELS:,} pixels"
+            f"size of the image is {size[0]} x {size[1]}; expected at most {touch.MAX_IMAGE_PIXELS:,} pixels"
         )
     return size
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from os import PathLike, fspath
-from typing import Any
 
 import numpy as np
+from scipy import ndimage
 
 from tactile_sim.kind import KIND
 from tactile_sim.optics import scaled
@@ -20,6 +20,8 @@ from tactile_sim.twin.sources import image_files, read_image, spaced
 from tactile_toolkit import places, store
 from tactile_toolkit.array_types import Bool, Float32, Float64, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.wording import with_count
 
 LEAST_IMAGES = 5
 MOST_IMAGES = 64
@@ -82,7 +84,7 @@ class SensorHealth:
         """Whether all figures are within their limits."""
         return all(each.ok for each in self.figures)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         figures = [{**asdict(each), "ok": each.ok} for each in self.figures]
         return {"ok": self.ok, "images": self.images, "figures": figures}
@@ -112,7 +114,7 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     seen = [scaled(np.asarray(each)[None], size_px)[0] for each in images]
     if len(seen) < LEAST_IMAGES:
         raise InputError(
-            f"{len(seen)} images to compare with the sensor; expected at least {LEAST_IMAGES}",
+            f"{with_count(len(seen), 'images')} to compare with the sensor; expected at least {LEAST_IMAGES}",
             next="record more touches, at different places of the gel",
         )
     stack = np.stack(seen)
@@ -122,10 +124,12 @@ def check_sensor(model: SensorModel, images: Iterable[UInt8]) -> SensorHealth:
     difference = np.where(known[..., None], today - plain, 0.0)
     drift = _smoothed(difference, _SMOOTH_PX)[known]
     gains = (today[known] * plain[known]).sum(axis=0) / (plain[known] ** 2).sum(axis=0)
+    # What the calibration left of its own touches, levels.
+    expected = max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
     values = (
         np.sqrt((drift**2).mean()),
         np.abs(gains - 1).max(),
-        np.median(_residuals(model, stack, depth_m)) / _expected_residual(model),
+        np.median(_residuals(model, stack, depth_m)) / expected,
         _marker_share(difference, known),
         (stack >= _FULL).mean(),
     )
@@ -166,11 +170,6 @@ def _residuals(model: SensorModel, images: UInt8, depth_m: Float32) -> Float64:
     return np.concatenate(found)
 
 
-def _expected_residual(model: SensorModel) -> float:
-    """Return what the calibration left of its own touches, levels."""
-    return max(float(model.report.get("residual_levels", 0.0)), float(model.report["noise_levels"]))
-
-
 def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
     """Return the image without contact, (H, W, 3), and where it is known: where enough images show it."""
     free = depth_m < _NO_CONTACT_M
@@ -188,15 +187,11 @@ def _background(images: UInt8, depth_m: Float32) -> tuple[Float64, Bool]:
 
 
 def _dilated(mask: Bool, reach: int) -> Bool:
-    from scipy import ndimage  # takes a tenth of a second to import
-
     found: Bool = ndimage.maximum_filter(mask, (0, 2 * reach + 1, 2 * reach + 1))
     return found
 
 
 def _smoothed(image: Float64, sigma_px: float) -> Float64:
-    from scipy import ndimage  # takes a tenth of a second to import
-
     found: Float64 = ndimage.gaussian_filter(image, (sigma_px, sigma_px, 0))
     return found
 

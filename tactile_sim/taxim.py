@@ -14,7 +14,6 @@ from dataclasses import dataclass
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,6 +23,7 @@ from tactile_sim.taxim_kernels import Calibration, Pair, PictureTables, blur, re
 from tactile_toolkit.arithmetic import cosine_sine, exp_neg
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import MissingExtraError
+from tactile_toolkit.json_types import JsonDict
 
 FLAT_SLOPE = 1e-5
 """Tangent of a slope below which the gel counts as flat: about the rounding of the package, which works in
@@ -61,7 +61,7 @@ class TaximPackage:
     """Files of the package: calibration, settings, and two maps in the size of the calibration."""
 
     calibration: Calibration
-    settings: dict[str, Any]
+    settings: JsonDict
     gel_mm: Float64
     background: Float64
 
@@ -111,7 +111,7 @@ def taxim_package() -> TaximPackage:
 
 
 def _shadow_tables(
-    simulator: dict[str, Any], directions: Float64, lists: AnyArray
+    simulator: JsonDict, directions: Float64, lists: AnyArray
 ) -> tuple[Float32, Float64, Int64]:
     """Return the rays of each direction, and the shadows by direction and height with their lengths."""
     rays = int(simulator["fan_angle"] * 2 / simulator["fan_precision"])

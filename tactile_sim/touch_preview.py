@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
-from tactile_sim.generation import depth_sensor, noisy, optics_of
 from tactile_sim.poses import pose
 from tactile_sim.pressable import Pressable
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.round_plan import on_object
-from tactile_sim.round_press import images_without_noise, pressed_round
+from tactile_sim.round_press import press_round
 from tactile_sim.touch_spec import GenerateSpec
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import Float64, UInt8
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MeshLike
-from tactile_toolkit.touch import RENDERED_CONTACT_M
 
 # On a surface as large as the cell they are two millimetres apart.
 _POINTS = 4096
@@ -46,7 +45,7 @@ class TouchPreview:
     sensor_z_m: float
     contact: float
     bounds_m: Float64
-    forces: dict[str, Any] = field(default_factory=dict)
+    forces: JsonDict = field(default_factory=dict)
 
 
 def preview_touch(
@@ -75,8 +74,6 @@ def preview_touch(
     InputError
         As :func:`tactile_sim.render_touch`.
     """
-    optics = optics_of(spec)
-    sensor = depth_sensor(spec, optics)
     solid = Pressable.of(mesh, layer_m=spec.layer_m)
     stands = pose(z_m=-solid.foot_m, turn_rad=turn_rad)
     x_m, y_m = at_m or (0.0, 0.0)
@@ -86,16 +83,14 @@ def preview_touch(
         away_m = points_m - _bounds_m(solid, stands).mean(axis=0)
         stands[:2, 3] = -points_m[np.argmin((away_m**2).sum(axis=1))]
     # Noise and slides are drawn as for round 0 of object 0, so that they are the same each time.
-    key = ("look", 0, 0)
-    pressed, further = pressed_round(spec, solid, stands[None], pose(x_m, y_m)[None], sensor, key)
-    picture = noisy(spec, images_without_noise(spec, optics, sensor, pressed), *key)[0]
-    sensor_z_m, depth_m = float(np.ravel(pressed.sensor_z_m)[0]), pressed.depth_m[0]
-    is_met = depth_m < sensor.gel_m
-    if pressed.contacts:
-        is_met = pressed.contact.is_contact
-    touched = float((is_met & (sensor_z_m - depth_m >= RENDERED_CONTACT_M)).mean())
-    forces = {name: further[name][0].tolist() for name in _SHOWN if name in further}
-    return TouchPreview(picture, sensor_z_m, touched, _bounds_m(solid, stands), forces)
+    made = press_round(spec, solid, stands[None], pose(x_m, y_m)[None], ("look", 0, 0))
+    sensor_z_m, depth_m = float(np.ravel(made.pressed.sensor_z_m)[0]), made.pressed.depth_m[0]
+    is_met = depth_m < made.sensor.gel_m
+    if made.pressed.contacts:
+        is_met = made.pressed.contact.is_contact
+    touched = float((is_met & (sensor_z_m - depth_m >= touch.RENDERED_CONTACT_M)).mean())
+    forces = {name: made.further[name][0].tolist() for name in _SHOWN if name in made.further}
+    return TouchPreview(made.images[0], sensor_z_m, touched, _bounds_m(solid, stands), forces)
 
 
 def _bounds_m(solid: Pressable, stands: Float64) -> Float64:

@@ -8,10 +8,8 @@ from typing import Any
 
 import pyarrow as pa
 
-from tactile_toolkit import read
+from tactile_toolkit import read, rows, touch
 from tactile_toolkit.array_types import Float16, Float32, Float64
-from tactile_toolkit.rows import column, columns, plain_schema, row
-from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 EXTRA = "extra."
 """How the names of columns begin that only some sets have: ``touch.extra["force_n"]`` reads them."""
@@ -24,51 +22,51 @@ _XYZW = read.vectors_type(pa.float64(), 4)
 
 def _extra(name: str, unit: str, meaning: str) -> Any:
     """Declare a further column of an elastic gel, in the frame of the sensor, whose type a set chooses."""
-    return column(pa.null(), unit, meaning, name=f"{EXTRA}{name}", default=None)
+    return rows.column(pa.null(), unit, meaning, name=f"{EXTRA}{name}", default=None)
 
 
-@row
+@rows.row
 class SyntheticRound:
     """One round."""
 
-    id: str = column(pa.string(), "", "`object_id` and number of the round")
-    label: int = column(pa.int64(), "", "class of the touched object")
-    object_id: int = column(pa.int64(), "", "`id` of its mesh in the data set of the objects")
-    moved_position_m: Float64 = column(
+    id: str = rows.column(pa.string(), "", "`object_id` and number of the round")
+    label: int = rows.column(pa.int64(), "", "class of the touched object")
+    object_id: int = rows.column(pa.int64(), "", "`id` of its mesh in the data set of the objects")
+    moved_position_m: Float64 = rows.column(
         _XYZ,
         f"T x 3, {_CELL}",
         "position of the object after the touch and a shift that follows it, as the published sets have it",
         name="info.object_pose.position",
     )
-    moved_quaternion: Float64 = column(
+    moved_quaternion: Float64 = rows.column(
         _XYZW, "T x 4: x, y, z, w", "its orientation then", name="info.object_pose.quaternion"
     )
-    positions_m: Float64 = column(_XY, f"T x 2, {_CELL}", "where the gel goes", name="pos_in_cell")
-    gel_position_m: Float64 = column(
+    positions_m: Float64 = rows.column(_XY, f"T x 2, {_CELL}", "where the gel goes", name="pos_in_cell")
+    gel_position_m: Float64 = rows.column(
         _XYZ,
         f"T x 3, {_CELL}",
         "position of the sensor where it stops",
         name="gel_pose_cell_frame.position",
     )
-    gel_quaternion: Float64 = column(
+    gel_quaternion: Float64 = rows.column(
         _XYZW,
         "T x 4: x, y, z, w",
         "its orientation: z away from the plate",
         name="gel_pose_cell_frame.quaternion",
     )
-    images: Sequence[tuple[bytes, str]] = column(
-        pa.list_(MEDIA_TYPE), "T images", "what the sensor sees", name="sensor_image"
+    images: Sequence[tuple[bytes, str]] = rows.column(
+        pa.list_(touch.MEDIA_TYPE), "T images", "what the sensor sees", name="sensor_image"
     )
-    object_position_m: Float64 = column(
+    object_position_m: Float64 = rows.column(
         _XYZ,
         f"T x 3, {_CELL}",
         "position of the object while it is touched",
         name="info.touched_object_pose.position",
     )
-    object_quaternion: Float64 = column(
+    object_quaternion: Float64 = rows.column(
         _XYZW, "T x 4: x, y, z, w", "its orientation then", name="info.touched_object_pose.quaternion"
     )
-    plate_z_m: float | None = column(
+    plate_z_m: float | None = rows.column(
         pa.float64(), "m, cell frame", "height of the sensor where it stops on the bare plate", default=None
     )
     force_n: Float32 | None = _extra(
@@ -122,10 +120,12 @@ def synthetic_schema(
     class_names: tuple[str, ...], optional: Mapping[str, pa.DataType] | None = None
 ) -> pa.Schema:
     """Return the Arrow schema of a shard; ``optional`` are the types of the further columns that it has."""
-    stored = plain_schema(SyntheticRound)
-    known = {each.name for each in columns(SyntheticRound).values()}
+    stored = rows.plain_schema(SyntheticRound)
+    known = {each.name for each in rows.columns(SyntheticRound).values()}
     further = {
-        columns(SyntheticRound)[each.name].name for each in fields(SyntheticRound) if each.default is None
+        rows.columns(SyntheticRound)[each.name].name
+        for each in fields(SyntheticRound)
+        if each.default is None
     }
     types = dict(optional or {})
     chosen = [
@@ -134,4 +134,4 @@ def synthetic_schema(
         if each.name not in further or each.name in types
     ]
     assert set(types) <= known, "optional columns are declared"
-    return with_features(pa.schema(chosen), class_names)
+    return touch.with_features(pa.schema(chosen), class_names)

@@ -9,13 +9,14 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from tactile_sim.press_spec import ElasticPress
 from tactile_sim.sensor_models import GELSIGHT_MINI, SENSORS, SensorModel, checked_sensor
 from tactile_sim.sensor_parts import OPTICS
 from tactile_toolkit.checked_fields import check_fields, choice, integer, real, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 from tactile_toolkit.touch import size_option
 
@@ -150,7 +151,7 @@ class TouchPlan:
             return self.touches
         return len(self.given.of(object_id, number)[0])
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide every pose."""
         values = {_STORED_NAMES.get(each.name, each.name): getattr(self, each.name) for each in fields(self)}
         if self.given is not None:
@@ -300,18 +301,18 @@ class GenerateSpec:
         return self.sensor != GELSIGHT_MINI
 
     @property
-    def chosen(self) -> dict[str, Any]:
+    def chosen(self) -> JsonDict:
         """Restrictions to some of the objects, by name; empty if all are touched."""
         named = {"ids": self.ids, "labels": self.labels, "per_class": self.per_class}
         return {name: value for name, value in named.items() if value is not None}
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that decide the images and poses."""
         # By content: the same weights under another name give the same images.
-        network: dict[str, Any] = {"weights_sha256": None}
+        network: JsonDict = {"weights_sha256": None}
         if self.optics == "cyclegan":
             network = _weights_facts(self.weights)
-        sensor: dict[str, Any] = {}
+        sensor: JsonDict = {}
         if self.has_other_sensor:
             sensor = {"sensor": self.sensor.to_dict()}
         if self.press is not None:

@@ -7,18 +7,15 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
+from numpy.typing import ArrayLike
 
-from tactile_toolkit import column_types, store
+from tactile_toolkit import bounds, column_types, store, text_tables, touch, units
 from tactile_toolkit.array_types import AnyArray, Float64
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.text_tables import TABLE_ENDINGS, read_text_table
-from tactile_toolkit.touch import CELL_M
-from tactile_toolkit.units import PER_METRE, PER_RADIAN, stated_unit
+from tactile_toolkit.json_types import JsonDict
 
 _POSITIONS = ("x_m", "y_m")
 _NUMBERS = ("object_id", "round")
@@ -31,10 +28,10 @@ _BYTES_PER_ROW = 512
 _MOST_TURNS_RAD = 1e4
 # An object may be larger than the cell, and its origin off it.
 _FARTHEST_M = {
-    "x_m": CELL_M[0] / 2,
-    "y_m": CELL_M[1] / 2,
-    "object_x_m": 5 * CELL_M[0],
-    "object_y_m": 5 * CELL_M[1],
+    "x_m": touch.CELL_M[0] / 2,
+    "y_m": touch.CELL_M[1] / 2,
+    "object_x_m": 5 * touch.CELL_M[0],
+    "object_y_m": 5 * touch.CELL_M[1],
 }
 
 
@@ -60,13 +57,13 @@ class TouchTable:
         Columns of other lengths, values that are not finite numbers, a position outside the cell.
     """
 
-    x_m: Any
-    y_m: Any
-    object_id: Any = None
-    round: Any = None
-    object_x_m: Any = None
-    object_y_m: Any = None
-    object_turn_rad: Any = None
+    x_m: Float64
+    y_m: Float64
+    object_id: AnyArray | None = None
+    round: AnyArray | None = None
+    object_x_m: AnyArray | None = None
+    object_y_m: AnyArray | None = None
+    object_turn_rad: AnyArray | None = None
 
     def __post_init__(self) -> None:
         for name in self._held:
@@ -103,8 +100,10 @@ class TouchTable:
             The file does not exist, is not such a table, or holds values as above.
         """
         file = store.expanded(path)
-        if file.suffix.lower() not in TABLE_ENDINGS:
-            raise InputError(f"given touches in {str(path)!r}: expected a file {', '.join(TABLE_ENDINGS)}")
+        if file.suffix.lower() not in text_tables.TABLE_ENDINGS:
+            raise InputError(
+                f"given touches in {str(path)!r}: expected a file {', '.join(text_tables.TABLE_ENDINGS)}"
+            )
         try:
             return cls(**_read_columns(file))
         except OSError as error:
@@ -140,7 +139,7 @@ class TouchTable:
             return places, None
         return places, np.stack([getattr(self, name)[rows] for name in _POSES], axis=1)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the table: its columns, the number of rows, and a checksum."""
         columns = [getattr(self, name) for name in self._held]
         # Little-endian, so that the checksum does not depend on the machine.
@@ -163,7 +162,7 @@ class TouchTable:
         return found
 
 
-def _column(name: str, value: Any) -> AnyArray:
+def _column(name: str, value: ArrayLike) -> AnyArray:
     """Return a column as float64 or int64; InputError, with the first bad row, where that is not possible."""
     try:
         found = np.asarray(value)
@@ -197,8 +196,8 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
     with store.open_regular(file) as stream:
         content = stream.read()
     rows = content.count(b"\n")
-    require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
-    table = read_text_table(content, str(file))
+    bounds.require_unpackable(_BYTES_PER_ROW * rows, f"a table of {rows:,} rows", len(content))
+    table = text_tables.read_text_table(content, str(file))
     texts = dict(zip(table.names, table.columns(), strict=True))
     columns = {}
     for name, (ours, divisor) in _meanings(table.names).items():
@@ -216,8 +215,8 @@ def _read_columns(file: Path) -> dict[str, AnyArray]:
 
 def meaning_of(name: str, known: Collection[str]) -> tuple[str, float] | None:
     """Return which known column a name in any unit stands for, such as ``x_mm``, and its divisor."""
-    stem, unit = name.rpartition("_")[0], stated_unit(name)
-    for ours, per in ((f"{stem}_m", PER_METRE), (f"{stem}_rad", PER_RADIAN)):
+    stem, unit = name.rpartition("_")[0], units.stated_unit(name)
+    for ours, per in ((f"{stem}_m", units.PER_METRE), (f"{stem}_rad", units.PER_RADIAN)):
         if ours in known and unit in per:
             return ours, per[unit]
     return None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import fields
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import msgspec
 
@@ -24,7 +24,7 @@ def read_values(path: str | Path, values: type[T], what: str) -> T:
         with store.open_regular(store.expanded(path)) as stream:
             data = stream.read(_MOST_BYTES)
         found = msgspec.json.decode(data, type=dict[str, str | int | float])
-        made: Any = values(**found)
+        return values(**found)
     except InputError as error:
         raise InputError(f"{str(path)!r}: {error}") from error
     except (OSError, IntegrityError, msgspec.DecodeError, TypeError) as error:
@@ -32,5 +32,3 @@ def read_values(path: str | Path, values: type[T], what: str) -> T:
         raise InputError(
             f"{what} cannot be read from {str(path)!r} ({error}); expected a JSON object with {names}"
         ) from error
-    result: T = made
-    return result

@@ -20,5 +20,6 @@ Float64: TypeAlias = NDArray[np.float64]
 Floating: TypeAlias = NDArray[np.floating[Any]]
 """Floating-point numbers of single or double precision."""
 
+AnyDtype: TypeAlias = np.dtype[Any]
 AnyArray: TypeAlias = NDArray[Any]
 """Elements of any type."""

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import MISSING, Field, dataclass, field, fields
-from typing import TYPE_CHECKING, Any, TypedDict, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, TypedDict, Unpack
 
-from tactile_toolkit.builtin_values import is_integer, to_builtin, to_builtin_pairs
+from tactile_toolkit import builtin_values, parsed_text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import is_count
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -22,6 +21,11 @@ if TYPE_CHECKING:
 _RULE = "rule"
 _MOST_INTEGER = (1 << 63) - 1
 _UNITS = {"_mm": "MM", "_mm2": "MM2", "_deg": "DEG", "_px": "PX", "_m3": "KG/M3"}
+_PLACEHOLDERS: dict[type, str] = {float: "X"}
+
+
+Declared: TypeAlias = Any
+"""A field of a dataclass as it is declared: of whatever type it is annotated with."""
 
 
 class OptionText(TypedDict, total=False):
@@ -39,7 +43,7 @@ class OptionText(TypedDict, total=False):
     panel: str
     several: bool
     shown: str
-    read: Callable[[str], Any]
+    read: Callable[[str], object]
     complete: tuple[str, ...]
 
 
@@ -61,21 +65,23 @@ def integer(
     *,
     optional: bool = False,
     **option: Unpack[OptionText],
-) -> Any:
+) -> Declared:
     """Declare an integer, or None if it is ``optional``."""
     return _field(default, _integer_rule(least, most, optional, {"metavar": "N", **option}))
 
 
 def _integer_rule(least: int, most: int | None, optional: bool, option: OptionText) -> Rule:
     # Larger integers fit into no array, file or random number generator.
-    limit = _MOST_INTEGER if most is None else most
+    if most is None:
+        limit, span = _MOST_INTEGER, f"of at least {least:,}, below 2**63"
+    else:
+        limit, span = most, f"from {least:,} to {most:,}"
 
     def fits(value: object) -> bool:
         if value is None:
             return optional
-        return isinstance(value, int) and is_integer(value) and least <= value <= limit
+        return isinstance(value, int) and builtin_values.is_integer(value) and least <= value <= limit
 
-    span = f"of at least {least:,}, below 2**63" if most is None else f"from {least:,} to {most:,}"
     return Rule(int, fits, f"an integer {span}", option)
 
 
@@ -89,7 +95,7 @@ def real(
     many: int = 0,
     optional: bool = False,
     **option: Unpack[OptionText],
-) -> Any:
+) -> Declared:
     """Declare a finite number, a tuple of ``many`` numbers, or None if it is ``optional``."""
 
     def fits_one(value: object) -> bool:
@@ -110,7 +116,7 @@ def real(
 
 def choice(
     default: object, known: Sequence[str], *, optional: bool = False, **option: Unpack[OptionText]
-) -> Any:
+) -> Declared:
     """Declare one of several words, None if it is ``optional``, or several if the default is a tuple."""
 
     def fits(value: object) -> bool:
@@ -124,12 +130,12 @@ def choice(
     return _field(default, Rule(str, fits, expected, option, tuple(known)))
 
 
-def switch(default: bool, **option: Unpack[OptionText]) -> Any:
+def switch(default: bool, **option: Unpack[OptionText]) -> Declared:
     """Declare True or False."""
     return _field(default, Rule(bool, lambda value: isinstance(value, bool), "True or False", option))
 
 
-def text(default: object = None, **option: Unpack[OptionText]) -> Any:
+def text(default: object = None, **option: Unpack[OptionText]) -> Declared:
     """Declare a text, or the result of ``read``, which checks it."""
     return _field(default, Rule(str, lambda _: True, "", option))
 
@@ -138,28 +144,28 @@ def _or_none(optional: bool) -> str:
     return "None or " * optional
 
 
-def rule_of(declared: Field[Any]) -> Rule | None:
+def rule_of(declared: Field[object]) -> Rule | None:
     """Return the rule of a field; None if it was declared in another way."""
     rule: Rule | None = declared.metadata.get(_RULE)
     return rule
 
 
-def option_name(declared: Field[Any]) -> str:
+def option_name(declared: Field[object]) -> str:
     """Return the option of a field: ``--size`` of ``size_px``."""
     rule = rule_of(declared)
-    stated = rule.option.get("name") if rule is not None else None
+    stated = rule and rule.option.get("name")
     return (stated or f"--{declared.name.replace('_', '-')}").split()[0]
 
 
 def metavar_of(name: str, rule: Rule) -> str:
     """Return the placeholder for the value of an option, such as the unit that the field's name ends in."""
     unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), None)
-    return rule.option.get("metavar") or unit or ("X" if rule.kind is float else "TEXT")
+    return rule.option.get("metavar") or unit or _PLACEHOLDERS.get(rule.kind, "TEXT")
 
 
 def check_value(rule: Rule, value: object, name: str) -> Any:
     """Return a normalized value; InputError, which begins with ``name``, if it is not valid."""
-    spelled = to_builtin(value, rule.kind)
+    spelled = builtin_values.to_builtin(value, rule.kind)
     if not rule.fits(spelled):
         raise InputError(f"{name} is {value!r}; expected {rule.expected}")
     return spelled
@@ -177,7 +183,7 @@ def check_fields(spec: DataclassInstance, of: str) -> None:
             object.__setattr__(spec, each.name, value)
 
 
-def _field(default: object, rule: Rule) -> Any:
+def _field(default: object, rule: Rule) -> Declared:
     return field(default=default, metadata={_RULE: rule})
 
 
@@ -188,9 +194,12 @@ def checked_integer(value: object, name: str, least: int = 0, most: int | None =
 
 def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> tuple[tuple[str, int], ...]:
     """Return counts by split from a mapping or pairs; InputError for anything else."""
-    pairs = to_builtin_pairs(value)
+    pairs = builtin_values.to_builtin_pairs(value)
     fits = isinstance(pairs, tuple) and all(
-        isinstance(pair, tuple) and len(pair) == 2 and pair[0] in splits and is_integer(pair[1])
+        isinstance(pair, tuple)
+        and len(pair) == 2
+        and pair[0] in splits
+        and builtin_values.is_integer(pair[1])
         for pair in pairs
     )
     if not fits or len(dict(pairs)) < len(pairs) or not all(0 <= count <= most for _, count in pairs):
@@ -204,6 +213,6 @@ def split_counts(value: object, name: str, splits: Sequence[str], most: int) -> 
 def read_split_counts(option: str, words: str) -> tuple[tuple[str, int], ...]:
     """Read ``train=8,test=2``; :func:`split_counts` checks the names of splits."""
     pairs = [tuple(piece.strip() for piece in part.partition("=")) for part in words.split(",")]
-    if not all(is_count(count) for _, _, count in pairs):
+    if not all(parsed_text.is_count(count) for _, _, count in pairs):
         raise InputError(f"{option} is {words!r}; expected SPLIT=N once per split, such as train=8,test=2")
     return tuple((split, int(count)) for split, _, count in pairs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -13,12 +13,10 @@ import pyarrow.csv
 import pyarrow.json
 import pyarrow.parquet as pq
 
-from tactile_toolkit import column_types
+from tactile_toolkit import bounds, column_types, shown_text, text_tables
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.shown_text import printable
-from tactile_toolkit.text_tables import TABLE_ENDINGS, UTF16_MARKS, table_text
+from tactile_toolkit.json_types import JsonDict
 
 MOST_ROWS = 1 << 25
 """Longest table that is read: nine hours of 1,000 rows a second."""
@@ -28,6 +26,7 @@ _HEADER_BYTES = 1 << 16
 _BLOCK_BYTES = 1 << 20  # a line that is longer is an error of Arrow
 _ROWS_AT_ONCE = 1 << 15
 _LONGEST_SHOWN = 200
+_NO_ROWS = pa.table({})
 
 
 class ColumnTable:
@@ -56,8 +55,7 @@ class ColumnTable:
         self._types: dict[str, pa.DataType] = {}
         self._read = _READERS.get(path[path.rfind(".") :].lower(), self._text_batches)
         self._is_text, self._separator = self._read == self._text_batches, ""
-        first = next(self._batches(), None)
-        self.names: list[str] = [] if first is None else first.column_names
+        self.names: list[str] = next(self._batches(), _NO_ROWS).column_names
 
     def _batches(self) -> Iterator[pa.Table]:
         """Yield the rows, a few at a time; values of text tables are text."""
@@ -74,9 +72,9 @@ class ColumnTable:
     def _text_batches(self, stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
         """Yield the rows of a text table, all columns as text."""
         head = stream.read(_HEADER_BYTES)
-        encoding = "utf-16" if head.startswith(UTF16_MARKS) else "utf-8"
+        encoding = "utf-16" if head.startswith(text_tables.UTF16_MARKS) else "utf-8"
         whole = head.decode(encoding, errors="ignore").removeprefix("\ufeff")
-        text, self._separator = table_text(whole.encode(), path)
+        text, self._separator = text_tables.table_text(whole.encode(), path)
         header = text.lstrip().partition("\n")[0]
         _checked_names([str(number) for number in range(header.count(self._separator) + 1)], path)
         reading = pa.csv.ReadOptions(use_threads=False, block_size=_BLOCK_BYTES, encoding=encoding)
@@ -92,13 +90,12 @@ class ColumnTable:
         try:
             yield
         except (pa.ArrowException, OSError, ValueError) as error:
-            found = printable(str(error))[:_LONGEST_SHOWN]
+            found = shown_text.printable(str(error))[:_LONGEST_SHOWN]
             raise InputError(f"{self.path!r} cannot be read as a table: {found}") from error
 
-    def first_row(self) -> dict[str, Any]:
+    def first_row(self) -> JsonDict:
         """Return the first row as it stands; nothing for a table without rows."""
-        first = next(self._batches(), None)
-        return {} if first is None or not len(first) else first.slice(0, 1).to_pylist()[0]
+        return next(iter(next(self._batches(), _NO_ROWS).slice(0, 1).to_pylist()), {})
 
     def scan(self, column: str = "") -> tuple[int, pa.Array]:
         """Read all rows once, so that types are known: return their number, and the values of a column."""
@@ -177,7 +174,7 @@ def _parquet_batches(stream: IO[bytes], path: str) -> Iterator[pa.RecordBatch]:
     # Texts that repeat are stored once, and could take any space if each was unpacked.
     file = pq.ParquetFile(stream, read_dictionary=texts, pre_buffer=False, page_checksum_verification=True)
     for number in range(file.metadata.num_row_groups):
-        require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
+        bounds.require_unpackable(file.metadata.row_group(number).total_byte_size, path, size)
     yield from file.iter_batches(_ROWS_AT_ONCE, use_threads=False)
 
 
@@ -185,4 +182,4 @@ _READERS = {".parquet": _parquet_batches, ".jsonl": _json_batches, ".ndjson": _j
 TYPED_ENDINGS = tuple(_READERS)
 """Endings of the names of tables whose values have types, in lower case."""
 
-COLUMN_TABLE_ENDINGS = (*TABLE_ENDINGS, *TYPED_ENDINGS)
+COLUMN_TABLE_ENDINGS = (*text_tables.TABLE_ENDINGS, *TYPED_ENDINGS)

@@ -8,11 +8,11 @@ are kept as JSON (:data:`UNTYPED`).
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import suppress
-from functools import reduce
+from functools import partial, reduce
 from itertools import chain
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pyarrow as pa
@@ -20,10 +20,14 @@ import pyarrow.compute as pc
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
+from tactile_toolkit.json_types import JsonValue
+
+T = TypeVar("T")
 
 UNTYPED = pa.binary()
 """Type of a column whose values have no common type: each is JSON, which no reader takes for a number."""
 
+_NOTHING = pa.null()
 _LISTS = (list, tuple)
 _MOST_LEVELS = 4  # of lists in a list
 _MOST_EXACT = 1 << 53  # below which float64 holds every integer
@@ -41,6 +45,7 @@ _ODD = rf"{_CODE}|[0-9]{{16,}}$|[eE]\+?[0-9]{{3,}}$"  # what a number may not gi
 _SWITCHED = pa.array(["0", "1"])
 _DECIMAL_COMMA = r"^[+-]?[0-9]*,[0-9]+([eE][+-]?[0-9]+)?$"
 _POINT = r"[0-9]\.|\.[0-9]"
+_NO_BRACKETS = str.maketrans("[](),;", "      ")
 _NUMBERS = (pa.int64(), pa.float64())
 
 
@@ -63,19 +68,20 @@ def words_of(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     return words
 
 
-def text_type(words: pa.Array, known: pa.DataType | None = None, *, is_exact: bool = True) -> pa.DataType:
+def text_type(words: pa.Array, known: pa.DataType = _NOTHING, *, is_exact: bool = True) -> pa.DataType:
     """Return the type of words, given that of earlier rows: a number, true or false, or text.
 
     With ``is_exact``, text that a number would not give back stays text: codes such as 007, and integers that
     float64 rounds.
     """
-    known = pa.null() if known is None else known
     if words.null_count == len(words):
         return known
     for kind in _OF_TEXT.get(known, ()):
         with suppress(pa.ArrowException):
             words.cast(kind)
-            return pa.string() if is_exact and _is_changed(words, kind) else kind
+            if is_exact and _is_changed(words, kind):
+                break
+            return kind
     return pa.string()
 
 
@@ -96,10 +102,6 @@ def _is_changed(words: pa.Array, data_type: pa.DataType) -> bool:
 def from_text(texts: pa.Array, *, decimal_commas: bool = False) -> pa.Array:
     """Return the column that texts of a table are."""
     words = words_of(texts, decimal_commas=decimal_commas)
-    for kind in _OF_TEXT[pa.null()] if words.null_count < len(words) else ():
-        with suppress(pa.ArrowException):
-            found = words.cast(kind)
-            return without_blanks(texts) if _is_changed(words, kind) else found
     return as_type(texts, words, text_type(words))
 
 
@@ -107,39 +109,46 @@ def as_type(texts: pa.Array, words: pa.Array, kind: pa.DataType) -> pa.Array:
     """Return texts, whose words are known, as a column of a type of :func:`text_type`."""
     if pa.types.is_null(kind):
         return pa.nulls(len(texts))
-    return without_blanks(texts) if pa.types.is_string(kind) else words.cast(kind)
+    if pa.types.is_string(kind):
+        return without_blanks(texts)
+    return words.cast(kind)
 
 
-def from_values(values: Iterable[Any]) -> pa.Array:
+def from_values(values: Iterable[object]) -> pa.Array:
     """Return the column of values of JSON or Python; numbers beside text, or beside switches, become text."""
-    given = values if isinstance(values, list) else list(values)
+    given = list(values)
     with suppress(pa.ArrowException, OverflowError, UnicodeError):
         return from_arrow(pa.array(given))
     known = [value for value in given if value is not None]
     if any(isinstance(value, (dict, bytes)) for value in known):
         return _as_json(given)
     if not any(isinstance(value, _LISTS) for value in known):
-        texts = [None if value is None else _text(value) for value in given]
+        texts = _unless_missing(_text, given)
         return without_blanks(pa.array(texts, pa.string()))
     return _from_lists(given)
 
 
-def _from_lists(values: Sequence[Any]) -> pa.Array:
+def _from_lists(values: Sequence[object]) -> pa.Array:
     """Return lists and matrices as lists; as JSON if one is neither."""
-    leaves = [None if value is None else _leaves(value) for value in values]
+    leaves = _unless_missing(_leaves, values)
     if any(leaf is None for leaf, value in zip(leaves, values, strict=True) if value is not None):
         return _as_json(values)
     entries = from_values(chain.from_iterable(filter(None, leaves)))
     if not is_leaf(entries.type):
         return _as_json(values)
-    return lists_of(entries, [None if leaf is None else len(leaf) for leaf in leaves])
+    return lists_of(entries, _unless_missing(len, leaves))
+
+
+def _unless_missing(function: Callable[[Any], T], values: Iterable[Any]) -> list[T | None]:
+    """Return what a function makes of each value; None for None."""
+    return [None if value is None else function(value) for value in values]
 
 
 def _text(value: object) -> str:
     return str(value).encode(errors="backslashreplace").decode()
 
 
-def _leaves(value: Any) -> list[Any] | None:
+def _leaves(value: object) -> list[object] | None:
     """Return the values of a list, or those of a matrix row by row; None for rows that differ."""
     if not isinstance(value, _LISTS):
         return None
@@ -153,9 +162,9 @@ def _leaves(value: Any) -> list[Any] | None:
     return None
 
 
-def _as_json(values: Sequence[Any]) -> pa.Array:
-    texts = [None if value is None else json.dumps(value, default=str).encode() for value in values]
-    return pa.array(texts, UNTYPED)
+def _as_json(values: Sequence[object]) -> pa.Array:
+    texts = _unless_missing(partial(json.dumps, default=str), values)
+    return pa.array(texts, pa.string()).cast(UNTYPED)
 
 
 def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
@@ -165,11 +174,7 @@ def from_arrow(values: pa.Array | pa.ChunkedArray) -> pa.Array:
     if pa.types.is_boolean(kind) or pa.types.is_null(kind) or pa.types.is_temporal(kind):
         return column
     if pa.types.is_string(kind):
-        return (
-            without_blanks(column)
-            if pc.any(pc.equal(pc.utf8_trim_whitespace(column), "")).as_py()
-            else column
-        )
+        return without_blanks(column)
     if pa.types.is_integer(kind):
         with suppress(pa.ArrowException):
             return column.cast(pa.int64())
@@ -203,7 +208,9 @@ def _list_column(column: pa.Array) -> pa.Array:
             return _from_lists(column.to_pylist())
         lengths, values = pc.multiply(lengths, widths[0]), _supported(values.flatten())
     entries = from_arrow(values)
-    return lists_of(entries, lengths) if is_leaf(entries.type) else _as_json(column.to_pylist())
+    if not is_leaf(entries.type):
+        return _as_json(column.to_pylist())
+    return lists_of(entries, lengths)
 
 
 def from_numpy(values: AnyArray) -> pa.Array:
@@ -212,7 +219,9 @@ def from_numpy(values: AnyArray) -> pa.Array:
         entries = from_numpy(values.reshape(-1))
         width = values.size // max(1, len(values))
         return lists_of(entries, np.full(len(values), width))
-    return from_values(values.tolist()) if values.dtype.kind == "O" else from_arrow(pa.array(values))
+    if values.dtype.kind == "O":
+        return from_values(values.tolist())
+    return from_arrow(pa.array(values))
 
 
 def lists_of(entries: pa.Array, lengths: Sequence[int | None] | Int64 | pa.Array) -> pa.Array:
@@ -268,12 +277,12 @@ def joined_lists(columns: Sequence[pa.Array]) -> pa.Array:
     return lists_of(entries, pa.concat_arrays(lengths))
 
 
-def values_of(column: pa.Array) -> list[Any]:
+def values_of(column: pa.Array) -> list[JsonValue]:
     """Return values as objects of Python."""
-    found: list[Any] = column.to_pylist()
+    found: list[JsonValue] = column.to_pylist()
     if column.type != UNTYPED:
         return found
-    return [None if value is None else json.loads(value) for value in found]
+    return _unless_missing(json.loads, found)
 
 
 def texts_of(column: pa.Array) -> pa.Array:
@@ -316,7 +325,7 @@ def floats_of(column: pa.Array) -> Float64:
         raise ValueError(str(error)) from error
 
 
-def _number(value: Any) -> Any:
+def _number(value: JsonValue) -> JsonValue:
     """Return a number, or a list of numbers; ValueError or TypeError for anything else."""
     if isinstance(value, (list, tuple)):
         return list(map(_number, value))
@@ -326,9 +335,6 @@ def _number(value: Any) -> Any:
     if "_" in value or (len(words) > 1 and _is_one_number(value)):
         raise ValueError(value)
     return float(words[0]) if len(words) == 1 else [float(word) for word in words]
-
-
-_NO_BRACKETS = str.maketrans("[](),;", "      ")
 
 
 def _is_one_number(text: str) -> bool:

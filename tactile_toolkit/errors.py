@@ -23,8 +23,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tactile_toolkit.redaction import public_address, redact
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit import redaction, shown_text
 
 
 class ToolkitError(Exception):
@@ -42,17 +41,17 @@ class ToolkitError(Exception):
 
     def __init__(self, what: object = "", next: str = "") -> None:
         # Kept apart: a path may contain the words "; next: ".
-        self._what = redact(str(what))
-        self.message = redact(f"{what}; next: {next}") if next else self._what
+        self._what = redaction.redact(str(what))
+        self.message = redaction.redact(f"{what}; next: {next}") if next else self._what
         super().__init__(self.message)
 
     @property
     def what(self) -> str:
         """What was found, without the next step."""
-        return printable(self._what)
+        return shown_text.printable(self._what)
 
     def __str__(self) -> str:
-        return printable(self.message)
+        return shown_text.printable(self.message)
 
 
 class InputError(ToolkitError):
@@ -63,7 +62,7 @@ class InputError(ToolkitError):
 
 def require_public(place: str) -> None:
     """Raise InputError for an address that may hold a user, key or signature, without repeating it."""
-    shown = public_address(place)
+    shown = redaction.public_address(place)
     if shown != place:
         raise InputError(
             f"the address {shown!r} may hold a user, a key or a signature; expected none of @ ? # ; in it",

@@ -6,20 +6,19 @@ import os
 import time
 from abc import ABC, abstractmethod
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
 
 import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import store, system
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.rows import table_of
-from tactile_toolkit.system import usable_cores
 
 if TYPE_CHECKING:
     from tactile_toolkit.mesh import Mesh
@@ -59,6 +58,10 @@ class StorageLayout:
     together: int = 1
 
 
+AnyRows: TypeAlias = Sequence[Any]
+"""Rows, or what each is made from; only their kind of data set knows the type."""
+
+
 class RowGenerator(ABC):
     """How a kind makes its rows, for :func:`generate`.
 
@@ -75,7 +78,7 @@ class RowGenerator(ABC):
         return values
 
     @abstractmethod
-    def items(self) -> Mapping[str, Any]:
+    def items(self) -> JsonObject:
         """Return the items of each split, a sequence or array; splits in canonical order."""
 
     @abstractmethod
@@ -87,10 +90,10 @@ class RowGenerator(ABC):
         """Return the Arrow schema of the shards of a split."""
 
     @abstractmethod
-    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
+    def make(self, split: str, items: AnyRows) -> Iterable[Any | store.Skipped]:
         """Yield the row of each item, or the reason for none; touches no file of the data set."""
 
-    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> pa.Table | None:
+    def report(self, shard: store.ShardName, rows: AnyRows) -> pa.Table | None:
         """Return the report about the rows of a shard, an Arrow table; None without a report."""
         return None
 
@@ -98,22 +101,19 @@ class RowGenerator(ABC):
         """Return the next step if a folder holds rows of another specification; "" for the usual one."""
         return ""
 
-    def statistics(self, rows: Sequence[Any]) -> JsonObject | None:
+    def statistics(self, rows: AnyRows) -> JsonObject | None:
         """Return JSON values about rows for the manifest, which add up over shards."""
         return None
 
 
-def make_shard(generator: RowGenerator, shard: store.ShardName, items: Sequence[Any]) -> store.ShardContent:
+def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
-    rows: list[Any] = []
-    skipped: list[store.Skipped] = []
-    for each in generator.make(shard.split, items):
-        (skipped if isinstance(each, store.Skipped) else rows).append(each)
+    made = list(generator.make(shard.split, items))
+    rows = [each for each in made if not isinstance(each, store.Skipped)]
+    skipped = tuple(each for each in made if isinstance(each, store.Skipped))
     with store.without_collecting():
         table = table_of(rows, generator.schema(shard.split))
-    return store.ShardContent(
-        table, tuple(skipped), generator.report(shard, rows), generator.statistics(rows)
-    )
+    return store.ShardContent(table, skipped, generator.report(shard, rows), generator.statistics(rows))
 
 
 def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> store.BuildPlan:
@@ -145,9 +145,7 @@ def plan_build(generator: RowGenerator, splits: Sequence[str] | None = None) -> 
     )
 
 
-def _tasks(
-    generator: RowGenerator, items: Mapping[str, Any], layout: StorageLayout
-) -> tuple[store.AnyTask, ...]:
+def _tasks(generator: RowGenerator, items: JsonObject, layout: StorageLayout) -> tuple[store.AnyTask, ...]:
     return tuple(
         store.ShardTask(shard, each[rows.start : rows.stop], partial(make_shard, generator))
         for split, each in items.items()
@@ -246,7 +244,7 @@ def forecast(
     processes = (
         options.workers if isinstance(options.workers, int) else getattr(options.workers, "workers", 1)
     )
-    processes = processes or usable_cores()
+    processes = processes or system.usable_cores()
     return Forecast(
         [
             {"split": each, "rows": rows[each], "shards": shards[each], "finished": rows[each] - left[each]}

@@ -7,12 +7,12 @@ The ``kind.py`` of the package of each kind defines a ``KIND``. The entry points
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from importlib import import_module
 from operator import attrgetter
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol, TypeAlias
 
 from tactile_toolkit.json_types import JsonObject
 
@@ -68,14 +68,18 @@ def is_copy(manifest: Specified | None) -> bool:
     return manifest is not None and manifest.spec.get("operation") in (EXPORT, MERGE, SPLIT, SELECT)
 
 
-def lazy(path: str) -> Callable[..., Any]:
+AnyCall: TypeAlias = Callable[..., Any]
+"""A function that only its kind of data set knows, or that is imported when it is called."""
+
+
+def lazy(path: str) -> AnyCall:
     """Return a function, or method, that is imported when it is called, by ``"package.module:name"``.
 
     So ``--help`` and looking up a name import no library of a kind.
     """
     module, _, name = path.partition(":")
 
-    def call(*args: Any, **options: Any) -> Any:
+    def call(*args: object, **options: object) -> Any:
         return attrgetter(name)(import_module(module))(*args, **options)
 
     return call
@@ -186,10 +190,10 @@ class DatasetKind:
     nouns: str
     made_by: str
     card_template: str
-    write_card: Callable[[Any, Any], None]
+    write_card: AnyCall
     content: str = ""
     schema: Callable[[Specified | None], pa.Schema | None] | None = None
-    check: Callable[[Any, int], Iterable[Any]] | None = None
+    check: AnyCall | None = None
     needs_manifest: bool = True
     loader: Callable[[Specified | None], str] | None = None
     class_names: tuple[str, ...] = ()
@@ -199,9 +203,9 @@ class DatasetKind:
     missing_commands: tuple[str, ...] = ()
     published: tuple[PublishedSet, ...] = ()
     extra_files: tuple[str, ...] = ()
-    plan_previews: Callable[..., Any] = _not_offered
-    plan_gallery: Callable[..., Any] = _not_offered
-    recipe: Callable[[int, int | None], Any] = _not_offered
+    plan_previews: AnyCall = _not_offered
+    plan_gallery: AnyCall = _not_offered
+    recipe: AnyCall = _not_offered
 
     def __post_init__(self) -> None:
         if not self.content:
@@ -213,7 +217,7 @@ class DatasetKind:
 
     def command_of(self, manifest: Specified | None) -> str:
         """Return the command that made a data set: that of the kind, or of a copy or conversion."""
-        operation = None if manifest is None else manifest.spec.get("operation")
+        operation = manifest and manifest.spec.get("operation")
         if operation:
             return f"{self.command} {operation}"
         return self.made_by

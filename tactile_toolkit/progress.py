@@ -8,8 +8,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from tactile_toolkit.quantities import BYTES, bytes_text, duration_text, rate_text
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit import quantities, shown_text
 
 # Without a terminal, each line is kept: a job of one day writes about 17,000 of them, 1 MB of log.
 _LINE_INTERVAL_S = 5.0
@@ -40,7 +39,7 @@ def shown_progress(what: str, unit: str, quiet_s: float = 0.0) -> Iterator[Calla
         if not done or (done < total and not is_due) or now_s - start_s < quiet_s:
             return
         last_s = now_s
-        state = printable(f"{what}: {_state(done, total, unit, now_s - start_s)}")
+        state = shown_text.printable(f"{what}: {_state(done, total, unit, now_s - start_s)}")
         if is_bar:
             bar = f"{'━' * (_BAR * done // total):<{_BAR}} {state}"
             sys.stderr.write(f"\r{bar[: shutil.get_terminal_size().columns - 1]}\x1b[K")
@@ -59,7 +58,7 @@ def _state(done: int, total: int, unit: str, elapsed_s: float) -> str:
     """Return the progress as text: counts, the mean rate, and the time left."""
     # Shards come in bursts: the rate of the last seconds would jump.
     amount: Callable[[int], str] = "{:,}".format
-    if unit == BYTES:
-        amount = bytes_text
-    left = duration_text(elapsed_s / done * (total - done))
-    return f"{amount(done)} of {amount(total)}, {rate_text(done, elapsed_s, unit)}, {left} left"
+    if unit == quantities.BYTES:
+        amount = quantities.bytes_text
+    left = quantities.duration_text(elapsed_s / done * (total - done))
+    return f"{amount(done)} of {amount(total)}, {quantities.rate_text(done, elapsed_s, unit)}, {left} left"

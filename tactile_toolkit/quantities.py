@@ -44,7 +44,4 @@ def duration_text(seconds: float) -> str:
 
 def least_to_most(counts: Sequence[int]) -> str:
     """Return the range of counts as text: ``"10"`` if all are equal, otherwise ``"8-10"``."""
-    least, most = min(counts), max(counts)
-    if least == most:
-        return str(most)
-    return f"{least}-{most}"
+    return "-".join(map(str, dict.fromkeys((min(counts), max(counts)))))

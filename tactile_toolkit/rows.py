@@ -10,13 +10,15 @@ import math
 from collections.abc import Sequence, Sized
 from dataclasses import MISSING, dataclass, field, fields, replace
 from itertools import chain
-from typing import Any, Literal, TypeAlias, TypeVar, dataclass_transform
+from typing import Literal, TypeAlias, TypeVar, dataclass_transform
 
 import numpy as np
 import pyarrow as pa
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Int64
+from tactile_toolkit.checked_fields import Declared
+from tactile_toolkit.json_types import JsonValue
 
 T = TypeVar("T")
 Role: TypeAlias = Literal["plain", "facet", "measure", "sum", "hidden"]
@@ -62,7 +64,7 @@ class Column:
     @property
     def heading(self) -> str:
         """Title and unit, for headers of tables."""
-        return f"{self.title}, {self.unit}" if self.unit else self.title
+        return ", ".join(filter(None, (self.title, self.unit)))
 
     def text(self, number: float) -> str:
         """Format a value with its decimals; an unknown value, NaN, is a dash."""
@@ -70,8 +72,13 @@ class Column:
 
 
 def column(
-    data_type: pa.DataType, unit: str = "", meaning: str = "", *, default: object = MISSING, **facts: Any
-) -> Any:
+    data_type: pa.DataType,
+    unit: str = "",
+    meaning: str = "",
+    *,
+    default: object = MISSING,
+    **facts: JsonValue,
+) -> Declared:
     """Declare an attribute of a row as a column; ``facts`` are further attributes of :class:`Column`.
 
     ``name`` is for columns whose name is not an identifier (``mesh.vertices``).
@@ -123,7 +130,7 @@ def table_of(rows: Sequence[object], schema: pa.Schema) -> pa.Table:
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
-def _array(values: list[Any], data_type: pa.DataType) -> pa.Array:
+def _array(values: list[JsonValue], data_type: pa.DataType) -> pa.Array:
     """Pack the values of a column: arrays of shape (n, w) as lists of vectors, tuples as lists of structs."""
     inner = data_type.value_type if pa.types.is_list(data_type) else None
     if inner is not None and pa.types.is_fixed_size_list(inner):

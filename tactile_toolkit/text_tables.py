@@ -5,8 +5,8 @@ from __future__ import annotations
 import csv
 import io
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 from tactile_toolkit.errors import InputError
 
@@ -64,10 +64,10 @@ class TextTable:
         """Return the values of each column; None in rows that are too short."""
         width = len(self.names)
         is_even = all(len(row) == width for row in self.rows)
-        rows: list[list[Any]] = self.rows
+        rows: Sequence[Sequence[str | None]] = self.rows
         if not is_even:
             rows = [[*row, *[None] * (width - len(row))][:width] for row in self.rows]
-        return list(zip(*rows, strict=True)) if rows else [()] * width
+        return list(zip(*rows, strict=True)) or [()] * width
 
     def too_long(self) -> list[int]:
         """Return the numbers of rows with more values than there are columns."""
@@ -86,10 +86,10 @@ def read_text_table(content: bytes, path: str) -> TextTable:
     try:
         for row in lines:
             read = lines.line_num
-            rows += [row] if row else []
+            rows += [row] * bool(row)
     except csv.Error as error:  # an unclosed quote extends to the end
         raise InputError(
             f"{path!r}, line {read + 1}: {error}; expected a table with commas, semicolons or tabs"
         ) from error
-    names = [name.strip() for name in rows[0]] if rows else []
+    names = [name.strip() for name in next(iter(rows), [])]
     return TextTable(names, rows[1:], separator)

@@ -6,12 +6,15 @@ from collections.abc import Iterable, Sequence
 
 # Touches, meshes, classes and boxes; in anything else the e belongs to the word.
 _LONG_PLURALS = ("ches", "shes", "sses", "xes")
+_IRREGULAR = {"vertices": "vertex", "entries": "entry", "bodies": "body", "copies": "copy"}
 
 
 def with_count(count: int, nouns: str) -> str:
     """Return a number with its noun: ``1 file``, ``2,000 files``, ``1 touch``."""
     if count == 1:
-        nouns = nouns.removesuffix("es" if nouns.endswith(_LONG_PLURALS) else "s")
+        before, space, noun = nouns.rpartition(" ")
+        noun = _IRREGULAR.get(noun, noun.removesuffix("es" if noun.endswith(_LONG_PLURALS) else "s"))
+        nouns = f"{before}{space}{noun}"
     return f"{count:,} {nouns}"
 
 
@@ -31,9 +34,7 @@ def class_name(names: Sequence[str], label: int) -> str:
 
 def did_you_mean(name: str, known: Iterable[str]) -> str:
     """Return the end of a message with the most similar name: ``"; did you mean 'test'?"``, or ``""``."""
-    # Here: it takes 3 ms, and few runs need it.
-
-    import difflib  # here: it takes 4 ms of every command, and few need it
+    import difflib  # takes 4 ms, and few commands need it
 
     lowered = {each.lower(): each for each in known}
     close = difflib.get_close_matches(name.lower(), lowered, n=1)

@@ -27,7 +27,8 @@ PAGES = (
     "docs/howto/handwriting.md",
     "docs/howto/scenes.md",
     "docs/howto/training.md",
-    "docs/howto/exchange.md",
+    "docs/howto/export.md",
+    "docs/howto/import.md",
     "docs/howto/check.md",
     "docs/howto/your_sensor.md",
     "docs/howto/twin.md",
@@ -132,7 +133,9 @@ def test_every_page_with_code_runs():
     assert with_code - set(NOT_RUN) == {"README.md", *PAGES}
 
 
-def test_files_that_readme_names_exist():
-    for target in re.findall(r"\]\(([^)#]+)\)", (ROOT / "README.md").read_text(encoding="utf-8")):
-        if "://" not in target:
-            assert (ROOT / target).exists(), target
+@pytest.mark.parametrize("page", ["CONTRIBUTING.md", *every_page()])
+def test_links_lead_to_files_of_a_checkout(page):
+    """What the site generates is named in directives, which are no links."""
+    for target in re.findall(r"\]\(([^)#\s]+)", (ROOT / page).read_text(encoding="utf-8")):
+        if ":" not in target:
+            assert ((ROOT / page).parent / target).exists(), target

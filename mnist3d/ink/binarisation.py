@@ -7,6 +7,7 @@ from typing import Literal
 from mnist3d.ink.bridges import join_bodies
 from mnist3d.ink.cleaning import clean
 from mnist3d.ink.grey_levels import (
+    MOST_INK,
     PAPER_SHARE,
     SMALL_PX,
     as_levels,
@@ -77,22 +78,26 @@ def require_large(levels: UInt8, spec: SolidSpec) -> None:
         refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
 
 
-def cleaned_ink(levels: UInt8, spec: SolidSpec, threshold: float | None = None) -> Bool:
+def cleaned_ink(
+    levels: UInt8, spec: SolidSpec, threshold: float | None = None, most_ink: float = MOST_INK
+) -> Bool:
     """Return clean ink of dark levels and, with ``spec.join_bodies``, join it.
 
     ``spec.threshold`` is used if it is given, then ``threshold``, then Otsu's.
     """
-    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
+    if spec.threshold is not None:
+        threshold = spec.threshold
+    mask = clean(ink_of_levels(levels, threshold, most_ink), spec)
     if spec.join_bodies:
         mask = join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
     return mask
 
 
-def ink_of_levels(levels: UInt8, threshold: float | None = None) -> Bool:
+def ink_of_levels(levels: UInt8, threshold: float | None = None, most_ink: float = MOST_INK) -> Bool:
     """Separate ink (True) from paper in grey levels from 0 (ink) to 255 (paper).
 
     Pixels up to the threshold, by default Otsu's of the image, are ink. Raises ItemError ``no-ink``,
-    ``all-ink`` (the image or most of its margin is ink) or ``cut-off``.
+    ``all-ink`` (more than ``most_ink`` of the image, or most of its margin, is ink) or ``cut-off``.
     """
     darkest = int(levels.min())
     if threshold is None:
@@ -105,5 +110,5 @@ def ink_of_levels(levels: UInt8, threshold: float | None = None) -> Bool:
     paper = float(1 - margin(mask).mean())
     if mask.all() or paper <= 1 - PAPER_SHARE:
         refuse("all-ink", 1 - paper, PAPER_SHARE)
-    require_paper_around(mask)
+    require_paper_around(mask, most_ink)
     return mask

@@ -23,6 +23,9 @@ _SQUARE = np.ones((3, 3), bool)
 _EVEN = 16
 # Pixels that an edge is wide; ink is compared with the darkest ink so near.
 _EDGE_PX = 3
+# Of a graphic: largest difference of paper from its level, least level of paper, least share of the margin
+# that is paper, and of the picture that is paper or ink.
+_SAME, _LIGHT, _EVEN_MARGIN, _PLAIN = 8, 200, 0.95, 0.97
 # Least share of the picture that grey levels lose before colours are compared.
 _LOST = 2e-4
 
@@ -32,16 +35,30 @@ def unlike_paper(colours: UInt8) -> UInt8:
 
     Parameters
     ----------
-    colours : ndarray of uint8, shape (H, W, 3)
-        RGB. The paper has the median colour of the margin.
+    colours : ndarray of uint8, shape (H, W, C)
+        The paper has the median colour of the margin.
 
     Returns
     -------
     ndarray of uint8, shape (H, W)
     """
-    paper = np.median(np.stack([margin(colours[..., channel]) for channel in range(3)]), axis=1)
+    paper = np.median(
+        np.stack([margin(colours[..., channel]) for channel in range(colours.shape[2])]), axis=1
+    )
     away = np.abs(colours.astype(np.int16) - paper.astype(np.int16)).max(axis=2)
     return np.asarray(away, np.uint8)
+
+
+def is_graphic(colours: UInt8) -> bool:
+    """Return whether a picture is a graphic on light paper, such as a logo, however much of it is ink.
+
+    Its paper has one level up to the margin, and only the edges of its ink lie between paper and ink.
+    """
+    away = unlike_paper(np.atleast_3d(colours))
+    is_paper, is_ink = away <= _SAME, away >= DIFFERENT
+    if not is_paper.any() or colours[is_paper].min() < _LIGHT:
+        return False
+    return bool(margin(is_paper).mean() >= _EVEN_MARGIN and (is_paper | is_ink).mean() >= _PLAIN)
 
 
 def loses_colours(away: UInt8, dark: Bool) -> bool:

@@ -17,8 +17,8 @@ SMALL_PX = 64
 PAPER_SHARE = 0.75
 """Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
 
-MOST_INK = 0.5
-"""Ink that covers more of an image than this share surrounds its page, and is no digit."""
+MOST_INK, MOST_DRAWN = 0.5, 0.95
+"""Ink that covers more of an image than this share surrounds its page, and is no digit, or no drawing."""
 
 MOST_BORDER = 0.05
 """Ink that touches more of the border of an image than this share is cut off, or not ink at all."""
@@ -112,14 +112,14 @@ def otsu_threshold(levels: UInt8) -> int:
     return int(np.nanargmax(np.where(np.isfinite(spread), spread, -1.0)))
 
 
-def require_paper_around(mask: Bool) -> None:
-    """Refuse ink that covers more than half of an image, or touches more than 1/20 of its border.
+def require_paper_around(mask: Bool, most_ink: float = MOST_INK) -> None:
+    """Refuse ink that covers more than a share of an image, or touches more than 1/20 of its border.
 
     Raises ItemError ``all-ink`` or ``cut-off``.
     """
     covered = np.count_nonzero(mask) / mask.size
-    if covered > MOST_INK:
-        refuse("all-ink", covered, sentence="half-ink")
+    if covered > most_ink:
+        refuse("all-ink", covered, most_ink, sentence="half-ink")
     border = np.concatenate([mask[0], mask[-1], mask[1:-1, 0], mask[1:-1, -1]])
     touched = float(border.mean())
     if touched > MOST_BORDER:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
@@ -22,6 +23,10 @@ _SMALLEST, _BLOB, _WIDEST = 0.08, 0.45, 1.5
 
 _SOFT = 0.1
 """Least change within a pixel, as a share of the contrast, at nine tenths of the edges of ink."""
+
+_TOUCHING, _THICK, _ALONG = 0.05, 1.5, 0.5
+"""Largest share of the rim of a page that a drawing touches, its thickness there in strokes, and the share of
+its own length along the rim."""
 
 NEAR_PX = 2
 """Width of the grey edges of ink, pixels."""
@@ -61,17 +66,27 @@ def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
 def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     """Return all ink with sharp edges, except the border of a scan and specks.
 
-    Raises ItemError ``no-ink``, or ``cut-off`` if ink reaches the edge of the page.
+    Strokes may run to the edge of the page. Raises ItemError ``no-ink``, or ``cut-off`` if something else
+    reaches it, such as a finger or the desk: it is thicker than the strokes, or touches much of the edge.
     """
     pieces = _Pieces.of(mask, inside, found)
-    kept = pieces.is_sharp & (pieces.spans > _DOT * max(mask.shape))
-    # The border of a scan lies along the rim and reaches it; small parts of a drawing may lie near it.
-    nearest = ndimage.minimum(pieces.from_rim[mask], pieces.piece, pieces.numbers)
-    kept &= (pieces.farthest > _RIM * max(mask.shape)) | (nearest > NEAR_PX)
-    if not kept.any():
+    piece, numbers, spans = pieces.piece, pieces.numbers, pieces.spans
+    sharp = pieces.is_sharp & (spans > _DOT * max(mask.shape))
+    at_rim = inside & (pieces.from_rim <= NEAR_PX)
+    # The border of a scan lies along the rim; parts of a drawing may lie near it, or run into it.
+    along = ndimage.sum(at_rim[mask], piece, numbers) / NEAR_PX
+    is_inner = (pieces.farthest > _RIM * max(mask.shape)) | (along < _ALONG * spans)
+    if not (sharp & is_inner).any():
         refuse("no-ink", sentence="empty-page")
-    drawing = np.isin(pieces.labels, pieces.numbers[kept])
-    if pieces.from_rim[drawing].min() <= NEAR_PX:
+    depth = pieces.depth
+    stroke = float(np.percentile(depth[np.isin(pieces.labels, numbers[sharp & is_inner])], 90))
+    # A border is thinner, or longer, than what a pen leaves along the edge.
+    is_mark = ndimage.maximum(depth[mask], piece, numbers) >= _THIN_PART * stroke
+    is_mark &= spans < _OTHER * max(mask.shape)
+    drawing = np.isin(pieces.labels, numbers[sharp & (is_inner | is_mark)])
+    touching = drawing & at_rim
+    beside = drawing & ndimage.binary_dilation(touching, iterations=2 * math.ceil(stroke))
+    if touching.sum() > _TOUCHING * at_rim.sum() or depth[beside].max(initial=0) > _THICK * stroke:
         refuse("cut-off", sentence="drawing-cut-off")
     return drawing
 

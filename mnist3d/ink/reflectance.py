@@ -57,12 +57,14 @@ def reflectance(views: UInt8, page: Bool, widest: float) -> Float32:
     inside = eroded(page, 2)
     if not inside.any():
         refuse("no-ink", sentence="empty-page")
-    best, divided = -1.0, np.ones(page.shape, np.float32)
+    best, divided = -1.0, np.ones(views.shape[1:], np.float32)
     for number, view in enumerate(views):
         coarse = to_coarse(view)
         paper = paper_around(coarse, widest)
         seen = np.divide(coarse, paper, dtype=np.float32)[inside]
         level = float(np.median(seen))
+        if level == 0:
+            continue  # a channel in which most of the picture is black shows no paper
         clearness = (level - float(np.percentile(seen, 0.5))) / (_deviation(seen) + 0.01 * level)
         if number == 0:
             clearness *= 1.3  # grey has less noise than single channels

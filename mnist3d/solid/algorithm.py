@@ -20,7 +20,7 @@ from mnist3d.solid.erosion_and_stacking import erode, stack
 from mnist3d.solid.lattice import Lattice, lattice_of
 from mnist3d.solid.literal import literal_solid
 from mnist3d.solid.marching_cubes import half_surface
-from mnist3d.solid.mirroring_and_scaling import mirror, scale
+from mnist3d.solid.mirroring_and_scaling import fit_to_size, mirror, scale
 from mnist3d.solid.picture_ink import PictureLike, SizedInk, for_strokes, sized_ink
 from mnist3d.solid.smoothing import smooth
 from mnist3d.solid.solid_size import SolidSize
@@ -100,6 +100,7 @@ def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "f
         made = solid_steps(sized.mask, sized.spec).mesh
     if sized.is_fine:
         made = without_flat_vertices(made)
+    made = fit_to_size(made, sized.size)
     return made if base_mm is None else on_base_plate(made, base_mm)
 
 

@@ -1,4 +1,4 @@
-"""The last steps of Algorithm 1: a half surface is mirrored, and pixels become metres."""
+"""The last steps of Algorithm 1: a half surface is mirrored, pixels become metres, and the size is exact."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid.surface import Surface
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.mesh import MM_PER_M, Mesh
@@ -43,3 +44,20 @@ def scale(surface: Surface, shape: tuple[int, ...], spec: SolidSpec) -> Mesh:
         vertices_mm = np.round(vertices_mm / spec.vertex_quantum_mm) * spec.vertex_quantum_mm
     vertices_mm[:, 2] -= vertices_mm[:, 2].min()
     return Mesh((vertices_mm / MM_PER_M).astype(np.float32), surface.faces)
+
+
+def fit_to_size(solid: Mesh, size: SolidSize) -> Mesh:
+    """Scale a solid along x and y to the height or width that is asked for; the thickness stays.
+
+    Pixels alone do not give it: the outline lies between pixels, cleaning moves it, and the lattice cuts off
+    tips, which adds up to more than half a millimetre. The middle of the solid becomes the origin of x and y.
+    """
+    asked = next(((axis, mm) for axis, mm in enumerate((size.width_mm, size.height_mm)) if mm), None)
+    if asked is None:
+        return solid
+    axis, asked_mm = asked
+    vertices_m = solid.vertices_m.astype(np.float64)
+    low, high = vertices_m[:, :2].min(axis=0), vertices_m[:, :2].max(axis=0)
+    vertices_m[:, :2] -= (low + high) / 2
+    vertices_m[:, :2] *= asked_mm / MM_PER_M / float(high[axis] - low[axis])
+    return Mesh(vertices_m.astype(np.float32), solid.faces)

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from mnist3d import ink
 from mnist3d.ink.bridges import thinnest_stroke_px
+from mnist3d.ink.grey_levels import MOST_DRAWN
 from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
 from mnist3d.sources.picture_files import pages_of, size_of_page, upright_levels
@@ -60,6 +61,8 @@ class SizedInk(NamedTuple):
     notes: tuple[str, ...]
     is_fine: bool = False
     """Whether the lattice is as fine as the strokes need, so that even parts have too many vertices."""
+    size: SolidSize = SolidSize()
+    """The size that the solid is to have; its pixels have it within some tenths of a millimetre."""
 
 
 def sized_ink(
@@ -89,18 +92,18 @@ def sized_ink(
     fitted = replace(asked, pixel_pitch_mm=pitch_mm, vertex_quantum_mm=quantum_mm)
     ink.require_large(sheet, fitted)
     if spec is not None or _is_grey(picture):
-        return SizedInk(ink.cleaned_ink(sheet, fitted, level), fitted, tuple(notes))
-    before = ink.ink_of_levels(sheet, fitted.threshold)
+        return SizedInk(ink.cleaned_ink(sheet, fitted, level, MOST_DRAWN), fitted, tuple(notes), size=size)
+    before = ink.ink_of_levels(sheet, fitted.threshold, MOST_DRAWN)
     fitted = for_strokes(before, fitted)
-    mask = ink.cleaned_ink(sheet, fitted)
+    mask = ink.cleaned_ink(sheet, fitted, most_ink=MOST_DRAWN)
     is_fine = "target_vertices" not in changes
     if is_fine:
         fitted = replace(fitted, lattice_pitch_mm=_lattice_pitch_mm(mask, fitted))
-    drawn = ink.ink_of_levels(levels, fitted.threshold)
+    drawn = ink.ink_of_levels(levels, fitted.threshold, MOST_DRAWN)
     count = _count(drawn) - len(np.unique(_labels(before)[mask & before]))
     if count > 0:
         notes.append(f"left out {with_count(count, 'specks')} of ink below {fitted.min_speck_mm2:.2g} mm²")
-    return SizedInk(mask, fitted, tuple(notes), is_fine)
+    return SizedInk(mask, fitted, tuple(notes), is_fine, size)
 
 
 def _is_grey(picture: PictureLike) -> bool:
@@ -164,7 +167,8 @@ def _on_sheet(levels: UInt8, level: float | None, spec: SolidSpec, size: SolidSi
     if size.height_mm is None and size.width_mm is None:
         return _fitted(levels, ink.SIDE_PX * spec.pixel_pitch_mm, spec)
     # The size is that of the ink, without paper.
-    mask = _without_specks(ink.ink_of_levels(levels, level if spec.threshold is None else spec.threshold))
+    threshold = level if spec.threshold is None else spec.threshold
+    mask = _without_specks(ink.ink_of_levels(levels, threshold, MOST_DRAWN))
     rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
     around = 1 + math.ceil(_AROUND * max(np.ptp(rows), np.ptp(columns)))
     spans = [slice(max(0, line[0] - around), line[-1] + 1 + around) for line in (rows, columns)]

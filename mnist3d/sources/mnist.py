@@ -24,6 +24,7 @@ from tactile_toolkit import store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
+from tactile_toolkit.wording import with_count
 
 IMAGES_MAGIC = 0x803
 """Magic number of a file of images: unsigned bytes (8) in three dimensions (3)."""
@@ -161,7 +162,8 @@ def _read_pair(images_path: Path, labels_path: Path, _images_ns: int, _labels_ns
     if images.shape[1:] != (28, 28):
         raise _unusable(images_path, f"images of {images.shape[1:]} pixels", "(28, 28)")
     if not len(images) == len(labels) > 0:
-        found = f"{len(labels)} labels for {len(images)} images of {images_path.name}"
+        counted = with_count(len(labels), "labels"), with_count(len(images), "images")
+        found = f"{' for '.join(counted)} of {images_path.name}"
         raise _unusable(labels_path, found, "one for each and at least one")
     if labels.max() > 9:
         row = int(labels.argmax())

@@ -8,8 +8,16 @@ import numpy as np
 from PIL import Image
 
 import mnist3d.ink
-from mnist3d.ink.colours import ink_of_colours, loses_colours, unlike_paper
-from mnist3d.ink.grey_levels import as_grey, margin, otsu_threshold, paper_is_dark, require_paper_around
+from mnist3d.ink.colours import ink_of_colours, is_graphic, loses_colours, unlike_paper
+from mnist3d.ink.grey_levels import (
+    MOST_DRAWN,
+    MOST_INK,
+    as_grey,
+    margin,
+    otsu_threshold,
+    paper_is_dark,
+    require_paper_around,
+)
 from mnist3d.sources.picture_files import decode_page
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import ItemError
@@ -20,6 +28,7 @@ _WHITES: tuple[int, ...] = (255, 1023, 4095, 16_383, 65_535)
 _CONTRAST = 24
 # Transparent pictures whose visible part is lighter than this share of white lie on black paper.
 _MOSTLY_LIGHT = 0.5
+_HALF_OPAQUE = 127.5
 
 
 def read_picture(
@@ -94,7 +103,8 @@ def picture_levels(
     is_flat = np.ptp(grey) < _CONTRAST
     # Ink and paper of different colours may have the same grey.
     is_coloured = is_flat and np.ptp(colours, axis=(0, 1)).max() >= _CONTRAST
-    is_clean = mnist3d.ink.is_clean(grey)
+    is_clean = _is_cut_out(picture) or mnist3d.ink.is_clean(grey) or (whole and is_graphic(colours))
+    most_ink = MOST_DRAWN if whole else MOST_INK
     if threshold == "local" or (threshold == "auto" and not is_clean):
         return mnist3d.ink.even_out(colours, ink, whole=whole)
     level = otsu_threshold(grey)
@@ -105,12 +115,12 @@ def picture_levels(
         away = unlike_paper(colours)
         if is_coloured or loses_colours(away, dark & ~np.bool_(is_flat)):
             grey = ink_of_colours(away)
-            require_paper_around(grey < 128)
+            require_paper_around(grey < 128, most_ink)
             return grey
     # Without both ink and paper there is no contrast to stretch.
     if is_flat or dark.all() or not dark.any():
         return grey
-    require_paper_around(dark)
+    require_paper_around(dark, most_ink)
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
     darkest, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
     table = np.clip((np.arange(256) - darkest) * (255 / (paper - darkest)), 0, 255)
@@ -126,12 +136,17 @@ def _brightness(picture: Image.Image, where: str) -> UInt8:
     return as_grey(values, next((float(each) for each in whites if largest <= each), whites[-1]), where)
 
 
+def _is_cut_out(picture: Image.Image) -> bool:
+    """Return whether the margin of a picture is transparent, which shows that it is paper."""
+    return picture.mode == "RGBA" and margin(np.asarray(picture.getchannel("A"))).mean() < _HALF_OPAQUE
+
+
 def _over_paper(picture: Image.Image, ink: str) -> Image.Image:
     """Lay a transparent picture on white paper, or on black if it has light ink only."""
     alpha = np.asarray(picture.getchannel("A"), np.float32)[..., None] / 255
     colours = np.asarray(picture.convert("RGB"), np.float32)
     light = np.asarray(picture.convert("RGB").convert("L"), np.float32)[..., None]
-    cut_out = ink == "auto" and margin(alpha[..., 0]).mean() < 0.5
+    cut_out = ink == "auto" and _is_cut_out(picture)
     paper = 255
     if ink == "light" or (cut_out and (light * alpha).sum() > _MOSTLY_LIGHT * 255 * alpha.sum()):
         paper = 0

@@ -13,6 +13,7 @@ from realtouch.schema import EXTRA_PREFIX, extra_columns, extra_type
 from realtouch.stored_round import StoredRound
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray
+from tactile_toolkit.wording import with_count
 
 FEATURE = "observation."
 """How the names of these columns begin."""
@@ -61,7 +62,9 @@ class ExtraColumn:
         elif touch is not None:
             values = values.take(pa.array([touch] * count))
         if len(values) < count:
-            raise row.damaged(self.stored, f"{len(values)} frames; expected at least {count}", touch)
+            raise row.damaged(
+                self.stored, f"{with_count(len(values), 'frames')}; expected at least {count}", touch
+            )
         with row.naming(self.stored, touch):
             return self._packed(array_with_gaps(values))
 

@@ -14,6 +14,7 @@ from realtouch.importing.found_touches import FoundTouches, Place
 from tactile_toolkit import column_types
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
+from tactile_toolkit.wording import with_count
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
@@ -104,7 +105,7 @@ class Recording:
         if problem is None and not self.frames:
             problem = ItemError("empty", "the recording has no picture")
         if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
-            found = f"{len(self.time_s):,} times of {self.frames:,} pictures"
+            found = f"{with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
             problem = ItemError("time", f"{found}; expected one for each")
         elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN

@@ -59,13 +59,13 @@ def shades_of(channels: Tensor, size_px: tuple[int, int]) -> Tensor:
     return shades.clip(0, 1)
 
 
-def pictures_of(channels: Tensor, size_px: tuple[int, int]) -> UInt8:
+def pictures_from(channels: Tensor, size_px: tuple[int, int]) -> UInt8:
     """Return channels of touches (n, 3, h, w), -1 to 1, as pictures (n, H, W, 3), uint8."""
     shades = shades_of(channels, size_px).permute(0, 2, 3, 1)
     return np.asarray(np.rint(shades.numpy() * np.float32(255)), np.uint8)
 
 
-def depth_of(generator: Generator, pictures: UInt8) -> Float32:
+def depth_from(generator: Generator, pictures: UInt8) -> Float32:
     """Return the depth images (n, H, W), 0 deepest to 1 no contact, that a generator recovers from touches.
 
     Touches (n, H, W, 3) have the size that it was trained at.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import torch
@@ -13,6 +12,7 @@ from tactile_sim.learned.batches import Batch
 from tactile_sim.learned.channels import noisy_channels
 from tactile_sim.learned.networks import GeneratorNetwork, discriminator, initialise
 from tactile_sim.learning_specs import TrainConfig
+from tactile_toolkit.json_types import JsonDict
 
 LOSSES = tuple(
     f"{name}_{loss}"
@@ -221,7 +221,7 @@ class CycleGan:
         _average_gradients(self.parameters[key])
         self.optimisers[key].step()
 
-    def state(self) -> dict[str, Any]:
+    def state(self) -> JsonDict:
         """Return everything that training changes, except the pools."""
         return {
             "networks": {name: network.state_dict() for name, network in self.networks.items()},
@@ -232,7 +232,7 @@ class CycleGan:
         """Return the images in the pools of this process."""
         return {name: [picture.float().cpu() for picture in pool.held] for name, pool in self.pools.items()}
 
-    def load_state(self, state: dict[str, Any], pools: dict[str, list[Tensor]]) -> None:
+    def load_state(self, state: JsonDict, pools: dict[str, list[Tensor]]) -> None:
         """Restore what :meth:`state` and :meth:`pool_state` returned."""
         for name, stored in state["networks"].items():
             self.networks[name].load_state_dict(stored)

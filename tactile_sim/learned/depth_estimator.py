@@ -69,7 +69,7 @@ class DepthEstimator:
         Raises
         ------
         InputError
-            The images have another shape or type, or the size is none of an image.
+            The images have another shape or type, or the size is not valid.
         """
         width, height = checked_size_px(size_px)
         if images.dtype != np.uint8 or images.ndim != 4 or images.shape[3] != 3 or not images.size:

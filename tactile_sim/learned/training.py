@@ -14,43 +14,29 @@ from __future__ import annotations
 
 import hashlib
 import io
-import json
 import math
 import os
-from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
 
-import msgspec
 import numpy as np
 import pyarrow as pa
 import torch
-from torch import Tensor
 
 from tactile_sim.data_cards import sheet_png
+from tactile_sim.learned import cyclegan, processes, training_folder
 from tactile_sim.learned.batches import Batches, by_taxim
-from tactile_sim.learned.channels import depth_channels, picture_channels, pictures_of, shades_of
-from tactile_sim.learned.cyclegan import LOSSES, CycleGan
-from tactile_sim.learned.processes import Process, joined_processes
+from tactile_sim.learned.channels import depth_channels, picture_channels, pictures_from, shades_of
 from tactile_sim.learned.weights import weights_of, write_weights
 from tactile_sim.learning_specs import TrainConfig
 from tactile_sim.pairs import SPLITS, Pairs
 from tactile_sim.random_numbers import keyed_rng
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.errors import (
-    InputError,
-    IntegrityError,
-    MissingExtraError,
-    SpecMismatchError,
-    ToolkitError,
-)
-from tactile_toolkit.store import DataFolder, ParquetStyle, decode, encode_parquet, is_hidden, open_folder
 from tactile_toolkit.wording import with_count
 
 TOUCH_WEIGHTS = "depth_to_touch.npz"
 DEPTH_WEIGHTS = "touch_to_depth.npz"
-_SETTINGS = "training.json"
 _CHECKPOINT = "checkpoint.pt"
 _DIGEST_BYTES = 32
 _SAMPLES = 4
@@ -114,23 +100,27 @@ def train(
         cannot be written; a loss is no longer finite. The last checkpoint stays.
     """
     config = config or TrainConfig()
-    data, folder = Pairs.open(pairs), open_folder(os.fspath(out))
-    _require_trainable(pairs, data, config)
-    with joined_processes(device, deterministic=deterministic) as process, _locked(folder, process):
+    data, folder = _trainable(pairs, config), store.open_folder(os.fspath(out))
+    with (
+        processes.joined_processes(device, deterministic=deterministic) as process,
+        training_folder.held(folder, process),
+    ):
         if process.rank == 0:
-            _claim(folder, {"config": config.to_dict(), "pairs": data.fingerprint}, resume=resume)
+            training_folder.claim(folder, config, data.fingerprint, resume=resume)
         process.wait()
         # After the folder is claimed: a refusal should not wait for networks to be built.
-        model = CycleGan(config, process.device, compiled=compiled)
+        model = cyclegan.CycleGan(config, process.device, compiled=compiled)
         run = _Run(config, data, folder, process, model, on_progress)
         return run.to_the_end(*run.restored())
 
 
-def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
+def _trainable(pairs: str, config: TrainConfig) -> Pairs:
+    """Open a training set; InputError if nothing can be learned from it with these settings."""
+    data = Pairs.open(pairs)
     config.crop_px(data.size_px)
     for split, domain in zip(SPLITS, (data.depth, data.real), strict=True):
         if not domain.contact.any():
-            raise InputError(
+            raise errors.InputError(
                 f"split {split!r} of {pairs!r} holds no image with contact, so that nothing can be learned "
                 "from it",
                 next="make pairs with a larger --count or a smaller --without-contact (`tactile-sim pairs`)",
@@ -138,40 +128,11 @@ def _require_trainable(pairs: str, data: Pairs, config: TrainConfig) -> None:
     if config.pretrain_steps:
         try:
             by_taxim(data)
-        except MissingExtraError as error:
-            raise InputError(f"{error}, or train without paired first steps: pretrain_steps = 0") from error
-
-
-class _Settings(msgspec.Struct):
-    config: dict[str, Any]
-    pairs: str
-
-
-def _claim(folder: DataFolder, settings: Mapping[str, Any], *, resume: bool) -> None:
-    """Begin a training in a folder, or continue the one that is there, if it has the same settings."""
-    folder.require_folder()
-    if folder.exists(_SETTINGS):
-        there = decode(folder.read_bytes(_SETTINGS), _Settings, folder.address(_SETTINGS))
-        # Compared as they would be read back: tuples become lists.
-        wanted = json.loads(json.dumps(settings))
-        found = {**there.config, "pairs": there.pairs}
-        for name, value in {**wanted["config"], "pairs": wanted["pairs"]}.items():
-            if found.get(name) != value:
-                raise SpecMismatchError(
-                    f"{folder.address()!r} holds a training with other settings: {name} is "
-                    f"{found.get(name)!r:.60} there, {value!r:.60} was asked for; nothing was changed",
-                    next="choose another folder (--out)",
-                )
-        folder.remove_temporaries()
-        return
-    others = [name for name in folder.names() if not is_hidden(name)]
-    if resume or others:
-        held = "".join(f" (found {name!r})" for name in others[:1])
-        raise InputError(
-            f"{folder.address()!r} holds no training to continue{held}; nothing was changed",
-            next="leave out --resume, and choose an empty or new folder (--out)",
-        )
-    folder.write_bytes(_SETTINGS, (json.dumps(settings, indent=1) + "\n").encode())
+        except errors.MissingExtraError as error:
+            raise errors.InputError(
+                f"{error}, or train without paired first steps: pretrain_steps = 0"
+            ) from error
+    return data
 
 
 @dataclass(eq=False)
@@ -180,16 +141,16 @@ class _Run:
 
     config: TrainConfig
     data: Pairs
-    folder: DataFolder
-    process: Process
-    model: CycleGan
+    folder: store.DataFolder
+    process: processes.Process
+    model: cyclegan.CycleGan
     on_progress: Callable[[int, int], None]
 
     def to_the_end(self, first: int, log: list[list[float]]) -> Trained:
         """Take the steps that are left, from ``first`` on."""
         config = self.config
         self.on_progress(first, config.steps)
-        sums, losses = np.zeros(len(LOSSES)), dict.fromkeys(LOSSES, math.nan)
+        sums, losses = np.zeros(len(cyclegan.LOSSES)), dict.fromkeys(cyclegan.LOSSES, math.nan)
         since = first
         batches = Batches(self.data, config, self.process.rank)
         for step, batch in enumerate(batches.since(first), first):
@@ -215,7 +176,9 @@ class _Run:
         digest, content = stored[:_DIGEST_BYTES], stored[_DIGEST_BYTES:]
         again = "train again in another folder"
         if hashlib.sha256(content).digest() != digest:
-            raise IntegrityError(f"{where!r} is damaged: its content does not match its checksum", next=again)
+            raise errors.IntegrityError(
+                f"{where!r} is damaged: its content does not match its checksum", next=again
+            )
         try:
             # weights_only: a checkpoint is data, and unpickling it must run no code.
             state = torch.load(io.BytesIO(content), map_location="cpu", weights_only=True)
@@ -227,13 +190,13 @@ class _Run:
         except Exception as error:  # torch raises many types for files of other programs
             # Only the first sentence: torch goes on to recommend running the code of the file.
             problem = str(error).partition(".")[0] or type(error).__name__
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{where!r} is not a checkpoint of this training ({problem}); expected one that "
                 "`tactile-sim train` wrote with these settings",
                 next=again,
             ) from error
         if len(pools) != self.process.count:
-            raise SpecMismatchError(
+            raise errors.SpecMismatchError(
                 f"{self.folder.address()!r} was trained by {with_count(len(pools), 'processes')}, and now "
                 f"there are {self.process.count}; nothing was changed",
                 next="start as many processes as before",
@@ -244,9 +207,9 @@ class _Run:
         return step, log
 
     def _save(self, done: int, log: list[list[float]]) -> None:
-        pools: list[Any] = [self.model.pool_state()]
+        pools = [self.model.pool_state()] * self.process.count
         if self.process.count > 1:
-            own, pools = pools[0], [None] * self.process.count
+            own = pools[0]
             torch.distributed.all_gather_object(pools, own)
         if self.process.rank == 0:
             lines, stream = torch.tensor(log, dtype=torch.float64), io.BytesIO()
@@ -256,14 +219,16 @@ class _Run:
             self._publish(done, lines)
         self.process.wait()
 
-    def _publish(self, done: int, log: Tensor) -> None:
+    def _publish(self, done: int, log: torch.Tensor) -> None:
         """Write the files that follow from a checkpoint: weights, log and a sheet of images."""
         for name, direction in ((TOUCH_WEIGHTS, "touch"), (DEPTH_WEIGHTS, "depth")):
             weights = weights_of(self.model.networks[direction], self.data.size_px)
             write_weights(self.folder, name, weights)
         steps, *losses = log.numpy().T
-        table = pa.table([pa.array(steps.astype(np.int64)), *map(pa.array, losses)], names=["step", *LOSSES])
-        self.folder.write_bytes("losses.parquet", encode_parquet(table, ParquetStyle(65_536)))
+        table = pa.table(
+            [pa.array(steps.astype(np.int64)), *map(pa.array, losses)], names=["step", *cyclegan.LOSSES]
+        )
+        self.folder.write_bytes("losses.parquet", store.encode_parquet(table, store.ParquetStyle(65_536)))
         self.folder.write_bytes(f"samples/step-{done:07d}.png", self._sheet())
 
     def _sheet(self) -> bytes:
@@ -285,29 +250,17 @@ class _Run:
         columns += [("made depth", self._depths(made_depth)), ("touch again", self._touches(touch_again))]
         return sheet_png(columns)
 
-    def _touches(self, channels: Tensor) -> UInt8:
-        return pictures_of(channels.float().cpu(), self.data.size_px)
+    def _touches(self, channels: torch.Tensor) -> UInt8:
+        return pictures_from(channels.float().cpu(), self.data.size_px)
 
-    def _depths(self, channels: Tensor) -> Float32:
+    def _depths(self, channels: torch.Tensor) -> Float32:
         return np.asarray(shades_of(channels.float().cpu(), self.data.size_px)[:, 2].numpy())
 
     def _require_finite(self, losses: dict[str, float], done: int) -> None:
         wrong = [name for name, loss in losses.items() if not math.isfinite(loss)]
         if wrong:
-            raise ToolkitError(
+            raise errors.ToolkitError(
                 f"the loss {wrong[0]} is {losses[wrong[0]]} at step {done:,}: the loss diverged; the "
                 "last checkpoint stays",
                 next="train with a smaller learning rate in another folder",
             )
-
-
-@contextmanager
-def _locked(folder: DataFolder, process: Process) -> Iterator[None]:
-    """Lock the folder, so that no other training writes there; BusyError if one does."""
-    # Object stores have no locks; the other processes of torchrun belong to the first.
-    if process.rank or not folder.is_local:
-        yield
-        return
-    folder.require_folder()
-    with folder.locked(patience_s=0):
-        yield

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 import torch
@@ -23,6 +23,7 @@ from tactile_sim.learned.networks import GeneratorNetwork
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Float32
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 Direction = Literal["touch", "depth"]
 """Output of a generator: touches from depth, or depth from touches."""
@@ -166,7 +167,7 @@ def write_weights(folder: store.DataFolder, name: str, weights: GeneratorWeights
     folder.write_bytes(name, weights_bytes(weights))
 
 
-def weights_facts(weights: str | None) -> dict[str, Any]:
+def weights_facts(weights: str | None) -> JsonDict:
     """Return JSON values that identify a file of weights by its content; the published one by default."""
     file = published_weights("touch") if weights is None else store.expanded(weights)
     return {

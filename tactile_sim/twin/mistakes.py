@@ -18,6 +18,7 @@ from tactile_sim.twin import gel_kernels
 from tactile_sim.twin.recordings import Recordings
 from tactile_sim.twin.relief import Relief
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
+from tactile_toolkit.wording import with_count
 
 LEAST_TOUCHES = 5
 """Touches that a fit needs at least; 20 are enough."""
@@ -84,7 +85,7 @@ def find_mistakes(recordings: Recordings, start: SensorModel = GELSIGHT_MINI) ->
     found: list[Mistake] = []
     count = len(recordings)
     if count < LEAST_TOUCHES:
-        detail = f"there are {count} touches; expected at least {LEAST_TOUCHES}, better 20"
+        detail = f"{with_count(count, 'touches')}; expected at least {LEAST_TOUCHES}, better 20"
         found.append(Mistake("too-few", detail, float(count)))
     images = _small(recordings.images)
     rest = _rest(recordings, images)

@@ -11,6 +11,7 @@ from tactile_toolkit.array_types import AnyArray, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
+from tactile_toolkit.wording import with_count
 
 _LEAST_PX = 32  # kernels of the gel need some room
 _MOST_BYTES = 1 << 30
@@ -85,7 +86,7 @@ class Recordings:
         object.__setattr__(self, "solids", meshes)
         names = self.names or tuple(map(str, range(count)))
         if len(names) != count:
-            raise InputError(f"{len(names)} names for {count} touches")
+            raise InputError(f"{with_count(len(names), 'names')} for {with_count(count, 'touches')}")
         object.__setattr__(self, "names", names)
 
     def __len__(self) -> int:

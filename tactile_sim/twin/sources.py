@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from tactile_sim.generation import open_split
 from tactile_sim.given_solids import given_solids
 from tactile_sim.kind import KIND
+from tactile_sim.touch_sources import open_split
 from tactile_sim.touch_table import meaning_of
 from tactile_sim.twin.recordings import Recordings
 from tactile_toolkit import column_types, places, store, touch

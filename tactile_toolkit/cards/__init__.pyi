@@ -9,7 +9,6 @@ from .card import (
     rows_to_draw as rows_to_draw,
     tiles_png as tiles_png,
     with_repo_name as with_repo_name,
-    write_table_card as write_table_card,
 )
 from .card_check import (
     check_card as check_card,
@@ -22,6 +21,7 @@ from .owner_options import (
 from .owner_words import (
     state_owner as state_owner,
 )
+from .table_card import write_table_card as write_table_card
 from .yaml_head import (
     CARD_FILE as CARD_FILE,
     card_head as card_head,

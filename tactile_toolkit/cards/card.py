@@ -7,20 +7,13 @@ import tomllib
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
-from itertools import islice
 from string import Template
-from typing import Any
 
-import numpy as np
-
-from tactile_toolkit import pictures, read, store
-from tactile_toolkit.cards.card_tables import ColumnWords, field_table, markdown_table, split_table
+from tactile_toolkit import pictures, read, shown_text, store
+from tactile_toolkit.cards import card_tables, owner_words, yaml_head
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
-from tactile_toolkit.cards.owner_words import read_owner, with_owner
-from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head, head_text
-from tactile_toolkit.kind import DatasetKind, is_export
-from tactile_toolkit.mesh import FACES, MESH, SIZES, VERTICES, unpack_mesh
-from tactile_toolkit.shown_text import markdown_text, printable, printable_json
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
+from tactile_toolkit.kind import DatasetKind
 
 PREVIEW_FOLDER = "previews"
 MESH_TASKS = {
@@ -29,14 +22,7 @@ MESH_TASKS = {
 }
 """Tasks of meshes, in terms of the Hub."""
 
-_TABLE_COLUMNS: dict[str, ColumnWords] = {
-    "label_name": ("", "name of the class"),
-    **{name: ("m", f"extent along {name[5]}") for name in SIZES},
-    f"{MESH}": ("GLB file, m, frame below", "the solid, its vertices and faces in their order"),
-}
-_SHOWN = 10
 _MOST_ENTRIES = 100  # of a list of the specification
-_TILE_PX = 120
 
 # Templates have "FOLDER" there, because others cannot load a folder by name.
 _LOADED_NAME = re.compile(r'datasets\.load_dataset\("(?P<name>[^"]+)"')
@@ -78,16 +64,16 @@ class Card:
 
     template: str
     title: str
-    columns: Mapping[str, ColumnWords]
+    columns: Mapping[str, card_tables.ColumnWords]
     picture: tuple[str, Callable[[FolderSummary], bytes | None], str]
     licence: str
     tags: Sequence[str]
     nouns: str = ""
-    tasks: Mapping[str, Any] = field(default_factory=lambda: MESH_TASKS)
+    tasks: JsonObject = field(default_factory=lambda: MESH_TASKS)
     figures: Mapping[str, Sequence[object]] = field(default_factory=dict)
     made: Sequence[tuple[str, str]] = ()
     limits: Sequence[str] = ()
-    spec: Any = None
+    spec: JsonValue = None
     values: Mapping[str, str] = field(default_factory=dict)
 
     def write(
@@ -105,24 +91,24 @@ class Card:
         facts = facts or folder_summary(folder, manifest)
         name, draw, caption = self.picture
         values = {
-            "title": markdown_text(self.title),
+            "title": shown_text.markdown_text(self.title),
             "noun": kind.noun,
             "nouns": kind.nouns,
             "rows": f"{facts.rows:,}",
             "first_split": facts.splits[0].split,
             "picture": "There is nothing to draw.",
             "bibtex": bibtex("tactile_mnist"),
-            "split_table": split_table(facts, self.nouns or kind.nouns, self.figures),
-            "field_table": field_table(facts, {**self.columns, **_source_column(manifest)}),
+            "split_table": card_tables.split_table(facts, self.nouns or kind.nouns, self.figures),
+            "field_table": card_tables.field_table(facts, {**self.columns, **_source_column(manifest)}),
             "limits": "\n".join(f"- {line}" for line in self.limits),
         }
         if manifest is not None:
-            spec = f"```json\n{printable_json(_shortened(self.spec or manifest.spec))}\n```"
+            spec = f"```json\n{shown_text.printable_json(_shortened(self.spec or manifest.spec))}\n```"
             reasons = manifest.skipped_reasons().items()
-            listed = ", ".join(f"{count:,} {markdown_text(reason)}" for reason, count in reasons)
+            listed = ", ".join(f"{count:,} {shown_text.markdown_text(reason)}" for reason, count in reasons)
             skipped = f"{listed}; `manifest.json` names each" if listed else "none"
             by = f"tactile-toolkit {manifest.toolkit_version} (schema {manifest.schema_version})"
-            made = markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
+            made = card_tables.markdown_table(("", ""), [("made by", by), *self.made, ("left out", skipped)])
             values |= {
                 "spec": spec,
                 "made": f"{made}\n\n{spec}",
@@ -136,21 +122,21 @@ class Card:
             values["picture"] = f"![{caption}]({path})\n\n*{caption}*"
             _write_changed(folder, path, content)
         head = {"license": self.licence, "pretty_name": self.title, **self.tasks, "tags": list(self.tags)}
-        body = printable(render_card(self.template, {**values, **self.values}), keep="\n")
-        head, body = with_owner(head, body, read_owner(folder))
-        text = head_text(card_head(facts, **head)) + "\n" + body
-        _write_changed(folder, CARD_FILE, text.encode())
+        body = shown_text.printable(render_card(self.template, {**values, **self.values}), keep="\n")
+        head, body = owner_words.with_owner(head, body, owner_words.read_owner(folder))
+        text = yaml_head.head_text(yaml_head.card_head(facts, **head)) + "\n" + body
+        _write_changed(folder, yaml_head.CARD_FILE, text.encode())
 
 
-def _source_column(manifest: store.Manifest | None) -> dict[str, ColumnWords]:
+def _source_column(manifest: store.Manifest | None) -> dict[str, card_tables.ColumnWords]:
     """Return the meaning of the column that `merge --source-column` adds, by its name."""
-    options = {} if manifest is None else manifest.spec.get("options") or {}
+    options = (manifest and manifest.spec.get("options")) or {}
     if "source_column" not in options:
         return {}
     return {str(options["source_column"]): ("", "name of the merged data set that the row is from")}
 
 
-def _shortened(values: Any) -> Any:
+def _shortened(values: JsonValue) -> JsonValue:
     """Return JSON values whose long lists end with the number of further entries."""
     if isinstance(values, Mapping):
         return {name: _shortened(each) for name, each in values.items()}
@@ -161,66 +147,14 @@ def _shortened(values: Any) -> Any:
     return shown + [f"{further:,} more in manifest.json"] * bool(further)
 
 
-def write_table_card(
-    folder: store.DataFolder,
-    manifest: store.Manifest,
-    kind: DatasetKind,
-    title: str,
-    columns: Mapping[str, ColumnWords],
-    licence: str,
-    **terms: str,
-) -> None:
-    """Write the card of a copy of a data set of meshes; IntegrityError for a damaged one.
-
-    A copy consists of tables for other libraries, merged sets, or some of the rows. ``columns`` and ``title``
-    are those of its source. ``terms`` are ``licence_text``, ``citation_text`` and ``bibtex`` of the template,
-    the last one that of the paper by default.
-    """
-    has_tables = is_export(manifest)
-    command = "export --format flat" if has_tables else manifest.spec["operation"]
-    sources = manifest.spec["source"].items()
-    rows = ", ".join(f"{split}: {sum(file['rows'] for file in files):,}" for split, files in sources)
-    Card(
-        template="mesh_tables.md" if has_tables else "mesh_copy.md",
-        title=f"{title} as tables" if has_tables else title,
-        columns={**columns, **(_TABLE_COLUMNS if has_tables else {})},
-        picture=(
-            "tables.png" if has_tables else "objects.png",
-            _table_sheet,
-            f"The first {kind.nouns}, seen from above",
-        ),
-        licence=licence,
-        tags=["tactile", "active-perception", "3d", "mesh"],
-        made=[
-            ("command", f"`{kind.command} {command}`"),
-            ("source", f"{kind.nouns} {rows}; `manifest.json` names and fingerprints each file"),
-        ],
-        spec=manifest.spec["options"],
-        values={**terms, "package": kind.package},
-    ).write(folder, manifest, kind)
-
-
-def _table_sheet(facts: FolderSummary) -> bytes | None:
-    """Draw the first objects as PNG; None without rows."""
-    tiles, file = [], f"{MESH}.bytes"  # of tables, whose meshes are GLB files
-    is_glb = VERTICES not in read.column_names(facts.schema)
-    for row in islice(rows_to_draw(facts, [file] if is_glb else [VERTICES, FACES]), _SHOWN):
-        if is_glb:
-            mesh = unpack_mesh(row.value(file), ".glb")
-            vertices_m, faces = mesh.vertices_m, mesh.faces
-        else:
-            vertices_m, faces = row.array(VERTICES), row.array(FACES)
-        pitch_m = max(float(np.ptp(vertices_m, axis=0)[:2].max()) / _TILE_PX, 1e-6)
-        tiles.append(pictures.Tile(pictures.relief(vertices_m, faces, pitch_m)))
-    return tiles_png(tiles, 5)
-
-
 def tiles_png(tiles: Sequence[pictures.Tile], columns: int) -> bytes | None:
     """Arrange pictures for a card, as PNG; None without pictures."""
-    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8)) if tiles else None
+    if not tiles:
+        return None
+    return pictures.png_bytes(pictures.sheet(tiles, columns, margin_px=8))
 
 
-def card_words(file: str) -> dict[str, Any]:
+def card_words(file: str) -> JsonDict:
     """Read a file of ``data_cards`` with texts for its templates."""
     return tomllib.loads(files("data_cards").joinpath(file).read_text(encoding="utf-8"))
 
@@ -244,8 +178,8 @@ def with_repo_name(card: str, name: str) -> str:
 
 def rows_to_draw(facts: FolderSummary, columns: Sequence[str]) -> Iterator[read.Row]:
     """Yield the rows of the first split with rows, reading given columns block by block."""
-    split = next((split for split in facts.splits if split.rows), None)
-    for block in read.all_blocks(() if split is None else split.shards, list(columns)):
+    shards = next((split.shards for split in facts.splits if split.rows), ())
+    for block in read.all_blocks(shards, list(columns)):
         yield from (read.Row(block, index) for index in range(len(block.table)))
 
 

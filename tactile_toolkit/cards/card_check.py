@@ -6,9 +6,8 @@ import fnmatch
 import io
 import re
 import reprlib
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from posixpath import normpath
-from typing import Any
 
 import yaml
 from PIL import Image
@@ -17,6 +16,7 @@ from tactile_toolkit import store
 from tactile_toolkit.cards.folder_facts import FolderSummary, folder_summary
 from tactile_toolkit.cards.yaml_head import CARD_FILE, card_head
 from tactile_toolkit.errors import ToolkitError
+from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _GAPS = re.compile(r"more information needed|\[optional\]|\bTODO\b", re.IGNORECASE)
 _PICTURE = re.compile(r"!\[[^\]]*\]\((?P<path>[^)\s]+)\)")
@@ -49,7 +49,7 @@ def check_card(folder: store.DataFolder) -> list[store.Finding]:
     return [*(store.Finding(CARD_FILE, problem) for problem in problems), *_check_pictures(folder, text)]
 
 
-def _contradictions(head: Mapping[str, Any], facts: FolderSummary) -> Iterator[str]:
+def _contradictions(head: JsonObject, facts: FolderSummary) -> Iterator[str]:
     """Yield files, numbers and columns of the head that the folder contradicts."""
     if not isinstance(head.get("dataset_info"), dict):
         yield "its head has no 'dataset_info'; next: write the card again with the command `card`"
@@ -62,17 +62,19 @@ def _contradictions(head: Mapping[str, Any], facts: FolderSummary) -> Iterator[s
             found = _abridged(stated[claim]) if claim in stated else "missing"
             wanted = _abridged(expected[claim]) if claim in expected else "none"
             yield f"{' '.join(claim)} is {found}, expected {wanted}"
-    for split in () if facts.recorded else facts.splits:
+    if facts.recorded:
+        return
+    for split in facts.splits:
         for shard, path in zip(split.shards, split.paths, strict=True):
             if not shard.schema.equals(facts.schema):
                 yield f"columns of {path} differ from those of {facts.splits[0].paths[0]}"
 
 
-def _claims(head: Mapping[str, Any], held: Sequence[str]) -> dict[tuple[str, ...], Any]:
+def _claims(head: JsonObject, held: Sequence[str]) -> dict[tuple[str, ...], JsonValue]:
     """Return the claims of a head by subject; patterns are replaced by the files ``held`` that they match."""
     info, categories = head["dataset_info"], head.get("size_categories")
     # Without sizes in memory, which may be estimates.
-    claims: dict[tuple[str, ...], Any] = {("its", "'download_size'"): info.get("download_size")}
+    claims: dict[tuple[str, ...], JsonValue] = {("its", "'download_size'"): info.get("download_size")}
     claims["its", "'size_categories'"] = [categories] if isinstance(categories, str) else categories
     for config in head.get("configs") or ():
         for entry in config["data_files"]:

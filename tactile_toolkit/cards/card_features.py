@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pyarrow as pa
 
 from tactile_toolkit import read
+from tactile_toolkit.json_types import JsonDict, JsonValue
 
 _MEDIA = {"Image": "image", "Video": "video", "Audio": "audio", "Mesh": "mesh"}
 
 
-def yaml_features(schema: pa.Schema, where: str = "") -> list[dict[str, Any]]:
+def yaml_features(schema: pa.Schema, where: str = "") -> list[JsonDict]:
     """Describe each column of a schema as `datasets` does in ``dataset_info.features``.
 
     Classes, images and videos follow from the metadata of `datasets`. A column with a dotted name, such as
@@ -23,7 +22,7 @@ def yaml_features(schema: pa.Schema, where: str = "") -> list[dict[str, Any]]:
     return [{"name": each.name, **_entry(each.type, features.get(each.name))} for each in schema]
 
 
-def _entry(data_type: pa.DataType, feature: Any) -> dict[str, Any]:
+def _entry(data_type: pa.DataType, feature: JsonValue) -> JsonDict:
     """Describe a column or list element by its Arrow type and metadata."""
     known = feature if isinstance(feature, dict) else {}
     if known.get("_type") == "ClassLabel" and isinstance(known.get("names"), list):

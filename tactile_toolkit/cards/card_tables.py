@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, TypeAlias
+from typing import TypeAlias
 
 from tactile_toolkit.cards.folder_facts import FolderSummary
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.shown_text import markdown_code, markdown_text
 
 ColumnWords: TypeAlias = tuple[str, str]
@@ -44,7 +45,7 @@ def field_table(facts: FolderSummary, known: Mapping[str, ColumnWords]) -> str:
     return markdown_table(("column", "type", "shape, unit, frame", "meaning"), rows)
 
 
-def _flat(features: Sequence[Mapping[str, Any]], above: str = "") -> list[dict[str, Any]]:
+def _flat(features: Sequence[JsonObject], above: str = "") -> list[JsonDict]:
     """List columns by dotted name, including fields of structs."""
     flat = []
     for entry in features:
@@ -53,7 +54,7 @@ def _flat(features: Sequence[Mapping[str, Any]], above: str = "") -> list[dict[s
     return flat
 
 
-def column_type_text(entry: Any) -> str:
+def column_type_text(entry: JsonValue) -> str:
     """Return the type of a column as text, such as ``list of float32[3]``."""
     if isinstance(entry, str):
         return entry
@@ -63,7 +64,9 @@ def column_type_text(entry: Any) -> str:
         inner = column_type_text(entry["list"])
         if "length" not in entry:
             return f"list of {inner}"
-        return f"{inner}[{entry['length']}]" if " " not in inner else f"({inner})[{entry['length']}]"
+        if " " in inner:
+            inner = f"({inner})"
+        return f"{inner}[{entry['length']}]"
     dtype = entry["dtype"]
     if isinstance(dtype, dict):
         return "ClassLabel: " + ", ".join(map(markdown_text, dtype["class_label"]["names"].values()))
@@ -72,9 +75,11 @@ def column_type_text(entry: Any) -> str:
 
 def megabytes(size: int) -> str:
     """Return a size as text: ``"12.30 MB"``, or in kB if it is small."""
-    return f"{size / 1e6:,.2f} MB" if size >= 1e5 else f"{size / 1e3:,.1f} kB"
+    if size < 1e5:
+        return f"{size / 1e3:,.1f} kB"
+    return f"{size / 1e6:,.2f} MB"
 
 
 def between(least: int, most: int) -> str:
     """Return a range of counts as text: ``"3 to 5"``, or one count."""
-    return f"{most:,}" if least == most else f"{least:,} to {most:,}"
+    return " to ".join(f"{count:,}" for count in dict.fromkeys((least, most)))

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from pathlib import PurePosixPath
-from typing import Any
 
 import pyarrow as pa
 
-from tactile_toolkit import places, read, run, store
+from tactile_toolkit import places, read, run, store, system
 from tactile_toolkit.cards.card_features import yaml_features
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.system import usable_cores
+from tactile_toolkit.json_types import JsonDict
 
 
 @dataclass(frozen=True)
@@ -50,7 +49,7 @@ class FolderSummary:
         return sum(split.rows for split in self.splits)
 
     @cached_property
-    def features(self) -> list[dict[str, Any]]:
+    def features(self) -> list[JsonDict]:
         """Columns as `datasets` describes them in a card."""
         first = next((shard.path for split in self.splits for shard in split.shards), "")
         return yaml_features(self.schema, first)
@@ -65,28 +64,31 @@ def folder_summary(
     InputError when the folder holds no Parquet files, and IntegrityError when one is missing or damaged.
     """
     manifest = manifest or store.manifest_so_far(folder)
-    splits = []
     if manifest is None:
         held = (place or places.folder_place(folder)).all_shards()
+        splits = [_measured(folder, split, shards) for split, shards in held.items()]
     else:
-        held = {split: _recorded(folder, manifest.shards_of(split)) for split in manifest.splits}
-    for split, shards in held.items():
-        records = () if manifest is None else manifest.shards_of(split)
-        paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
-        sizes: Iterable[Sequence[Any]] = [(each.rows, each.bytes, each.unpacked_bytes) for each in records]
-        if manifest is None:
-            files = zip(shards, paths, strict=True)
-            sizes = run.in_threads(partial(_sizes, folder), files, usable_cores())
-        splits.append(SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True))))
+        splits = [_recorded(folder, split, manifest.shards_of(split)) for split in manifest.splits]
     if not splits:
         raise InputError(folder.missing_message("Parquet files"), next="give the folder of a data set")
-    return FolderSummary(
-        tuple(splits), splits[0].shards[0].schema, manifest is not None, viewer_files(manifest)
-    )
+    schema = splits[0].shards[0].schema
+    return FolderSummary(tuple(splits), schema, manifest is not None, viewer_files(manifest))
 
 
-def _recorded(folder: store.DataFolder, records: Iterable[store.ShardRecord]) -> tuple[read.Shard, ...]:
-    return tuple(read.Shard(folder.address(each.shard.data_path), each.rows) for each in records)
+def _recorded(folder: store.DataFolder, split: str, records: Sequence[store.ShardRecord]) -> SplitFiles:
+    """Return the files of a split and their sizes as a manifest states them."""
+    paths = tuple(each.shard.data_path for each in records)
+    shards = (read.Shard(folder.address(path), each.rows) for path, each in zip(paths, records, strict=True))
+    sizes = ((each.rows, each.bytes, each.unpacked_bytes) for each in records)
+    return SplitFiles(split, tuple(shards), paths, *map(sum, zip(*sizes, strict=True)))
+
+
+def _measured(folder: store.DataFolder, split: str, shards: tuple[read.Shard, ...]) -> SplitFiles:
+    """Return the files of a split and their sizes as their footers state them."""
+    paths = tuple(shard.path.removeprefix(f"{folder.address()}/") for shard in shards)
+    files = zip(shards, paths, strict=True)
+    sizes = run.in_threads(partial(_sizes, folder), files, system.usable_cores())
+    return SplitFiles(split, shards, paths, *map(sum, zip(*sizes, strict=True)))
 
 
 def _sizes(folder: store.DataFolder, file: tuple[read.Shard, str]) -> tuple[int, int, int]:

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import re
 from dataclasses import asdict, dataclass
-from typing import Any
 
-from tactile_toolkit import store
+from tactile_toolkit import shown_text, store
 from tactile_toolkit.checked_fields import text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit.json_types import JsonDict
 
 LICENCES = (
     *("cc0-1.0", "cc-by-2.0", "cc-by-2.5", "cc-by-3.0", "cc-by-4.0", "cc-by-sa-3.0", "cc-by-sa-4.0"),
@@ -38,7 +37,7 @@ def read_licence(word: str) -> str:
 
 def _read_line(option: str, words: str) -> str:
     line = words.strip()
-    if not line or len(line) > _MOST_WORDS or printable(line) != line:
+    if not line or len(line) > _MOST_WORDS or shown_text.printable(line) != line:
         raise InputError(f"{option} is {words[:80]!r}; expected one line of 1 to {_MOST_WORDS} characters")
     return line
 
@@ -65,7 +64,7 @@ def read_citation(words: str) -> str:
                 f"--citation {words!r} cannot be read ({problem})", next="check the file"
             ) from error
     found = words.strip()
-    if not found or len(found) > _MOST_CITATION or printable(found, keep="\n") != found:
+    if not found or len(found) > _MOST_CITATION or shown_text.printable(found, keep="\n") != found:
         raise InputError(
             f"--citation has {len(found):,} characters; expected 1 to {_MOST_CITATION:,} of text"
         )
@@ -94,6 +93,6 @@ class OwnerWords:
         metavar="TEXT|FILE.bib", read=read_citation, help="How to cite the data set: text, BibTeX or a file."
     )
 
-    def given(self) -> dict[str, Any]:
+    def given(self) -> JsonDict:
         """Return the words that are stated."""
         return {name: value for name, value in asdict(self).items() if value}

@@ -8,9 +8,8 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from typing import Any
 
-from tactile_toolkit import store
+from tactile_toolkit import shown_text, store
 from tactile_toolkit.cards.owner_options import (
     OwnerWords,
     read_author,
@@ -20,8 +19,8 @@ from tactile_toolkit.cards.owner_options import (
 )
 from tactile_toolkit.cards.yaml_head import CARD_FILE, head_text, parsed_head, with_head
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.shown_text import markdown_text
 
 KEY = "owner"
 """Key of the head of a card."""
@@ -52,7 +51,7 @@ def read_owner(folder: store.DataFolder) -> OwnerWords:
         ) from error
 
 
-def _checked(stated: Mapping[str, Any]) -> OwnerWords:
+def _checked(stated: JsonObject) -> OwnerWords:
     readers = {"license": read_licence, "title": read_title, "citation": read_citation}
     known = {name: read(stated[name]) for name, read in readers.items() if stated.get(name)}
     authors = [read_author(name) for name in stated.get("author") or ()]
@@ -76,7 +75,7 @@ def state_owner(
     kind.write_card(folder, manifest)
 
 
-def with_owner(head: dict[str, Any], body: str, words: OwnerWords) -> tuple[dict[str, Any], str]:
+def with_owner(head: JsonDict, body: str, words: OwnerWords) -> tuple[JsonDict, str]:
     """Return head and text of a card with the words of an owner in their places."""
     given = words.given()
     if not given:
@@ -87,9 +86,9 @@ def with_owner(head: dict[str, Any], body: str, words: OwnerWords) -> tuple[dict
         body = _with_section(body, "Licence", f"{words.license}, as the owner of the data set states.")
     if words.title:
         changed["pretty_name"] = words.title
-        body = re.sub(r"\A# .*", lambda _: f"# {markdown_text(words.title or '')}", body, count=1)
+        body = re.sub(r"\A# .*", lambda _: f"# {shown_text.markdown_text(words.title or '')}", body, count=1)
     if words.author:
-        names = ", ".join(map(markdown_text, words.author))
+        names = ", ".join(map(shown_text.markdown_text, words.author))
         body = re.sub(r"\A# .*\n", lambda line: f"{line[0]}\nBy {names}.\n", body, count=1)
     if words.citation:
         body = _with_section(body, "Citation", _cited(words.citation), is_first=True)
@@ -99,7 +98,7 @@ def with_owner(head: dict[str, Any], body: str, words: OwnerWords) -> tuple[dict
 def _cited(citation: str) -> str:
     if citation.startswith("@"):
         return f"```bibtex\n{citation.replace('```', '')}\n```"
-    return markdown_text(citation)
+    return shown_text.markdown_text(citation)
 
 
 def _with_section(body: str, heading: str, words: str, *, is_first: bool = False) -> str:
@@ -107,7 +106,7 @@ def _with_section(body: str, heading: str, words: str, *, is_first: bool = False
 
     def changed(found: re.Match[str]) -> str:
         start = f"## {heading}\n\n"
-        rest = found[0].removeprefix(start) if is_first else ""
+        rest = found[0].removeprefix(start) * is_first
         return f"{start}{words}\n\n{rest}"
 
     return re.sub(_SECTION.format(heading), changed, body, count=1)

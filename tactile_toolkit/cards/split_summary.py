@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from tactile_toolkit import store
-from tactile_toolkit.parsed_text import natural_key
+from tactile_toolkit import parsed_text, store
 from tactile_toolkit.rows import Column
+from tactile_toolkit.wording import with_count
 
 _MOST_LISTED = 12
 
@@ -49,12 +50,16 @@ class SplitSummary:
             return column.text(self.sums[column.name])
         if column.role == "measure":
             spread = self.measures[column.name]
-            return "{0} to {2} (median {1})".format(*map(column.text, spread)) if spread else "-"
+            if not spread:
+                return "-"
+            return "{0} to {2} (median {1})".format(*map(column.text, spread))
         counts = self.facets[column.name]
-        if len(counts) > 1 and len(set(counts.values())) == 1:
+        # A row has one class, but any number of warnings, of which each is named.
+        is_even = len(counts) > 1 and len(set(counts.values())) == 1
+        if is_even and not pa.types.is_list(column.data_type):
             return f"{next(iter(counts.values())):,} of each of {len(counts):,}"
         if len(counts) > _MOST_LISTED:
-            return f"{len(counts):,} values"
+            return with_count(len(counts), "values")
         return ", ".join(f"{value}: {count:,}" for value, count in counts.items()) or "none"
 
 
@@ -62,9 +67,6 @@ def summarise_columns(
     manifest: store.Manifest, table: pa.Table, declared: Sequence[Column]
 ) -> list[SplitSummary]:
     """Summarise the columns of a table for each split; ``table`` has a column ``split``."""
-    # pyarrow.compute takes 40 ms to import, and few commands need it.
-    import pyarrow.compute as pc
-
     found = []
     for split, counts in manifest.split_table().items():
         rows = table.filter(pc.equal(table["split"], split))
@@ -82,15 +84,17 @@ def summarise_columns(
 
 def _counts(values: pa.ChunkedArray) -> dict[str, int]:
     flat = values.combine_chunks()
-    flat = flat.flatten() if pa.types.is_list(flat.type) else flat
+    if pa.types.is_list(flat.type):
+        flat = flat.flatten()
     counts = {str(each["values"]): each["counts"] for each in flat.value_counts().to_pylist()}
-    return {value: counts[value] for value in sorted(counts, key=natural_key)}
+    return {value: counts[value] for value in sorted(counts, key=parsed_text.natural_key)}
 
 
 def _spread(values: pa.ChunkedArray) -> tuple[float, ...]:
     numbers = values.to_numpy()
-    found = (numbers.min(), np.median(numbers), numbers.max()) if len(numbers) else ()
-    return tuple(round(float(number), 3) for number in found)
+    if not len(numbers):
+        return ()
+    return tuple(round(float(figure(numbers)), 3) for figure in (np.min, np.median, np.max))
 
 
 def facts_table(

@@ -8,13 +8,12 @@ from __future__ import annotations
 import copy
 import fnmatch
 from collections.abc import Callable, Sequence
-from typing import Any
 
 import yaml
 
-from tactile_toolkit import store
+from tactile_toolkit import shown_text, store
 from tactile_toolkit.cards.folder_facts import FolderSummary
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit.json_types import JsonDict, JsonValue
 
 CARD_FILE = "README.md"
 
@@ -22,7 +21,7 @@ _LIMITS = ("1K", "10K", "100K", "1M", "10M", "100M", "1B", "10B", "100B", "1T")
 _FENCE = "---\n"
 
 
-def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
+def card_head(facts: FolderSummary, **fields: JsonValue) -> JsonDict:
     """Return the head of a card: the given fields, then what follows from the folder.
 
     ``dataset_info`` has the form that `datasets` writes, and verifies on loading.
@@ -43,7 +42,7 @@ def card_head(facts: FolderSummary, **fields: Any) -> dict[str, Any]:
     }
 
 
-def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[dict[str, Any]]:
+def configs(facts: FolderSummary, others: Sequence[str] = ()) -> list[JsonDict]:
     """Return the configurations with the files of each split, the default one first.
 
     ``others`` are files next to them that belong to no split.
@@ -66,11 +65,14 @@ def _path_of(split: str, folder: str, paths: Sequence[str], there: Sequence[str]
     # `datasets` sorts matches as text, so numbers of each length need their own pattern.
     names = (store.ShardName.parse(path.rpartition("/")[2]) for path in paths)
     lengths = sorted({len(f"{name.index:05d}") for name in names if name is not None})
-    several = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
-    patterns = several if len(lengths) > 1 else [f"{folder}/{split}-*"]
-    if [path for pattern in patterns for path in fnmatch.filter(there, pattern)] == list(paths):
-        return patterns[0] if len(patterns) == 1 else patterns
-    return list(paths)
+    patterns = [f"{folder}/{split}-*"]
+    if len(lengths) > 1:
+        patterns = [f"{folder}/{split}-{'?' * length}-of-*" for length in lengths]
+    if [path for pattern in patterns for path in fnmatch.filter(there, pattern)] != list(paths):
+        return list(paths)
+    if len(patterns) == 1:
+        return patterns[0]
+    return patterns
 
 
 def size_category(rows: int) -> str:
@@ -78,19 +80,21 @@ def size_category(rows: int) -> str:
     above = min(max(0, len(str(rows)) - 3), len(_LIMITS))
     if above == len(_LIMITS):
         return f"n>{_LIMITS[-1]}"
-    return f"n<{_LIMITS[0]}" if above == 0 else f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
+    if above == 0:
+        return f"n<{_LIMITS[0]}"
+    return f"{_LIMITS[above - 1]}<n<{_LIMITS[above]}"
 
 
-def head_text(head: dict[str, Any]) -> str:
+def head_text(head: JsonDict) -> str:
     """Write a head between two lines of dashes."""
     text: str = yaml.safe_dump(head, sort_keys=False, allow_unicode=True, width=110)
     # YAML escapes control characters, but not those that change the direction of text.
-    if text != printable(text, keep="\n"):
+    if text != shown_text.printable(text, keep="\n"):
         text = yaml.safe_dump(head, sort_keys=False, width=110)
     return f"{_FENCE}{text}{_FENCE}"
 
 
-def parsed_head(card: str) -> dict[str, Any]:
+def parsed_head(card: str) -> JsonDict:
     """Return the head of a card; ValueError for a card without one."""
     start, text, _ = card.split(_FENCE, 2)
     try:
@@ -102,9 +106,11 @@ def parsed_head(card: str) -> dict[str, Any]:
     return head
 
 
-def with_head(card: str, change: Callable[[dict[str, Any]], object], note: str = "") -> str:
+def with_head(card: str, change: Callable[[JsonDict], object], note: str = "") -> str:
     """Return a card with a changed head and a note before its text; ValueError for a card without a head."""
     head, body = parsed_head(card), card.split(_FENCE, 2)[2]
     changed = copy.deepcopy(head)
     change(changed)
-    return card if changed == head and not note else head_text(changed) + note + body
+    if changed == head and not note:
+        return card
+    return head_text(changed) + note + body

@@ -48,12 +48,11 @@ def id_range(given: GivenId) -> tuple[int, int]:
             return given
         return (given, given)
     match = _IDS.fullmatch(given)
-    low, high = (int(match[1]), int(match[2] or match[1])) if match is not None else (0, -1)
-    if high < low:
+    if match is None or int(match[2] or match[1]) < int(match[1]):
         raise InputError(
             f"--ids has {given!r}, and these ids are numbers; expected numbers and ranges such as 3,17,40-60"
         )
-    return low, high
+    return int(match[1]), int(match[2] or match[1])
 
 
 def id_text(given: GivenId) -> str:

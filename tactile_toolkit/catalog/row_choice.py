@@ -17,11 +17,15 @@ C = TypeVar("C", bound="Classified")
 
 
 class Classified(Protocol):
-    """Rows with ids and classes."""
+    """Rows with ids of objects and classes."""
 
     @property
     def ids(self) -> AnyArray:
         """Id of each row."""
+
+    @property
+    def object_ids(self) -> AnyArray:
+        """Id of the object of each row."""
 
     @property
     def labels(self) -> Int64:
@@ -65,8 +69,9 @@ def choose_rows(
 ) -> list[tuple[str, C, Int64]]:
     """Choose rows of splits, each with its name; return those with their positions, in order.
 
-    Rows must have one of these ``ids`` (a pair means all numbers from its first to its last, or the text
-    ``first-last``) and one of these classes. Of these, the first ``per_class`` of each class are taken, and
+    The object of a row must have one of these ``ids`` and one of these classes. A pair of ids means all
+    numbers from its first to its last; a text is also the id of a row, such as a round of touches. Of these
+    rows, the first ``per_class`` of each class are taken, and
     then the first ``limit`` of each split. Raises InputError if an id, a range or a class matches no row, or
     no row is left.
     """
@@ -75,9 +80,9 @@ def choose_rows(
     for split, rows in datasets:
         wanted = np.ones(len(rows), bool)
         if ids is not None:
-            inside, values = np.zeros((len(asked), len(rows)), bool), rows.ids
+            inside = np.zeros((len(asked), len(rows)), bool)
             for number, each in enumerate(asked):
-                inside[number] = _with_id(values, each)
+                inside[number] = _with_id(rows, each)
             wanted, seen = np.any(inside, axis=0), seen | np.any(inside, axis=1)
         if labels is not None:
             classes = list(rows.label_names)
@@ -108,8 +113,11 @@ def choose_rows(
     return found
 
 
-def _with_id(values: AnyArray, given: GivenId) -> Bool:
-    """Return a mask of the ids, numbers or texts, that match a given id or range."""
+def _with_id(rows: Classified, given: GivenId) -> Bool:
+    """Return a mask of the rows whose object, or whose own text, has a given id or lies in a range."""
+    values = rows.object_ids
+    if isinstance(given, str) and rows.ids.dtype.kind not in "iuf":
+        values = rows.ids
     if values.dtype.kind not in "iuf":
         return np.asarray(values == id_text(given), bool)
     low, high = id_range(given)

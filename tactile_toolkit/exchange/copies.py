@@ -12,20 +12,19 @@ from typing import Unpack
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import catalog, read, store
+from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange import merge_changes
 from tactile_toolkit.exchange.merge_changes import RowChanges
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.kind import MERGE, SELECT, SPLIT, DatasetKind, kinds
-from tactile_toolkit.places import Name, Place, open_place, unknown_split
 
 
 def _copy_file(
     source: read.Shard, changes: RowChanges | None, _shard: store.ShardName, _rows: range
 ) -> store.ShardContent:
-    """Return a shard, unchanged without changes; IntegrityError if part of it does not match its checksum."""
+    """Return a shard with its changes; without any, byte for byte. IntegrityError for a wrong checksum."""
     with source.stored() as stream:
         content = stream.read()
         table = store.open_checked(io.BytesIO(content)).read(use_threads=False)
@@ -65,13 +64,8 @@ class _Source:
         return read.ShardedTable(sum(self.shards.values(), ()))
 
 
-def _related_kinds(kind: DatasetKind) -> list[DatasetKind]:
-    """List the kinds whose rows have the same columns, as all touches do."""
-    return [each for each in kinds() if each.package == kind.package]
-
-
-def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source:
-    place = open_place(name).require(kind, command).require_complete()
+def _open_source(kind: DatasetKind, name: places.Name | places.Place, command: str) -> _Source:
+    place = places.open_place(name).require(kind, command).require_complete()
     manifest = place.manifest
     shards = {split: place.shards(split, kind=kind) for split in place.splits}
     if manifest is None:
@@ -84,7 +78,7 @@ def _open_source(kind: DatasetKind, name: Name | Place, command: str) -> _Source
 
 def merge_sets(
     kind: DatasetKind,
-    names: Sequence[Name | Place],
+    names: Sequence[places.Name | places.Place],
     out: str,
     *,
     renumber: bool = False,
@@ -151,7 +145,11 @@ def _refuse_common_ids(sources: Sequence[_Source]) -> None:
 
 
 def divide(
-    kind: DatasetKind, name: Name | Place, fractions: Sequence[float], seed: int, chosen: JsonObject
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    fractions: Sequence[float],
+    seed: int,
+    chosen: JsonObject,
 ) -> list[dict[str, Int64]]:
     """Divide the rows of a data set; return for each part their positions by split, in order.
 
@@ -159,13 +157,13 @@ def divide(
     or, without fractions, into the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for
     ``chosen``, and all others.
     """
-    place = open_place(name).require(kind, SPLIT).require_complete()
+    place = places.open_place(name).require(kind, SPLIT).require_complete()
     datasets = {split: kind.load(place, split) for split in place.splits}
     if not fractions:
         among = dict(chosen)
         only = among.pop("split", None)
         if only not in (None, *datasets):
-            raise unknown_split(only, tuple(datasets), place.name)
+            raise places.unknown_split(only, tuple(datasets), place.name)
         some = catalog.choose_rows([each for each in datasets.items() if only in (None, each[0])], **among)
         taken = dict.fromkeys(datasets, np.zeros(0, np.int64)) | {split: rows for split, _, rows in some}
         return [taken, {each: np.setdiff1d(np.arange(len(datasets[each])), taken[each]) for each in taken}]
@@ -181,7 +179,7 @@ def divide(
 
 def write_part(
     kind: DatasetKind,
-    name: Name | Place,
+    name: places.Name | places.Place,
     rows: Mapping[str, Int64],
     options: JsonObject,
     out: str,
@@ -192,7 +190,11 @@ def write_part(
 
 
 def select_rows(
-    kind: DatasetKind, name: Name | Place, chosen: JsonObject, out: str, **run: Unpack[store.RunKeywords]
+    kind: DatasetKind,
+    name: places.Name | places.Place,
+    chosen: JsonObject,
+    out: str,
+    **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Write the rows that :func:`~tactile_toolkit.catalog.choose_rows` takes for ``chosen`` as a data set."""
     rows, _ = divide(kind, name, (), 0, chosen)
@@ -235,14 +237,15 @@ def _build(
         options = {**options, "touches": "imported"}  # the terms of their source apply
     # Data sets that were made in different ways have no common specification.
     source_spec = specs[0] if all(spec == specs[0] for spec in specs) else None
-    made = next((each for each in _related_kinds(kind) if each.name == each.package), kind)
+    # Kinds of one package have the same columns, as all touches do.
+    made = next((each for each in kinds() if each.name == each.package == kind.package), kind)
     style = _style([*shards, *chain.from_iterable(found.values())])
     plan = copy_plan(made, operation, options, found, source_spec, tasks, style)
     return store.build(folder, plan, write_card=made.write_card, **run)
 
 
-def unfinished_counts(sources: Iterable[_Source | Place]) -> dict[str, str]:
-    """Return for the specification of a copy how much of unfinished sources there was."""
+def unfinished_counts(sources: Iterable[_Source | places.Place]) -> dict[str, str]:
+    """Return, for the specification of a copy, how much of each unfinished source was finished."""
     counts = [each.unfinished for each in sources if each.unfinished]
     if counts:
         return {"unfinished": ", ".join(counts)}
@@ -271,7 +274,7 @@ def copy_plan(
 
 
 def _style(shards: Iterable[read.Shard]) -> store.ParquetStyle:
-    """Return row groups and columns without a dictionary as the first shard with rows has them."""
+    """Return the style of the first shard with rows: its row groups, and columns without a dictionary."""
     footers = (shard.metadata for shard in shards)
     groups = (footer.row_group(index) for footer in footers for index in range(footer.num_row_groups))
     group = next((each for each in groups if each.num_rows), None)

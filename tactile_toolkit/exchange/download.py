@@ -111,7 +111,7 @@ def _plan(
 ) -> DownloadPlan:
     """Compare the files of a repository (``held`` by split) with those of the target."""
     earlier = None if folder is None else _earlier_record(folder, repository)
-    recorded = earlier.files if earlier else {}
+    recorded = (earlier and earlier.files) or {}
     manifest, place = repository.manifest, places.Place(repository.repo_id, repository, held)
     # Other tools write files of that name, too.
     metadata = tuple(
@@ -120,10 +120,11 @@ def _plan(
         if path in repository.remote and (path != store.MANIFEST_FILE or manifest)
     )
     all_splits = place.splits
-    wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
-    wanted = wanted if splits else set(all_splits)
+    wanted = set(all_splits)
+    if splits:
+        wanted = {*splits, *(each for each in all_splits if not recorded.keys().isdisjoint(held[each]))}
     chosen = tuple(split for split in all_splits if split in wanted)
-    paths = _accompanying_files(repository, chosen, metadata if folder is None else ())
+    paths = _accompanying_files(repository, chosen, metadata * (folder is None))
     for split in dict.fromkeys([*chosen, *splits]):
         paths += place.paths_of(split)
     names = store.names_inside(dict.fromkeys(paths), f"Hub data set {repository.repo_id!r}")
@@ -250,7 +251,7 @@ def _execute(plan: DownloadPlan, folder: store.DataFolder, on_progress: Callable
             folder.local_path(path)
     folder.remove_temporaries()
     # The record is written first, so that an interrupted download is recognised.
-    earlier = plan.earlier.files if plan.earlier else {}
+    earlier = (plan.earlier and plan.earlier.files) or {}
     begun = msgspec.structs.replace(record, files={**earlier, **record.files}, finished=False)
     store.write_download_record(folder, begun)
     if manifest is not None and (plan.missing or leftover):
@@ -305,4 +306,4 @@ def _fitted_card(plan: DownloadPlan, folder: store.DataFolder, is_part: bool, ca
     def fit(head: JsonDict) -> None:
         head.update({name: here[name] for name in here if name in head or name == "configs"})
 
-    return cards.with_head(card, fit, note if is_part else "")
+    return cards.with_head(card, fit, note * is_part)

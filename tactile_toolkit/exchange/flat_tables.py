@@ -7,15 +7,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from tactile_toolkit import catalog, mesh, read, store
+from tactile_toolkit import catalog, mesh, read, run, store, system
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.exchange.copies import copy_plan, unfinished_counts
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import EXPORT, DatasetKind
 from tactile_toolkit.places import Place
-from tactile_toolkit.run import in_threads
-from tactile_toolkit.system import usable_cores
 
 Choices: TypeAlias = "Iterable[tuple[str, read.RecordDataset[mesh.SolidRecord], AnyArray]]"
 
@@ -77,7 +75,7 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
                 "clips without it); nothing was sent",
                 next="leave --viewer out",
             )
-        rows = mesh.SolidDataset[Any](
+        rows = mesh.SolidDataset[mesh.SolidRecord](
             read.ShardedTable((shard,)), label_names=read.class_names(shard.schema, ())
         )
         content = store.encode_parquet(mesh.flat_table(rows), _VIEWER_STYLE)
@@ -85,4 +83,4 @@ def viewer_tables(folder: store.DataFolder, manifest: store.Manifest, out: Path)
         (out / path).write_bytes(content)
         return path, store.sha256_hex(content)
 
-    return dict(in_threads(make, manifest.shards, min(usable_cores(), _MOST_AT_ONCE)))
+    return dict(run.in_threads(make, manifest.shards, min(system.usable_cores(), _MOST_AT_ONCE)))

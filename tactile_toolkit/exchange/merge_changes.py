@@ -41,12 +41,8 @@ class RowChanges:
         metadata = dict(table.schema.metadata or {})
         if features:
             added = {**features, self.column: {"dtype": "string", "_type": "Value"}}
-            metadata = {**metadata, **_encoded(read.feature_metadata(added))}
+            metadata |= {name.encode(): text.encode() for name, text in read.feature_metadata(added).items()}
         return table.append_column(self.column, values).replace_schema_metadata(metadata)
-
-
-def _encoded(metadata: Mapping[str, str]) -> dict[bytes, bytes]:
-    return {name.encode(): text.encode() for name, text in metadata.items()}
 
 
 @dataclass(frozen=True)

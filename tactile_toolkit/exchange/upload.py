@@ -22,14 +22,18 @@ from tactile_toolkit import cards, hub, run, store
 from tactile_toolkit.errors import HubError, InputError, IntegrityError
 from tactile_toolkit.exchange.flat_tables import viewer_tables
 from tactile_toolkit.exchange.upload_options import MAIN_BRANCH, UploadOptions
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.places import folder_place
+from tactile_toolkit.wording import with_count
 
 # Written by the Hub itself; every repository has them.
 _WRITTEN_BY_HUB = frozenset({".gitattributes"})
 _PICTURE_FOLDER = "images"
 _THREADS = 8
 
+# Asks the Hub for something, again while it is busy, and returns the answer.
+_Ask: TypeAlias = Callable[..., Any]
 _State: TypeAlias = tuple[hub.HubRepository | None, dict[str, str], bool]
 
 
@@ -72,7 +76,7 @@ def compare(
     files: Iterable[LocalFile], held: hub.HubRepository | None, *, delete: bool = False
 ) -> UploadPlan:
     """Compare the files for a repository with those of a commit, by path and checksum."""
-    local, remote = {file.path: file for file in files}, held.remote if held else {}
+    local, remote = {file.path: file for file in files}, (held and held.remote) or {}
     missing = tuple(local[path] for path in sorted(local) if not local[path].has_content_of(remote.get(path)))
     return UploadPlan(missing, *_other_files(local, held, delete))
 
@@ -84,12 +88,15 @@ def _other_files(
 
     Files that former uploads made for the Hub's page are removed, and with ``delete`` all others, too.
     """
-    kept, removed = list[str](), list[str]()
-    for path in sorted(held.remote.keys() - set(paths) - _WRITTEN_BY_HUB) if held else ():
-        folder, _, name = path.rpartition("/")
-        is_for_page = folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
-        (removed if delete or is_for_page else kept).append(path)
-    return tuple(kept), tuple(removed)
+    remote = (held and held.remote) or {}
+    others = sorted(remote.keys() - set(paths) - _WRITTEN_BY_HUB)
+    removed = tuple(path for path in others if delete or _is_for_page(path))
+    return tuple(path for path in others if path not in removed), removed
+
+
+def _is_for_page(path: str) -> bool:
+    folder, _, name = path.rpartition("/")
+    return folder == store.VIEWER_FOLDER and store.ShardName.parse(name) is not None
 
 
 def collect(root: Path, manifest: store.Manifest) -> list[str]:
@@ -127,7 +134,7 @@ class PreparedUpload:
     plan: UploadPlan
     left_out: tuple[str, ...]
     scratch: Path
-    ask: Callable[..., Any] = field(repr=False)
+    ask: _Ask = field(repr=False)
     what: str
     unasked: str = ""
 
@@ -192,12 +199,7 @@ def prepare_upload(
         if not place.is_local:
             place = local_copy(place, scratch / "copy")
         _require_sound(check(place) if check else store.verify(place, check_card=cards.check_card).findings)
-        unasked = ""
-        if dry_run:
-            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
-        else:
-            ask(huggingface_hub.HfApi().whoami)
-            state = ask(partial(_state, repo_id, chosen.branch))
+        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
         manifest, files = _files_to_send(place, manifest, repo_id, state[0], chosen, scratch)
         left_out = tuple(sorted(set(place.names()).difference(file.path.partition("/")[0] for file in files)))
         what = f"{manifest.kind} made by tactile-toolkit {manifest.toolkit_version}"
@@ -225,19 +227,14 @@ def prepare_files(
         scratch = stack.enter_context(store.scratch_folder())
         for path, content in files.items():
             (scratch / path).write_bytes(content)
-        unasked = ""
-        if dry_run:
-            state, unasked = _state_if_known(ask, repo_id, chosen.branch)
-        else:
-            ask(huggingface_hub.HfApi().whoami)
-            state = ask(partial(_state, repo_id, chosen.branch))
+        state, unasked = _asked_state(ask, repo_id, chosen.branch, dry_run=dry_run)
         local = tuple(LocalFile(path, scratch / path, len(content)) for path, content in files.items())
         prepared = replace(_prepared(repo_id, chosen, state, local, scratch, ask, what), unasked=unasked)
         weakref.finalize(prepared, stack.pop_all().close)
     return prepared
 
 
-def _asking(repo_id: str, on_wait: Callable[[str], None]) -> Callable[..., Any]:
+def _asking(repo_id: str, on_wait: Callable[[str], None]) -> _Ask:
     """Return what calls a function that asks the Hub for a repository; InputError for another name."""
     if hub.hub_name(repo_id) != hub.HubName(repo_id, None, ""):
         raise InputError(f"{repo_id!r} is not a name of a repository", next="give USER/NAME")
@@ -250,7 +247,7 @@ def _prepared(
     state: tuple[hub.HubRepository | None, dict[str, str], bool],
     files: tuple[LocalFile, ...],
     scratch: Path,
-    ask: Callable[..., Any],
+    ask: _Ask,
     what: str,
 ) -> PreparedUpload:
     """Compare files with the state of a repository; InputError if it or its tag must not change."""
@@ -278,10 +275,14 @@ def _refuse_public(repo_id: str, options: UploadOptions, held: hub.HubRepository
         )
 
 
-def _state_if_known(ask: Callable[..., Any], repo_id: str, branch: str) -> tuple[_State, str]:
-    """Return :func:`_state`, or that of a new repository and the reason why the Hub was not asked."""
+def _asked_state(ask: _Ask, repo_id: str, branch: str, *, dry_run: bool) -> tuple[_State, str]:
+    """Return :func:`_state`; of a dry run, if the Hub cannot be asked, that of a new repository and why."""
+    state = partial(_state, repo_id, branch)
+    if not dry_run:
+        ask(huggingface_hub.HfApi().whoami)
+        return ask(state), ""
     try:
-        return ask(partial(_state, repo_id, branch), waits_s=()), ""
+        return ask(state, waits_s=()), ""
     except HubError as error:
         return (None, {}, False), error.what
 
@@ -291,6 +292,7 @@ def _state(repo_id: str, branch: str) -> _State:
 
     A missing repository is not an error.
     """
+    # Not among the names that the client loads when they are asked for.
     from huggingface_hub import errors
 
     try:
@@ -361,7 +363,7 @@ def _files_to_send(
     for path, text in rendered.items():
         (scratch / path).write_bytes(text.encode())
     known = {record.file: record.sha256 for record in manifest.shards} | dict(manifest.files)
-    places = {path: (scratch if path in made or path in rendered else root) / path for path in paths}
+    places = {path: root / path for path in paths} | {path: scratch / path for path in (*made, *rendered)}
     return manifest, tuple(
         LocalFile(path, where, where.stat().st_size, known.get(path)) for path, where in places.items()
     )
@@ -375,12 +377,12 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
     IntegrityError (afterwards the Hub does not hold what the folder has).
     """
     api, ask, options, held = huggingface_hub.HfApi(), prepared.ask, prepared.options, prepared.held
-    here: dict[str, Any] = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
+    here: JsonDict = {"repo_id": prepared.repo_id, "repo_type": "dataset"}
     # exist_ok: another upload may have made them meanwhile, or an answer was lost.
     if held is None:
         ask(partial(api.create_repo, **here, private=options.private, exist_ok=True))
     if not prepared.has_branch and options.branch != MAIN_BRANCH:
-        start = held.commit if held else None
+        start = None if held is None else held.commit
         ask(partial(api.create_branch, **here, branch=options.branch, revision=start, exist_ok=True))
     # If only the answer was lost, a second attempt would open a second pull request.
     commit, pull = ask(partial(_send, prepared), waits_s=() if options.create_pr else None)
@@ -392,7 +394,7 @@ def run_upload(prepared: PreparedUpload) -> UploadResult:
         paths = [*(file.path for file in wrong.to_send), *wrong.removed]
         raise IntegrityError(
             f"{prepared.repo_id!r} does not hold what was sent (commit {commit[:12]}): "
-            f"{paths[0]} differs ({len(paths)} such files)",
+            f"{paths[0]} differs ({with_count(len(paths), 'such files')})",
             next="run the same upload again, it sends what is missing",
         )
     if options.tag:

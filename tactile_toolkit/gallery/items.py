@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import pyarrow as pa
 
@@ -40,6 +40,10 @@ class GalleryItem:
     media: Mapping[str, bytes] = field(default_factory=dict, repr=False)
 
 
+ItemMaker: TypeAlias = Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
+"""Takes a record, the split, the class names, and what is known of the row."""
+
+
 @dataclass(frozen=True)
 class RowsTask:
     """Makes the items of some rows of a split.
@@ -49,7 +53,7 @@ class RowsTask:
 
     dataset: read.AnyRecords
     split: str
-    item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem]
+    item: ItemMaker
     known: tuple[object, ...] = field(repr=False)
 
     @property
@@ -90,7 +94,7 @@ def gallery_of_rows(
     chosen: catalog.RowFilter,
     title: str,
     columns: Sequence[Column],
-    item: Callable[[Any, str, tuple[str, ...], Any], GalleryItem],
+    item: ItemMaker,
     rows_per_task: int,
     known: Callable[[Any, str], Sequence[object]] = lambda rows, _: [None] * len(rows),
 ) -> Gallery:

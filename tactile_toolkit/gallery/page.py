@@ -11,9 +11,8 @@ import json
 from collections.abc import Sequence
 from importlib import resources
 
-from tactile_toolkit import __version__
+from tactile_toolkit import __version__, parsed_text
 from tactile_toolkit.gallery.items import Gallery, GalleryItem
-from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.rows import Column
 
 NONE, UNKNOWN = "none", "unknown"
@@ -67,7 +66,7 @@ def _facet(column: Column, items: Sequence[GalleryItem]) -> dict[str, object]:
     rows = [_words(item.values[column.name]) if column.name in item.values else () for item in items]
     found = {value for row in rows for value in row}
     known = [value for value in column.values if value in found]
-    values = known + sorted(found.difference(known), key=natural_key)
+    values = known + sorted(found.difference(known), key=parsed_text.natural_key)
     numbers = {value: number for number, value in enumerate(values)}
     chosen = [[numbers[value] for value in row] for row in rows]
     return {"title": column.title, "values": values, "rows": chosen}

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import io
-
 import numpy as np
 from PIL import Image
 
-from tactile_toolkit import pictures
+from tactile_toolkit import pictures, touch
 from tactile_toolkit.array_types import Floating, Integers, UInt8
 
 THUMBNAIL_PX = 144
@@ -31,11 +29,9 @@ def thumbnail(pixels: UInt8, opaque_from: int | None = None) -> bytes:
         # The share of the paper in smooth edges is removed, so that no light rim shows on dark pages.
         ink = np.clip((layers - (1 - share) * paper) / np.maximum(share, 1 / 255), 0, 255)
         levels = np.concatenate([np.where(share > 0, ink, 0), 255 * share], axis=-1).round().astype(np.uint8)
-        picture = Image.fromarray(levels, "LA" if levels.shape[-1] == 2 else "RGBA")
+        picture = Image.fromarray(levels, {2: "LA", 4: "RGBA"}[levels.shape[-1]])
     picture.thumbnail((THUMBNAIL_PX, THUMBNAIL_PX), Image.Resampling.BOX)
-    stream = io.BytesIO()
-    picture.save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return touch.encode_png(picture)
 
 
 def relief_thumbnail(vertices_m: Floating, faces: Integers) -> bytes:

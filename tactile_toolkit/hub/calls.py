@@ -21,9 +21,9 @@ from urllib.parse import urlsplit
 
 import huggingface_hub
 
-from tactile_toolkit import store
+from tactile_toolkit import redaction, store
 from tactile_toolkit.errors import HubError, InputError, StorageError, ToolkitError
-from tactile_toolkit.redaction import redact
+from tactile_toolkit.json_types import JsonDict
 
 ANSWER_BYTES = 32 << 20
 """Largest unpacked answer that is not a file: a listing of more than 100,000 files."""
@@ -50,6 +50,7 @@ _LASTING = re.compile(
 _UNREADABLE = (ValueError, TypeError, LookupError, AttributeError, RecursionError)
 _NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM)
 _FILE_NAME = re.compile(r'(?:W/)?"?\w[\w.-]*"?', re.ASCII)
+_FILE_NAMES = ("etag", "x-linked-etag", "x-repo-commit")
 _PROXIES = ("HTTPS_PROXY", "HTTP_PROXY", "ALL_PROXY")
 _ADDRESSES = ("HF_ENDPOINT", *_PROXIES, *map(str.lower, _PROXIES))
 _MOST_S = 1e9  # numbers may have thousands of digits
@@ -100,7 +101,7 @@ class TooLargeError(Exception):
 
 
 def require_addresses() -> None:
-    """Raise InputError for an address in the environment that is none; the client would quote it."""
+    """Raise InputError for a variable that holds no valid address; the client would quote it."""
     for name in _ADDRESSES:
         with contextlib.suppress(ValueError):
             _ = urlsplit(os.environ.get(name, "")).port
@@ -113,6 +114,7 @@ def require_addresses() -> None:
 
 def public_endpoint() -> str:
     """Return the address of the Hub, without the user and password that HF_ENDPOINT may hold."""
+    # Not among the names that the client loads when they are asked for.
     from huggingface_hub import constants
 
     return _USER_OF_ADDRESS.sub(r"\1", constants.ENDPOINT)
@@ -204,7 +206,9 @@ def failure_of(
                 "endpoint": public_endpoint(),
                 "wait": f"in {wait_s:.0f} s" if wait_s else "in some minutes",
             }
-            what, then = (redact(part.format(**values), huggingface_hub.get_token()) for part in sentence)
+            what, then = (
+                redaction.redact(part.format(**values), huggingface_hub.get_token()) for part in sentence
+            )
             raised = _CLASSES.get(pattern, HubError)(what, next=then)
             met = " ".join(traits)
             return store.CallFailure(raised, bool(_PASSING.search(met)) and not _LASTING.search(met), wait_s)
@@ -264,7 +268,7 @@ def _send(send: Callable[..., Any], request: Any, *, stream: bool = False, **opt
     response = store.in_time(partial(send, request, stream=True, **options))
     if not stream:
         # The session reads the answer.
-        response.read() if hasattr(response, "read") else response.content
+        getattr(response, "read", lambda: response.content)()
     return response
 
 
@@ -286,7 +290,7 @@ def _check_answer(response: Any, **_: object) -> None:
     """Limit the body of an answer, and refuse one with a bad header."""
     request = response.request
     # The client names files in its cache by these.
-    for name in ("etag", "x-linked-etag", "x-repo-commit") if request.method == "HEAD" else ():
+    for name in _FILE_NAMES * (request.method == "HEAD"):
         value = response.headers.get(name, "none")
         if not _FILE_NAME.fullmatch(value):
             raise HubError(
@@ -316,9 +320,9 @@ def _check_answer(response: Any, **_: object) -> None:
     setattr(response, name, limited)
 
 
-def counting_options(count: Callable[[int], None]) -> dict[str, Any]:
+def counting_options(count: Callable[[int], None]) -> JsonDict:
     """Return options with which the client reports the bytes of a file that have arrived, if it can."""
-    from huggingface_hub.utils.tqdm import tqdm
+    from huggingface_hub.utils.tqdm import tqdm  # only once addresses are known to be valid
 
     class Bar(tqdm):
         """Reports the bytes that are written to the disk."""

@@ -62,7 +62,7 @@ def hub_name(name: str, revision: str | None = None) -> HubName | None:
     is_address = name.startswith(_PREFIX)
     if match is None or name.startswith((".", "~")) or (match["path"] and not is_address):
         return None
-    named = match["revision"].replace("%2F", "/") if match["revision"] else None
+    named = (match["revision"] or "").replace("%2F", "/")
     if named and revision and named != revision:
         raise InputError(
             f"{name!r} names the revision {named!r}, and {revision!r} is given next to it",
@@ -331,6 +331,7 @@ def open_repository(
 
 def listing(repo_id: str, revision: str | None = None) -> HubRepository:
     """Ask the Hub for all files of a revision; raises exceptions of its client."""
+    # Not among the names that the client loads when they are asked for.
     from huggingface_hub import constants
 
     timeout_s = constants.HF_HUB_ETAG_TIMEOUT

@@ -5,7 +5,6 @@ from .files import (
     FORMATS as FORMATS,
     file_content as file_content,
     file_ending as file_ending,
-    merge_equal_vertices as merge_equal_vertices,
     pack_mesh as pack_mesh,
     parse_mesh as parse_mesh,
     read_mesh as read_mesh,
@@ -13,6 +12,7 @@ from .files import (
     unit_of_file as unit_of_file,
     write_mesh as write_mesh,
 )
+from .welding import merge_equal_vertices as merge_equal_vertices
 from .mesh_folders import (
     MeshFiles as MeshFiles,
     find_mesh_files as find_mesh_files,
@@ -22,7 +22,7 @@ from .mesh import (
     Mesh as Mesh,
     MeshLike as MeshLike,
     as_mesh as as_mesh,
-    joined as joined,
+    join_surfaces as join_surfaces,
 )
 from .nearness import (
     connected as connected,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.mesh import Mesh, MeshLike, as_mesh
 from tactile_toolkit.mesh.solid_check import require_solid
@@ -40,11 +38,11 @@ def on_base_plate(solid: MeshLike, base_mm: float) -> Mesh:
     ItemError
         The mesh does not bound a solid.
     """
-    import manifold3d
+    import manifold3d  # few meshes get a plate
 
     if not base_mm > 0:
         raise InputError(f"base_mm is {base_mm!r}; expected a thickness above 0 mm")
-    body: Any = require_solid(as_mesh(solid)).manifold
+    body = require_solid(as_mesh(solid)).manifold
     left, front, low, right, back, high = body.bounding_box()
     middle, sunk = (low + high) / 2, min(_SUNK_MM, base_mm / 2)
     upper = body.trim_by_plane((0.0, 0.0, 1.0), middle - sunk).translate((0.0, 0.0, base_mm - middle))

@@ -7,37 +7,28 @@ import os
 import zipfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit import spatial, store
-from tactile_toolkit.array_types import Float64, Int32, Integers
+from tactile_toolkit import quantities, store, units
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.mesh import file_units, gltf, threemf_writing
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, joined
-from tactile_toolkit.mesh.obj import read_obj
-from tactile_toolkit.mesh.ply import read_ply
-from tactile_toolkit.mesh.stl import read_stl
-from tactile_toolkit.mesh.threemf import read_build
-from tactile_toolkit.quantities import bytes_text
-from tactile_toolkit.units import MM_PER_UNIT
-from tactile_toolkit.wording import with_count
+from tactile_toolkit.mesh import file_units, gltf, obj, ply, stl, threemf, threemf_writing, welding
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, MeshLike, Surface, as_mesh, join_surfaces
 
 FORMATS = (".stl", ".3mf", ".ply", ".obj", ".glb")
 """All are in millimetres, except GLB, which is in metres, and 3MF, which states its unit."""
 
 # Readers of formats that state no unit.
-_PLAIN: dict[str, Callable[[bytes], Surface]] = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj}
+_PLAIN: dict[str, Callable[[bytes], Surface]] = {
+    ".stl": stl.read_stl,
+    ".ply": ply.read_ply,
+    ".obj": obj.read_obj,
+}
 
 _MOST_BYTES = 2 << 30  # an STL of 43 million triangles
 _USUAL_UNIT = "mm"  # slicers assume it, too
-
-# Corners closer than this fraction of the size of the object are welded where that closes the surface.
-_WELDED = 1e-5
-# More corners in one place are not due to rounding; this bounds memory.
-_NEIGHBOURS = 16
 
 # How files of some formats begin, and the ending that they should have; few others begin so.
 _MARKS = {b"PK\3\4": ("a zip archive", ".3mf"), b"glTF": ("binary glTF", ".glb"), b"\x1f\x8b": ("gzip", "")}
@@ -114,7 +105,8 @@ def _bounded(stream: IO[bytes]) -> bytes:
     size = stream.seek(0, os.SEEK_END)
     if size > _MOST_BYTES:
         raise InputError(
-            f"the file has {bytes_text(size)}; expected at most {bytes_text(_MOST_BYTES)}",
+            f"the file has {quantities.bytes_text(size)}; expected at most "
+            f"{quantities.bytes_text(_MOST_BYTES)}",
             next="reduce the number of its triangles",
         )
     stream.seek(0)
@@ -139,18 +131,18 @@ def _unpacked(data: bytes, ending: str, unit: str | None) -> tuple[Mesh, str | N
     stated: str | None = None
     try:
         if ending == ".3mf":
-            items, notes, stated = read_build(data)
-            mesh = Mesh(*joined([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
+            items, notes, stated = threemf.read_build(data)
+            mesh = Mesh(*join_surfaces([(item.mesh.vertices_m, item.mesh.faces) for item in items]), notes)
         elif ending == ".glb":
-            stated, mesh = "m", _welded(*merge_equal_vertices(*gltf.read_glb(data)))
+            stated, mesh = "m", welding.welded(*welding.merge_equal_vertices(*gltf.read_glb(data)))
         else:
-            vertices, faces = merge_equal_vertices(*_PLAIN[ending](data))
-            mesh = _welded(vertices / (MM_PER_M / MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
+            vertices, faces = welding.merge_equal_vertices(*_PLAIN[ending](data))
+            mesh = welding.welded(vertices / (MM_PER_M / units.MM_PER_UNIT[unit or _USUAL_UNIT]), faces)
     except (InputError, MemoryError):  # more than the limit
         raise
     except Exception as error:
         # Parsers raise errors of many types for damaged files.
-        story = f" ({error})" if isinstance(error, _TELLING) else ""
+        story = f" ({error})" * isinstance(error, _TELLING)
         raise InputError(
             f"not a readable {ending[1:].upper()} file{story}", next="export the mesh again"
         ) from error
@@ -193,26 +185,10 @@ def pack_mesh(mesh: Mesh, ending: str, name: str = "") -> bytes:
     # GLB is in metres by its specification; the others state no unit, and slicers assume millimetres.
     if ending == ".glb":
         return gltf.pack_glb(np.ascontiguousarray(mesh.vertices_m, "<f4"), mesh.faces)
-    import trimesh
+    import trimesh  # takes a second to import
 
     packed = trimesh.Trimesh(mesh.vertices_mm, mesh.faces, process=False).export(file_type=ending[1:])
     return packed.encode() if isinstance(packed, str) else bytes(packed)
-
-
-def merge_equal_vertices(vertices: Float64, faces: Integers) -> Surface:
-    """Merge vertices with equal coordinates, in order of first appearance."""
-    # trimesh would merge within a tolerance; numpy's unique rows take three times as long.
-    rows = vertices + 0.0  # -0.0 equals 0.0
-    order = np.lexsort(rows.T)
-    in_order = rows.take(order, axis=0)
-    is_new = np.concatenate([[True], (in_order[1:] != in_order[:-1]).any(axis=1)])[: len(rows)]
-    group = np.empty(len(rows), np.int64)
-    group[order] = np.cumsum(is_new) - 1
-    first = order[is_new]
-    by_appearance = np.argsort(first)
-    number = np.empty(len(first), np.int32)
-    number[by_appearance] = np.arange(len(first), dtype=np.int32)
-    return vertices.take(first[by_appearance], axis=0), number[group].take(faces)
 
 
 def file_ending(path: Path) -> str:
@@ -222,47 +198,3 @@ def file_ending(path: Path) -> str:
         found = f"files ending in {ending!r}" if ending else "files without an ending"
         raise InputError(f"{path}: {found} are not known; expected one of {', '.join(FORMATS)}")
     return ending
-
-
-def _welded(vertices: Float64, faces: Int32) -> Mesh:
-    """Weld corners that rounding has separated, where that closes the surface; metres."""
-    if not len(faces) or not np.isfinite(vertices).all() or _is_closed(faces, len(vertices)):
-        return Mesh(vertices, faces)
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    # Ends of edges that do not occur in both directions.
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2).astype(np.int64)
-    forth, back = (ends @ weights for weights in ((len(vertices), 1), (1, len(vertices))))
-    torn = np.unique(ends[~(np.isin(forth, back) & np.isin(back, forth))])
-    if len(torn) < 2:
-        return Mesh(vertices, faces)
-    reach_m = _WELDED * float(np.ptp(vertices, axis=0).max())
-    tree, count = spatial.cKDTree(vertices[torn]), min(_NEIGHBOURS, len(torn))
-    found: Any = tree.query(vertices[torn], count, distance_upper_bound=reach_m)
-    row, column = np.nonzero(np.isfinite(found[0]))
-    graph = coo_array((np.ones(len(row)), (row, found[1][row, column])), (len(torn), len(torn)))
-    group = connected_components(graph, directed=False)[1]
-    first = np.full(len(torn), len(vertices))
-    np.minimum.at(first, group, torn)
-    moved = np.arange(len(vertices))
-    moved[torn] = first[group]
-    corners = moved[faces]
-    corners = corners[(corners != np.roll(corners, 1, axis=1)).all(axis=1)]
-    if not len(corners) or not _is_closed(corners, len(vertices)):
-        return Mesh(vertices, faces)
-    used, corners_used = np.unique(corners, return_inverse=True)
-    # One corner far away makes others near: what closes then is another object.
-    if (np.abs(np.ptp(vertices[used], axis=0) - np.ptp(vertices, axis=0)) > 2 * reach_m).any():
-        return Mesh(vertices, faces)
-    welded = int((moved != np.arange(len(vertices))).sum())
-    kept = corners_used.reshape(-1, 3).astype(np.int32)
-    return Mesh(vertices[used], kept, (f"{with_count(welded, 'corners')} welded",))
-
-
-def _is_closed(faces: Integers, count: int) -> bool:
-    """Return whether each edge occurs equally often in both directions; wrong with probability 2^-64."""
-    corners, following = np.ascontiguousarray(faces.T), [1, 2, 0]
-    random = np.random.default_rng(0).integers(1 << 63, size=(2, count), dtype=np.uint64)
-    one, other = (numbers.take(corners) for numbers in random)
-    return bool((one * other[following]).sum() == (other * one[following]).sum())

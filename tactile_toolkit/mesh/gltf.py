@@ -10,17 +10,14 @@ import json
 import math
 import struct
 from collections.abc import Iterator
-from typing import Any
 
 import numpy as np
 
-from tactile_toolkit import spatial
-from tactile_toolkit.arithmetic import moved
-from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit import arithmetic, bounds, spatial
+from tactile_toolkit.array_types import AnyArray, AnyDtype, Float32, Float64, Int32
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonValue
-from tactile_toolkit.mesh.mesh import Surface, joined
+from tactile_toolkit.mesh.mesh import Surface, join_surfaces, placed
 
 # glTF uses the numbers of OpenGL.
 _COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
@@ -59,8 +56,8 @@ def read_glb(data: bytes) -> Surface:
     text = chunks.get(b"JSON", b"")
     # Python needs at most 24 bytes for each byte of JSON, less than the limit for unpacked files.
     document = _Document(json.loads(text), chunks.get(b"BIN\0", b""), len(data))
-    vertices, faces = joined(list(document.placed()))
-    return moved(vertices, _Z_UP.T), faces
+    vertices, faces = join_surfaces(list(document.placed()))
+    return arithmetic.moved(vertices, _Z_UP.T), faces
 
 
 class _Document:
@@ -112,15 +109,16 @@ class _Document:
     def _moved(self, node: JsonValue, mesh: JsonValue, matrix: Float64) -> Iterator[Surface]:
         if any(node.get("weights", mesh.get("weights", ()))):
             raise InputError("a mesh is a blend of shapes (morph targets), which is not supported")
-        is_mirrored = np.linalg.det(matrix[:3, :3]) < 0
         for primitive in mesh["primitives"]:
             if primitive.get("mode", _TRIANGLES) not in (_TRIANGLES, _STRIP, _FAN):
                 continue  # points and lines have no surface
             vertices, faces = self._triangles(primitive)
             # The same surface can be placed any number of times.
             self._placed_bytes += vertices.nbytes + faces.nbytes
-            require_unpackable(_PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes)
-            yield moved(vertices, matrix[:3, :3].T) + matrix[:3, 3], faces[:, ::-1] if is_mirrored else faces
+            bounds.require_unpackable(
+                _PER_BYTE * self._placed_bytes, "what the file places", self._file_bytes
+            )
+            yield placed((vertices, faces), matrix[:3, :3].T, matrix[:3, 3])
 
     def _triangles(self, primitive: JsonValue) -> Surface:
         vertices = self._values(primitive["attributes"]["POSITION"], "VEC3").astype(np.float64)
@@ -151,7 +149,9 @@ class _Document:
         if "bufferView" in accessor:
             found = self._view(accessor, count, component, _WIDTHS[kind])
         elif "sparse" in accessor:
-            require_unpackable(_WIDTHS[kind] * 8 * count, f"accessor of {count:,} values", self._file_bytes)
+            bounds.require_unpackable(
+                _WIDTHS[kind] * 8 * count, f"accessor of {count:,} values", self._file_bytes
+            )
             found = np.zeros((count, _WIDTHS[kind]), component)
         else:
             raise InputError(f"accessor {number} has no data: an extension that is not supported holds them")
@@ -164,7 +164,7 @@ class _Document:
             return np.maximum(found / np.iinfo(component).max, -1.0)
         return found
 
-    def _view(self, at: JsonValue, count: int, component: np.dtype[Any], width: int) -> AnyArray:
+    def _view(self, at: JsonValue, count: int, component: AnyDtype, width: int) -> AnyArray:
         """Return values from a part of the binary chunk, shape (count, width)."""
         view = self._item("bufferViews", at["bufferView"])
         if "uri" in self._item("buffers", view["buffer"]) or view["buffer"] != 0:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, TypeAlias, cast
 
 import numpy as np
 
+from tactile_toolkit.arithmetic import moved
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int32
 from tactile_toolkit.errors import InputError
 
@@ -79,7 +80,7 @@ class Mesh:
         trimesh.Trimesh
             In metres.
         """
-        import trimesh
+        import trimesh  # takes a second to import
 
         return trimesh.Trimesh(vertices=self.vertices_m, faces=self.faces, process=False)
 
@@ -107,7 +108,7 @@ class Mesh:
         manifold3d.Manifold
             In millimetres. Empty for a mesh that does not bound a solid; its ``status()`` says why.
         """
-        import manifold3d
+        import manifold3d  # few meshes are checked
 
         # Mesh64, because manifold3d merges vertices that are equal in single precision.
         return manifold3d.Manifold(manifold3d.Mesh64(self.vertices_mm, self.faces.astype(np.uint64)))
@@ -146,7 +147,15 @@ def as_mesh(thing: MeshLike) -> Mesh:
     )
 
 
-def joined(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
+def placed(surface: Surface, turn: Float64, shift: Float64) -> Surface:
+    """Return a surface times a matrix (3, 3) from the right, and shifted; a mirrored one is turned back."""
+    vertices, faces = surface
+    if np.linalg.det(turn) < 0:
+        faces = faces[:, ::-1]
+    return moved(vertices, turn) + shift, faces
+
+
+def join_surfaces(surfaces: Sequence[tuple[AnyArray, AnyArray]]) -> Surface:
     """Join several surfaces into one."""
     starts = np.cumsum([0, *(len(vertices) for vertices, _ in surfaces)])
     faces = [corners + np.int32(start) for (_, corners), start in zip(surfaces, starts, strict=False)]

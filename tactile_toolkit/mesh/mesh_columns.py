@@ -6,13 +6,12 @@ mesh class, so no other column may have this prefix (package tactile-mnist 0.13.
 
 from __future__ import annotations
 
-from typing import Any
-
 import pyarrow as pa
 
-from tactile_toolkit import read
+from tactile_toolkit import read, rows
+from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.rows import column, plain_schema, row
+from tactile_toolkit.json_types import JsonValue
 
 VERTICES = "mesh.vertices"
 """Column of corner positions: ``list<float32[3]>``, metres."""
@@ -44,16 +43,16 @@ def require_mesh_columns(schema: pa.Schema, name: str, made_by: str) -> None:
         )
 
 
-@row
+@rows.row
 class MeshRow:
     """A row with a mesh; row classes of each kind add their own columns after these."""
 
-    id: int = column(pa.int64())
-    label: int = column(pa.int64())
-    vertices_m: Any = column(
+    id: int = rows.column(pa.int64())
+    label: int = rows.column(pa.int64())
+    vertices_m: AnyArray = rows.column(
         read.vectors_type(pa.float32()), "V x 3, m, frame below", "corner positions", name=VERTICES
     )
-    faces: Any = column(
+    faces: AnyArray = rows.column(
         read.vectors_type(pa.int32()),
         "F x 3",
         "triangles: rows of the corners, counter-clockwise seen from outside",
@@ -63,17 +62,17 @@ class MeshRow:
 
 def mesh_schema(row_type: type[MeshRow], class_names: tuple[str, ...]) -> pa.Schema:
     """Return the Arrow schema of rows with a mesh; its metadata describe the columns to `datasets`."""
-    schema = plain_schema(row_type)
+    schema = rows.plain_schema(row_type)
     return schema.with_metadata(mesh_metadata(schema, class_names))
 
 
-def mesh_metadata(schema: pa.Schema, class_names: tuple[str, ...]) -> Any:
+def mesh_metadata(schema: pa.Schema, class_names: tuple[str, ...]) -> JsonValue:
     """Return the metadata of a schema, which describe its columns to `datasets`."""
     features = {field.name: _feature(field.type) for field in schema}
     return read.feature_metadata({**features, "label": read.label_feature(class_names)})
 
 
-def _feature(data_type: pa.DataType) -> Any:
+def _feature(data_type: pa.DataType) -> JsonValue:
     """Describe a column to `datasets`, in a form that both old and new releases read."""
     if pa.types.is_list(data_type) and pa.types.is_struct(data_type.value_type):
         return [{field.name: _feature(field.type) for field in data_type.value_type}]

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from os import PathLike, fspath
 from pathlib import Path
 
-from tactile_toolkit import store
+from tactile_toolkit import parsed_text, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh.files import FORMATS
-from tactile_toolkit.parsed_text import natural_key
 
 _LOG = logging.getLogger(__name__)
 _SPLITS = ("train", "test")
@@ -86,7 +85,7 @@ def _in_folder(root: Path) -> MeshFiles | None:
         return None
     names = list(dict.fromkeys(classes.values()))
     if len(splits) > 1:
-        names.sort(key=natural_key)
+        names.sort(key=parsed_text.natural_key)
     return MeshFiles({name: tuple(found) for name, found in splits.items()}, classes, tuple(names), root)
 
 
@@ -94,7 +93,7 @@ def _classes_of(root: Path, besides: tuple[str, ...] = ()) -> dict[Path, str]:
     """Return the class of each mesh file of a folder, in order."""
     loose = _files_in(root)
     folders = (each.name for each in root.iterdir() if each.is_dir() and not store.is_hidden(each.name))
-    names = sorted((name for name in folders if name not in besides), key=natural_key)
+    names = sorted((name for name in folders if name not in besides), key=parsed_text.natural_key)
     in_folders = {file: name for name in names for file in _files_in(root / name)}
     if loose and in_folders:
         raise InputError(
@@ -118,6 +117,6 @@ def _files_in(folder: Path) -> list[Path]:
 
 def _sorted_by_name(folder: Path, endings: tuple[str, ...]) -> Iterator[Path]:
     # Hidden files may be incomplete. In natural order, so that numbers are the same on every machine.
-    for file in sorted(folder.iterdir(), key=lambda each: natural_key(each.name)):
+    for file in sorted(folder.iterdir(), key=lambda each: parsed_text.natural_key(each.name)):
         if file.suffix.lower() in endings and not (store.is_hidden(file.name) or file.is_dir()):
             yield file

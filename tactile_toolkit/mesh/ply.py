@@ -11,7 +11,6 @@ import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -119,7 +118,7 @@ def _ply_rows(element: _Element, body: bytes, at: int) -> tuple[dict[str, tuple[
     for number, each in enumerate(element.properties):
         length = 1
         if each.count is not None:
-            length = _length(element, each, body, end)
+            length = _length(element, each.name, each.count, body, end)
             fields.append((f"count{number}", each.count))
             end += each.count.itemsize
         fields.append((f"values{number}", each.kind, (length,)))
@@ -149,7 +148,7 @@ def _ply_uneven_rows(
         for number, each in enumerate(element.properties):
             length = 1
             if each.count is not None:
-                length = _length(element, each, body, at)
+                length = _length(element, each.name, each.count, body, at)
                 at += each.count.itemsize
             end = at + length * each.kind.itemsize
             if end > len(body):
@@ -164,14 +163,13 @@ def _ply_uneven_rows(
     return found, at
 
 
-def _length(element: _Element, each: _Property, body: bytes, at: int) -> int:
+def _length(element: _Element, name: str, kind: np.dtype[np.generic], body: bytes, at: int) -> int:
     """Return the length of the list at a position."""
-    kind: Any = each.count
     stored = np.frombuffer(body[at : at + kind.itemsize].ljust(kind.itemsize, b"\xff"), kind)[0]
     if at + kind.itemsize > len(body):
         raise _cut_short(element)
     if not 0 <= stored <= len(body) or stored != int(stored):
-        raise InputError(f"a list {each.name[:40]!r} has {stored} values; the file is not as long")
+        raise InputError(f"a list {name[:40]!r} has {stored} values; the file is not as long")
     return int(stored)
 
 

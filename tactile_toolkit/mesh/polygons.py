@@ -36,15 +36,14 @@ def cut_polygons(vertices: Float64, sizes: Int64, corners: Int64) -> Int32:
     InputError
         A polygon has fewer than 3 or more than 10,000 corners, or names a vertex that is not there.
     """
-    if len(corners) and not 0 <= corners.min() <= corners.max() < len(vertices):
-        wrong = corners.max() if corners.min() >= 0 else corners.min()
-        raise InputError(f"a face names vertex {wrong}, counted from 0; there are {len(vertices):,}")
+    beyond = corners[(corners < 0) | (corners >= len(vertices))]
+    if len(beyond):
+        raise InputError(f"a face names vertex {beyond[0]}, counted from 0; there are {len(vertices):,}")
     if not len(sizes) or (sizes == 3).all():
         return corners.reshape(-1, 3).astype(np.int32)
-    least, most = int(sizes.min()), int(sizes.max())
-    if least < 3 or most > _MOST_CORNERS:
-        wrong_size = least if least < 3 else most
-        raise InputError(f"a face has {wrong_size:,} corners; expected 3 to {_MOST_CORNERS:,}")
+    wrong = sizes[(sizes < 3) | (sizes > _MOST_CORNERS)]
+    if len(wrong):
+        raise InputError(f"a face has {wrong[0]:,} corners; expected 3 to {_MOST_CORNERS:,}")
     starts = np.cumsum(sizes) - sizes
     found = []
     for size in np.unique(sizes).tolist():

@@ -13,9 +13,11 @@ WARNINGS_PAGE = "docs/warnings.md"
 
 _CURES = {
     "thin-wall": "make it larger, draw with a thicker pen, or give it upright sides (--edge-profile flat)",
-    "separate-bodies": "join the parts by a plate (--base-mm 2) or by bridges, or print them one by one",
-    "overhang": "print with support, or put it on a plate (--base-mm 2)",
-    "small-contact": "print with a brim of 5 mm, or put it on a plate (--base-mm 2)",
+    "separate-bodies": "join the parts by a plate (--base-mm 2 of `mnist3d export` and `solidify`) or by "
+    "bridges, or print them one by one",
+    "overhang": "print with support, or put it on a plate (--base-mm 2 of `mnist3d export` and `solidify`)",
+    "small-contact": "put it on a plate (--base-mm 2 of `mnist3d export` and `solidify`), or print it with a "
+    "brim of 5 mm",
     "larger-than-plate": "make it smaller, or cut it in the slicer",
     "too-tall": "make it smaller, or lay it down in the slicer",
 }

@@ -45,7 +45,7 @@ def inspect(mesh: MeshLike, profile: PrintProfile | None = None) -> PrintReport:
     from tactile_toolkit.mesh.surface_kernels import leaning_out
 
     mesh = as_mesh(mesh)
-    profile = PrintProfile() if profile is None else profile
+    profile = profile or PrintProfile()
     check = check_manifold(mesh)
     counts = (len(mesh.vertices_m), len(mesh.faces), check.bodies, check.genus, check.volume_mm3)
     if check.problem is not None:

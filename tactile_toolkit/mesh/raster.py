@@ -96,7 +96,7 @@ def _prepared(
     (ab_x, ab_y), (ac_x, ac_y) = corners[1] - corners[0], corners[2] - corners[0]
     area = ab_x * ac_y - ab_y * ac_x  # twice the area as seen from above
     # Vertical triangles would only repeat the edges of their neighbours.
-    faces_seen = (area != 0) if both_sides else (area > 0)
+    faces_seen = (area > 0) | (both_sides & (area < 0))
     kept = np.flatnonzero(faces_seen & (first[0] <= last[0]) & (first[1] <= last[1]))
     area, named = area[kept], faces[kept].T
     if both_sides:
@@ -159,17 +159,15 @@ def _cut(
 
 def _parts(counts: Int64) -> Iterator[tuple[int, int]]:
     """Divide items into runs with a total count of at most :data:`_AT_ONCE`, or of a single item."""
-    ends = np.cumsum(counts)
+    ends = np.cumsum(np.append(0, counts))
     start = 0
     while start < len(counts):
-        before = ends[start - 1] if start else 0
-        stop = max(start + 1, int(np.searchsorted(ends, before + _AT_ONCE, side="right")))
+        stop = max(start + 1, int(np.searchsorted(ends, ends[start] + _AT_ONCE, side="right")) - 1)
         yield start, stop
         start = stop
 
 
 def positions_in_runs(counts: Int64) -> Int64:
     """Return the positions within runs of given lengths: of counts 2 and 3 these are 0, 1, 0, 1, 2."""
-    ends = np.cumsum(counts)
-    total = int(ends[-1]) if len(ends) else 0
-    return np.asarray(np.arange(total) - np.repeat(ends - counts, counts))
+    starts = np.cumsum(counts) - counts
+    return np.asarray(np.arange(int(counts.sum())) - np.repeat(starts, counts))

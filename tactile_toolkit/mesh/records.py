@@ -95,8 +95,8 @@ class SolidDataset(read.RecordDataset[S]):
         return np.array([record.volume_m3 for record in self], np.float64)
 
 
-class RecordStream(read.Stream[read.RowSource], Generic[R]):
-    """Records one after another; see :class:`tactile_toolkit.read.Stream`.
+class RecordStream(read.RowStream[read.RowSource], Generic[R]):
+    """Records one after another; see :class:`tactile_toolkit.read.RowStream`.
 
     Parameters
     ----------

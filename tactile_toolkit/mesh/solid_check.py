@@ -14,6 +14,7 @@ import numpy as np
 
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.mesh.mesh import Mesh
+from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from manifold3d import Manifold
@@ -95,7 +96,8 @@ def array_problem(mesh: Mesh) -> tuple[str, str] | None:
         shapes = f"vertices {vertices.shape}, faces {faces.shape}"
         return "bad-shape", f"{shapes}; expected (V, 3) and (F, 3)"
     if not len(vertices) or not len(faces):
-        return "empty", f"{len(vertices)} vertices and {len(faces)} faces; expected a closed surface"
+        found = f"{with_count(len(vertices), 'vertices')} and {with_count(len(faces), 'faces')}"
+        return "empty", f"{found}; expected a closed surface"
     if not np.isfinite(vertices).all():
         bad = int((~np.isfinite(vertices)).any(axis=1).sum())
         return "not-finite", f"{bad:,} of {len(vertices):,} vertices: NaN or infinite"

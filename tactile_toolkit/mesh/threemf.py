@@ -18,11 +18,10 @@ from xml.parsers import expat
 
 import numpy as np
 
-from tactile_toolkit.arithmetic import moved
+from tactile_toolkit import bounds, units
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, joined
+from tactile_toolkit.mesh.mesh import MM_PER_M, Mesh, Surface, join_surfaces, placed
 from tactile_toolkit.mesh.text import numbers_of
 from tactile_toolkit.mesh.threemf_writing import (
     CORE,
@@ -32,7 +31,6 @@ from tactile_toolkit.mesh.threemf_writing import (
     SCHEMAS,
     BuildItem,
 )
-from tactile_toolkit.units import MM_PER_UNIT
 from tactile_toolkit.wording import with_count
 
 _UNITS = {
@@ -115,7 +113,7 @@ class _Package:
             raise InputError("the archive holds no .model file")
         known = [path for path in (RELATIONS_PATH, *_VOLUMES_PATHS) if path in entries]
         size = sum(entries[path].file_size for path in (*models, *known))
-        require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
+        bounds.require_unpackable(_PER_BYTE * size, f"3MF file: XML of {size:,} bytes", file_bytes)
         for path in known:
             self._read(archive, entries[path], self._begin_other)
         self._root = self._target or (MODEL_PATH.lower() if MODEL_PATH.lower() in models else models[0])
@@ -201,7 +199,7 @@ class _Package:
         if unit not in _UNITS:
             raise InputError(f"the unit is {unit[:40]!r}; expected one of {', '.join(_UNITS)}")
         self._units[self._path] = _UNITS[unit]
-        self._mm_per_unit = MM_PER_UNIT[_UNITS[unit]]
+        self._mm_per_unit = units.MM_PER_UNIT[_UNITS[unit]]
         for prefix in given.get("requiredextensions", "").split():
             extension = self._namespaces.get(prefix, prefix)
             if extension not in _KNOWN:
@@ -214,7 +212,7 @@ class _Package:
         self._tags += cost
         if self._tags % 1024 < 3:
             what = f"3MF file: XML of more than {self._tags:,} elements"
-            require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
+            bounds.require_unpackable(_PER_ELEMENT * self._tags, what, self._file_bytes)
 
     def _end(self, tag: str) -> None:
         if tag == f"{CORE} mesh":
@@ -232,7 +230,7 @@ class _Package:
         for named, matrix in self._objects[self._root, ""].parts:
             surfaces = list(self._placed(named, matrix))
             if surfaces:
-                vertices_mm, faces = joined(surfaces)
+                vertices_mm, faces = join_surfaces(surfaces)
                 items.append(BuildItem(self._objects[named].name, Mesh(vertices_mm / MM_PER_M, faces)))
         left_out = tuple(
             f"left out: {with_count(count, things)} {kind}"
@@ -261,13 +259,12 @@ class _Package:
         self._built_bytes += sum(each.nbytes for each in thing.surface or ())
         if depth > _DEEPEST or self._placed_parts > _MOST_PARTS:
             raise InputError(f"object {named[1]!r} holds itself, or more than {_MOST_PARTS:,} parts")
-        require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
-        mirrored = np.linalg.det(matrix[:3]) < 0
+        bounds.require_unpackable(_PER_BYTE * self._built_bytes, "3MF file: what it builds", self._file_bytes)
         own = thing.surface and self._without_volumes(named, thing.surface)
         parts = [part for part in thing.parts if self._is_body(self._parts.get((named[1], part[0][1])))]
         below = (surface for part in parts for surface in self._placed(*part, depth + 1))
-        for vertices_mm, faces in below if own is None else [own]:
-            yield moved(vertices_mm, matrix[:3]) + matrix[3], faces[:, ::-1] if mirrored else faces
+        for surface in below if own is None else [own]:
+            yield placed(surface, matrix[:3], matrix[3])
 
     def _is_body(self, kind: str | None) -> bool:
         """Return whether a volume belongs to the object; InputError for a negative volume."""
@@ -307,7 +304,7 @@ def read_build(data: bytes) -> Build:
     """
     with zipfile.ZipFile(io.BytesIO(data)) as archive:
         try:
-            require_plain_archive(archive)
+            bounds.require_plain_archive(archive)
         except ValueError as error:
             raise InputError(str(error)) from error
         return _Package(archive, len(data)).build()

@@ -50,7 +50,7 @@ def write_build(items: Sequence[BuildItem]) -> bytes:
     build = ""
     for number, item in enumerate(items, 1):
         x, y, z = (f"{value:.9g}" for value in item.offset_mm)
-        moved = f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"' if any(item.offset_mm) else ""
+        moved = f' transform="1 0 0 0 1 0 0 0 1 {x} {y} {z}"' * any(item.offset_mm)
         build += f'<item objectid="{number}"{moved}/>'
     resources = "".join(_object(item, number) for number, item in enumerate(items, 1))
     model = (
@@ -71,7 +71,7 @@ def _object(item: BuildItem, number: int) -> str:
     corners = "".join(f'<vertex x="{x:.9g}" y="{y:.9g}" z="{z:.9g}"/>' for x, y, z in places)
     faces = item.mesh.faces.tolist()
     triangles = "".join(f'<triangle v1="{a}" v2="{b}" v3="{c}"/>' for a, b, c in faces)
-    name = f" name={quoteattr(item.name)}" if item.name else ""
+    name = f" name={quoteattr(item.name)}" * bool(item.name)
     return (
         f'<object id="{number}" type="model"{name}><mesh><vertices>{corners}</vertices>'
         f"<triangles>{triangles}</triangles></mesh></object>"

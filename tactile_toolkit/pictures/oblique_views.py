@@ -8,9 +8,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tactile_toolkit.arithmetic import cosine_sine, moved
+from tactile_toolkit import arithmetic
 from tactile_toolkit.array_types import Float64, Floating, Int64, Integers, UInt8
-from tactile_toolkit.mesh import Mesh, highest_faces, joined
+from tactile_toolkit.mesh import Mesh, highest_faces, join_surfaces
 from tactile_toolkit.pictures.lettering import PAPER, Colour
 from tactile_toolkit.pictures.relief_views import box_downsample
 from tactile_toolkit.pictures.vectors import face_normals, unit_vectors
@@ -36,15 +36,15 @@ class View:
     @property
     def axes(self) -> Float64:
         """Unit vectors right, up and towards the viewer, one in each row: shape (3, 3)."""
-        walked, aside = cosine_sine(math.radians(self.azimuth_deg))
-        level, raised = cosine_sine(math.radians(self.elevation_deg))
+        walked, aside = arithmetic.cosine_sine(math.radians(self.azimuth_deg))
+        level, raised = arithmetic.cosine_sine(math.radians(self.elevation_deg))
         towards = np.array([level * aside, -level * walked, raised])
         right = np.array([walked, aside, 0.0])
         return np.stack([right, np.cross(towards, right), towards])
 
     def project(self, points: Floating) -> Float64:
         """Rotate points, shape (n, 3), to coordinates right, up and towards the viewer."""
-        return moved(np.asarray(points, np.float64), self.axes.T)
+        return arithmetic.moved(np.asarray(points, np.float64), self.axes.T)
 
 
 OBLIQUE = View(-25.0, 42.0)
@@ -72,7 +72,7 @@ def draw_bodies(
     The projection is parallel: lengths along the picture plane keep their scale. Returns shape (H, W, 3).
     """
     counts = [len(body.mesh.faces) for body in bodies]
-    vertices_m, faces = joined([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
+    vertices_m, faces = join_surfaces([(body.mesh.vertices_m, body.mesh.faces) for body in bodies])
     seen = view.project(vertices_m)
     width, height = (side * _SAMPLING for side in size_px)
     scale = px_per_m * _SAMPLING
@@ -134,7 +134,7 @@ def _lit(plain: Float64, normals: Float64) -> Float64:
     levels = _AMBIENT * plain
     for direction, strength in _LIGHTS:
         towards = unit_vectors(np.array(direction))
-        facing = np.maximum(moved(normals, towards[:, None]), 0.0)
+        facing = np.maximum(arithmetic.moved(normals, towards[:, None]), 0.0)
         mirrored = np.maximum(2 * facing * normals[:, 2:] - towards[2], 0.0)
         # To the power of 12 by products, which all processors round alike.
         highlight = mirrored * mirrored * mirrored

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import base64
 import html
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from PIL import Image
 
-from tactile_toolkit import store
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
 
@@ -98,15 +97,13 @@ def write_pictures(
 
 def png_bytes(pixels: UInt8) -> bytes:
     """Encode a picture as PNG, without metadata."""
-    stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(pixels)).save(stream, "PNG", compress_level=6)
-    return stream.getvalue()
+    return touch.encode_png(Image.fromarray(np.ascontiguousarray(pixels)))
 
 
 def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
     """Return HTML for notebooks of a picture and its caption, which is plain text."""
     source = base64.b64encode(png_bytes(pixels)).decode("ascii")
-    styled = f' style="{style}"' if style else ""
+    styled = f' style="{style}"' * bool(style)
     return (
         f'<figure{styled}><img src="data:image/png;base64,{source}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
@@ -116,7 +113,11 @@ def figure_html(pixels: UInt8, caption: str, style: str = "") -> str:
 def file_stem(name: str) -> str:
     """Return the beginning of the names of pictures of a data set: the last part of its path, made safe."""
     path = store.expanded(name)
-    last = path.resolve().name if path.is_dir() else path.stem if path.is_file() else path.name
+    last = path.name
+    if path.is_dir():
+        last = path.resolve().name
+    elif path.is_file():
+        last = path.stem
     plain = "".join(letter if letter.isalnum() or letter in "-_." else "-" for letter in last)
     # A leading dot would hide the file, and a leading dash make it an option.
     return plain.strip("-.") or "pictures"

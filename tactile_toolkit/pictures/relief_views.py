@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from tactile_toolkit.arithmetic import moved
+from tactile_toolkit import arithmetic
 from tactile_toolkit.array_types import Floating, Integers, UInt8
 from tactile_toolkit.mesh import Mesh, highest_faces
 from tactile_toolkit.pictures.picture_files import TILE_STYLE, figure_html
@@ -50,7 +50,7 @@ def relief(vertices_m: Floating, faces: Integers, pitch_m: float = _PITCH_M) -> 
     normals = face_normals(vertices, faces)
     # Faces that point away are lit as if they did not, so that damaged meshes are visible.
     normals *= np.where(normals[:, 2:] < 0, -1.0, 1.0)
-    light = moved(unit_vectors(normals), _LIGHT[:, None])[:, 0]
+    light = arithmetic.moved(unit_vectors(normals), _LIGHT[:, None])[:, 0]
     shades = np.asarray(_DARKEST + _RANGE * np.clip(light, 0, 1)).astype(np.uint8)
     return np.append(shades, np.uint8(255))[seen[::-1]]
 

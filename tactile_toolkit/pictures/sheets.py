@@ -56,15 +56,15 @@ def sheet(
     columns = min(columns, max(len(tiles), 1))
     rows = -(-len(tiles) // columns)
     shown = [tile for tile in tiles if tile is not None]
-    frame_px = 2 * _FRAME_PX if any(tile.frame for tile in shown) else 0
+    frame_px = 2 * _FRAME_PX * any(tile.frame for tile in shown)
     cell_height = max((tile.pixels.shape[0] for tile in shown), default=1) + frame_px
     cell_width = max((tile.pixels.shape[1] for tile in shown), default=1) + frame_px
     captioned = any(tile.caption for tile in shown)
-    row_step = cell_height + gap_px + (_line_px(CAPTION_PX) if captioned else 0)
+    row_step = cell_height + gap_px + _line_px(CAPTION_PX) * captioned
     label_px = max((round(text_size(label, TEXT_PX)[0]) for label in row_labels), default=0)
-    head_px = (_line_px(TITLE_PX) if title else 0) + _line_px(TEXT_PX) * len(lines)
-    left_px = margin_px + (label_px + gap_px + 4 if label_px else 0)
-    top_px = margin_px + (head_px + gap_px if head_px else 0)
+    head_px = _line_px(TITLE_PX) * bool(title) + _line_px(TEXT_PX) * len(lines)
+    left_px = margin_px + (label_px + gap_px + 4) * bool(label_px)
+    top_px = margin_px + (head_px + gap_px) * bool(head_px)
     words_px = max([text_size(line, TEXT_PX)[0] for line in lines] + [text_size(title, TITLE_PX)[0]])
     width = max(left_px + columns * (cell_width + gap_px) - gap_px, round(words_px) + margin_px) + margin_px
     height = top_px + rows * row_step + (_line_px(TEXT_PX) if bar_room else -gap_px) + margin_px
@@ -117,8 +117,8 @@ def in_rows(
 
 def bar_length_mm(width_px: int, px_per_mm: float) -> float:
     """Return the largest round length of at most a quarter of the width of a picture."""
-    fitting = [mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4]
-    return fitting[-1] if fitting else _NICE_LENGTHS_MM[0]
+    fitting = (mm for mm in _NICE_LENGTHS_MM if mm * px_per_mm <= width_px / 4)
+    return max(fitting, default=_NICE_LENGTHS_MM[0])
 
 
 def with_scale_bar(pixels: UInt8, px_per_mm: float, length_mm: float | None = None) -> UInt8:

@@ -84,7 +84,8 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
             f"is the folder of a run that was interrupted, and its {store.MANIFEST_FILE} is missing",
             "run the same command again, it continues",
         )
-    sets = [name for name, size in entries.items() if size is None and _is_set(folder, name)]
+    folders = [name for name, size in entries.items() if size is None and not name.startswith(".")]
+    sets = [name for name in folders if folder.exists(f"{name}/{store.MANIFEST_FILE}")]
     if sets:
         shown = ", ".join(sets[:_MOST_SHOWN])
         return (
@@ -92,10 +93,6 @@ def _folder_in_words(folder: store.DataFolder) -> tuple[str, str]:
             f"give one of them, such as {sets[0]!r}",
         )
     return _contents_in_words(folder)
-
-
-def _is_set(folder: store.DataFolder, name: str) -> bool:
-    return not name.startswith(".") and folder.exists(f"{name}/{store.MANIFEST_FILE}")
 
 
 def _contents_in_words(folder: store.DataFolder) -> tuple[str, str]:

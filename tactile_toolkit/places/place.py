@@ -1,4 +1,4 @@
-"""A data set as a name stands for it: its kind, its splits and their shards, and whether it is finished.
+"""The data set that a name refers to: its kind, its splits and their shards, and whether it is finished.
 
 All that takes the name of a data set (loaders, commands, copies, environments) takes a :class:`Place` from
 :func:`~tactile_toolkit.places.open_place`. So these facts are decided once, from the data.
@@ -33,7 +33,7 @@ _TAKE_FINISHED = "; or take what is finished with --allow-incomplete (allow_inco
 
 @dataclass(frozen=True)
 class Place:
-    """A data set as a name stands for it; no row is read.
+    """The data set that a name refers to; no row is read.
 
     Attributes
     ----------

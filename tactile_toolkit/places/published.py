@@ -42,7 +42,7 @@ def repository_named(name: str, revision: str | None = None) -> hub.HubName:
 def named_on_hub(name: str, revision: str | None) -> hub.HubName:
     """Resolve a name or short name to a repository, or a path in one; InputError for other names."""
     known = published_set(name)
-    named = hub.hub_name(known.repo_id if known else name, revision)
+    named = hub.hub_name((known and known.repo_id) or name, revision)
     if named is None:
         published = {entry.name: kind.command for kind in kinds() for entry in kind.published}
         lists = ", ".join(f"`{command} list`" for command in dict.fromkeys(published.values()))

@@ -13,11 +13,10 @@ from functools import cache
 from pathlib import PurePosixPath
 from typing import TypeAlias
 
-from tactile_toolkit import store
+from tactile_toolkit import parsed_text, store
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import kinds
-from tactile_toolkit.parsed_text import natural_key
 from tactile_toolkit.wording import did_you_mean, with_count
 
 CARD_FILE = "README.md"
@@ -47,7 +46,7 @@ def parquet_paths(paths: Iterable[str]) -> list[str]:
     """Return the paths of visible Parquet files in natural order."""
     # A path that leads out of the folder is kept here and refused later, by name.
     found = [path for path in paths if path.endswith(PARQUET) and (".." in path or not store.is_hidden(path))]
-    return sorted(found, key=natural_key)
+    return sorted(found, key=parsed_text.natural_key)
 
 
 def splits_by_name(paths: Iterable[str], where: str) -> Splits:
@@ -204,9 +203,9 @@ def _configurations(card: bytes, where: str) -> dict[str, JsonObject]:
         values = yaml.safe_load(head[1])
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}  # file names decide, as for a folder without a card
-    listed = values.get("configs") if isinstance(values, Mapping) else None
-    if listed is None:
+    if not isinstance(values, Mapping) or values.get("configs") is None:
         return {}
+    listed = values["configs"]
     is_list = isinstance(listed, list) and all(isinstance(each, Mapping) for each in listed)
     if not is_list:
         raise _unreadable(where, "configs", "a list of configurations")

@@ -12,14 +12,14 @@ from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import IO, Any, Generic, TypeVar
+from typing import IO, Generic, TypeVar
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import mesh, store
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.mesh import MM_PER_M, ManifoldCheck, Mesh, require_solid
 from tactile_toolkit.run import runner_for
+from tactile_toolkit.wording import with_count
 
 CHANGED = "changed"
 """Problem of a file; the others are :data:`tactile_toolkit.mesh.PROBLEMS`."""
@@ -77,10 +77,10 @@ class FileExport(Generic[R]):
     failed: tuple[FailedExport, ...]
 
 
-def require_same_solid(found: Mesh, meant: Mesh, verdict: ManifoldCheck) -> None:
+def require_same_solid(found: mesh.Mesh, meant: mesh.Mesh, verdict: mesh.ManifoldCheck) -> None:
     """Raise ItemError where a mesh that was read back differs from the solid meant, of ``verdict``."""
-    back = require_solid(found)
-    moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * MM_PER_M
+    back = mesh.require_solid(found)
+    moved_mm = float(np.abs(found.bounds_m - meant.bounds_m).max()) * mesh.MM_PER_M
     is_as_large = np.isclose(back.volume_mm3, verdict.volume_mm3, rtol=_VOLUME_TOLERANCE)
     is_as_joined = (back.bodies, back.genus) == (verdict.bodies, verdict.genus)
     if not (is_as_joined and is_as_large and moved_mm <= _BOUNDS_TOLERANCE_MM):
@@ -144,7 +144,7 @@ def _exported(
         if not dry_run:
             _remove(_before(folder, product))
             names = ", ".join(sorted(path.name for path in before))
-            detail += f"; {names} of an earlier export was removed" if before else ""
+            detail += f"; {names} of an earlier export was removed" * bool(before)
         return product.name, "failed", FailedExport(product.name, error.reason, detail)
     return product.name, "written", made.record("written")
 
@@ -174,22 +174,23 @@ def write_products(
     if not dry_run:
         store.open_folder(out).require_folder()
         store.remove_drafts(folder)  # drafts of killed exports
-    found: dict[str, tuple[str, Any]] = {}
+    found: dict[str, tuple[str, R | FailedExport]] = {}
 
     def run(some: Sequence[Product[R]], overwrite: bool, dry_run: bool) -> None:
         make = partial(_exported, folder, overwrite, dry_run)
-        for name, state, record in runner_for(workers).run(make, some) if some else ():
+        for name, state, record in runner_for(workers).run(make, some):
             found[name] = state, record
             on_progress(len(found), len(products))
 
     # A dry run of existing products finds files in the way. Kept products are not made again, because convex
     # parts take longer to compute than their file to write.
-    there = [] if overwrite else [product for product in products if _before(folder, product)]
+    there = [product for product in products if not overwrite and _before(folder, product)]
     run(products if dry_run else there, overwrite, True)
     others = sorted(each.patterns[0] for each in there if found[each.name][0] == "failed")
     if others:
         raise InputError(
-            f"{out!r} holds {others[0]!r} with other content ({len(others)} such files); nothing was written",
+            f"{out!r} holds {others[0]!r} with other content ({with_count(len(others), 'such files')}); "
+            "nothing was written",
             next="add --overwrite to replace them, or choose another --out",
         )
     if not dry_run:

@@ -9,14 +9,14 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactile_toolkit import catalog, read
+from tactile_toolkit import catalog, mesh, read
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh, merge_equal_vertices, on_base_plate
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.wording import class_name
 
 if TYPE_CHECKING:
@@ -39,10 +39,10 @@ class PrintObject:
     split: str
     label: str
     id: int
-    load: Callable[[], Mesh | SolidRecord]
+    load: Callable[[], mesh.Mesh | SolidRecord]
 
 
-def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
+def place_on_plate(surface: mesh.Mesh | SolidRecord, scale: float = 1.0) -> mesh.Mesh:
     """Place an object on the plate without rotation: only its height above the plate changes.
 
     Vertices with equal coordinates are merged, as solids need; ``scale`` multiplies all lengths, about the
@@ -52,10 +52,10 @@ def place_on_plate(surface: Mesh | SolidRecord, scale: float = 1.0) -> Mesh:
     faces = np.asarray(surface.faces, np.int32)
     # Faces with invalid vertex numbers are left to the check of the solid.
     if faces.size and faces.min() >= 0 and faces.max() < len(vertices_m):
-        vertices_m, faces = merge_equal_vertices(vertices_m, faces)
+        vertices_m, faces = mesh.merge_equal_vertices(vertices_m, faces)
     if len(vertices_m):
         vertices_m[:, 2] -= vertices_m[:, 2].min()
-    return Mesh(vertices_m, faces)
+    return mesh.Mesh(vertices_m, faces)
 
 
 def on_plates(objects: Iterable[PrintObject], base_mm: float | None) -> list[PrintObject]:
@@ -68,12 +68,12 @@ def on_plates(objects: Iterable[PrintObject], base_mm: float | None) -> list[Pri
     return [replace(item, load=partial(_on_plate, item.load, base_mm)) for item in objects]
 
 
-def _on_plate(load: Callable[[], Mesh | SolidRecord], base_mm: float) -> Mesh:
-    return on_base_plate(place_on_plate(load()), base_mm)
+def _on_plate(load: Callable[[], mesh.Mesh | SolidRecord], base_mm: float) -> mesh.Mesh:
+    return mesh.on_base_plate(place_on_plate(load()), base_mm)
 
 
 def choose(
-    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]], **chosen: Any
+    datasets: Iterable[tuple[str, read.RecordDataset[SolidRecord]]], **chosen: JsonValue
 ) -> list[PrintObject]:
     """Choose objects as :func:`tactile_toolkit.catalog.choose_rows` does; no mesh is read.
 

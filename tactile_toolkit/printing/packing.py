@@ -171,13 +171,13 @@ def _measured(item: PrintObject, spec: PlateSpec, scale: float) -> PlacedObject:
     outline = Outline.of(verdict.manifold)
     width_mm, depth_mm = outline.size_mm
     if _Plate(spec).place(width_mm, depth_mm) is None:
-        margins = f" less {spec.margin_mm:g} mm at each edge" if spec.margin_mm else ""
+        margins = f" less {spec.margin_mm:g} mm at each edge" * bool(spec.margin_mm)
         if any(spec.corner_mm):
             margins += f" and {spec.corner_mm[0]:g} x {spec.corner_mm[1]:g} mm in a corner"
         raise InputError(
             f"{item.name} does not fit on the plate: it needs {width_mm:.1f} x {depth_mm:.1f} mm, the plate "
             f"has {spec.width_mm:g} x {spec.depth_mm:g} mm{margins}; nothing was written",
-            next=f"give a larger --plate, a smaller {'--margin-mm or ' if margins else ''}--scale or other "
+            next=f"give a larger --plate, a smaller {'--margin-mm or ' * bool(margins)}--scale or other "
             "--ids",
         )
     box = verdict.manifold.bounding_box()

@@ -32,6 +32,7 @@ from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlateLayout
 from tactile_toolkit.printing.plate_map import draw_map
 from tactile_toolkit.printing.simulator import body_of, pack_mjcf
+from tactile_toolkit.wording import with_count
 
 TABLE_FILE = "plates.csv"
 OFF_PLATE = "off-plate"
@@ -144,7 +145,9 @@ def _check_plate(content: bytes, items: Sequence[BuildItem], layout: PlateLayout
     if layout.physics is None:
         found = {each.name: each.mesh for each in read_build(content).items}
     if found.keys() != meant.keys():
-        raise ItemError(CHANGED, f"it names {len(found)} objects; {len(meant)} others were written")
+        raise ItemError(
+            CHANGED, f"it names {with_count(len(found), 'objects')}; {len(meant)} others were written"
+        )
     edge_mm = layout.spec.margin_mm - _EDGE_TOLERANCE_MM
     for name, mesh in found.items():
         try:

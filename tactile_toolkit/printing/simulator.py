@@ -73,7 +73,9 @@ def model_files(name: str, mesh: Mesh, ending: str, physics: Physics) -> dict[st
     body = body_of(name, mesh, physics)
     if ending == ".urdf":
         return _pack_urdf(body, name)
-    return {f"{name}{ending}": pack_mjcf([(body, (0.0, 0.0))], name) if ending == ".xml" else _pack_usd(body)}
+    if ending == ".xml":
+        return {f"{name}.xml": pack_mjcf([(body, (0.0, 0.0))], name)}
+    return {f"{name}{ending}": _pack_usd(body)}
 
 
 def pack_mjcf(
@@ -85,7 +87,7 @@ def pack_mjcf(
     """
     # An infinite plane, with 5 cm between grid lines.
     light = _tag("light", pos="0 0 1", dir="0 0 -1", directional="true")
-    ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")] if floor else []
+    ground = [light, _tag("geom", name="floor", type="plane", size="0 0 0.05")] * floor
     assets, elements = [], []
     for body, (x_m, y_m) in bodies:
         parts = {f"{body.name}-{number:02d}": part for number, part in enumerate(body.parts)}
@@ -177,7 +179,7 @@ def _pack_usd(body: RigidBody) -> bytes:
 def _prim(kind: str, name: str, schemas: Sequence[str], *content: str) -> str:
     """Write a prim of USD: its schemas, attributes and children."""
     listed = ", ".join(f'"{schema}"' for schema in schemas)
-    applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" if schemas else ""
+    applied = f" (\n{_USD_INDENT}prepend apiSchemas = [{listed}]\n)" * bool(schemas)
     inside = indent("\n".join(content), _USD_INDENT)
     return f'\ndef {kind} "{name}"{applied}\n{{\n{inside}\n}}'
 

@@ -56,7 +56,7 @@ from .source import (
     row_groups as row_groups,
 )
 from .stream import (
-    Stream as Stream,
+    RowStream as RowStream,
     loader_worker as loader_worker,
 )
 from .supported_types import (

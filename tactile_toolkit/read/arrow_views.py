@@ -44,7 +44,7 @@ def ragged_column(array: pa.Array) -> RaggedColumn:
     if len(widths) > 1:
         raise ValueError(f"inner lists of {widths[0]} and {widths[1]} values in one column")
     # Without rows the width is unknown; 3 is that of vertices and triangles.
-    width = widths[0] if widths else 3
+    width = (widths or [3])[0]
     return RaggedColumn(column.values.reshape(-1, width), np.asarray(offsets))
 
 

@@ -14,7 +14,7 @@ def checked_index(index: int, length: int, of: str, things: str) -> int:
     """Convert an index that may be negative; IndexError out of range, named by ``of`` and ``things``."""
     if not -length <= index < length:
         raise IndexError(f"{of} {index} is out of range for {length} {things}")
-    return index + length if index < 0 else index
+    return index % length
 
 
 def flattened(values: Iterable[object]) -> Iterator[Any]:

@@ -10,6 +10,7 @@ import pyarrow as pa
 
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read.arrow_views import table_bytes
 from tactile_toolkit.read.integer_columns import whole_number
 from tactile_toolkit.read.row_group import RowGroup, Rows
@@ -106,7 +107,7 @@ class Record:
 
     __slots__ = ("_loaded", "row")
     row: Row
-    _loaded: dict[str, Any]
+    _loaded: JsonDict
 
     def __init__(self, row: Row) -> None:
         object.__setattr__(self, "row", row)

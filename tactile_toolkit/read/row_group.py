@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import pyarrow as pa
 
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read.arrow_views import (
     NestedColumn,
     RaggedColumn,
@@ -36,7 +37,7 @@ class Rows:
         self.first_row = first_row
         self._ragged: dict[str, RaggedColumn] = {}
         self._flat: dict[str, AnyArray] = {}
-        self._views: dict[str, Any] = {}
+        self._views: JsonDict = {}
 
     @cached_property
     def names(self) -> tuple[str, ...]:

@@ -20,7 +20,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property, partial
 from itertools import accumulate
-from typing import IO, TYPE_CHECKING, Any, TypeAlias
+from typing import IO, TYPE_CHECKING, TypeAlias
 
 import pyarrow as pa
 
@@ -150,7 +150,7 @@ class Shard:
         key = self.digest, index, number
 
         def make() -> RowGroup:
-            mapped = self._mapped(key) or (self._mapped(key) if self._unpacked(index) else None)
+            mapped = self._mapped(key) or (self._unpacked(index) and self._mapped(key))
             return mapped or self._decoded(index, number)
 
         return blocks.BLOCKS.get_or_make(key, make)
@@ -177,7 +177,7 @@ class Shard:
         One process of the machine unpacks it, others wait.
         """
         is_there = self._unpacked(index)
-        return max(1, int(self.metadata.row_group(index).total_byte_size)) if is_there else 0
+        return max(1, int(self.metadata.row_group(index).total_byte_size)) * is_there
 
     def _unpacked(self, index: int) -> bool:
         rows = self.group_starts[index + 1] - self.group_starts[index]
@@ -284,11 +284,11 @@ class Shard:
         with self._named_damage():
             return self._opened(None)[1]
 
-    def _found_now(self) -> tuple[Any, ...]:
+    def _found_now(self) -> tuple[int, str, int, int, int]:
         """Return the identity of the local file now."""
-        device, *others = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
+        device, number, size_bytes, changed_ns = blocks.stat_key(os.stat(self.path))  # noqa: PTH116
         # With the name, because machines that share a cache may have other files with the same numbers.
-        return device, self.path.rpartition("/")[2], *others
+        return device, self.path.rpartition("/")[2], number, size_bytes, changed_ns
 
     @property
     def part_sizes(self) -> Sequence[int]:

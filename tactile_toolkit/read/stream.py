@@ -17,10 +17,10 @@ S = TypeVar("S", bound=RowSource)
 def loader_worker() -> Any:
     """Return the torch worker information of this process; None if it is not a worker of a loader."""
     torch_data = sys.modules.get("torch.utils.data")
-    return None if torch_data is None else torch_data.get_worker_info()
+    return torch_data and torch_data.get_worker_info()
 
 
-class Stream(Generic[S]):
+class RowStream(Generic[S]):
     """Base class of streams. Each pass reads from the beginning, a bounded block of rows at a time.
 
     For torch, a stream is an ``IterableDataset``: give it to ``DataLoader(stream, batch_size=None)``. Workers

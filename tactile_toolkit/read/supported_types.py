@@ -24,7 +24,7 @@ def supported_type(data_type: pa.DataType) -> pa.DataType:
     if not isinstance(data_type, lists):
         return data_type
     element = data_type.value_field.with_type(supported_type(data_type.value_type))
-    return pa.list_(element, data_type.list_size if kinds.is_fixed_size_list(data_type) else -1)
+    return pa.list_(element, getattr(data_type, "list_size", -1))
 
 
 def supported_schema(schema: pa.Schema) -> pa.Schema:

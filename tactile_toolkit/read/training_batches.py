@@ -159,7 +159,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         Needed only to repeat or skip epochs, or when the number of workers changes.
         """
         number = checked_integer(epoch, "epoch")
-        self._set(number, self._resumed[1] if number == self._resumed[0] else 0)
+        self._set(number, self._resumed[1] * (number == self._resumed[0]))
 
     def __len__(self) -> int:
         """Batches of a complete epoch on each rank."""
@@ -193,7 +193,7 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         self._next[1 + worker.id] = torch.tensor(following)
         return self._batches(self._current, worker.id, worker.num_workers)
 
-    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[Any]:
+    def _batches(self, current: dict[str, int], worker: int, workers: int) -> Iterator[object]:
         share, order = self._share(current["start"]), self._order.epoch(current["epoch"])
         turn = (self.rank * workers + worker) / (self.world_size * workers)
         ahead = Prefetcher(self._sequence, order, turn)
@@ -286,9 +286,9 @@ class TrainingBatches(torch.utils.data.IterableDataset):  # type: ignore[misc]
         """Return the start of the next pass, of this process (row 0) or of worker row - 1."""
         return dict(zip(_POSITION, self._next[row, :3].tolist(), strict=True))
 
-    def _division(self, worker: Any) -> dict[str, int]:
+    def _division(self, worker: object) -> dict[str, int]:
         """Return the sizes by which items are divided."""
-        workers = 0 if worker is None else worker.num_workers
+        workers = getattr(worker, "num_workers", 0)
         return {"batch_size": self.batch_size, "world_size": self.world_size, "workers": workers}
 
     def _reached(self, states: Sequence[JsonObject], further_batches: int) -> tuple[int, int]:

@@ -6,10 +6,7 @@ from .addresses import (
     normalize_uri as normalize_uri,
     scheme_of as scheme_of,
 )
-from .building import (
-    build as build,
-    require_rows as require_rows,
-)
+from .building import build as build
 from .data_folder import (
     DataFolder as DataFolder,
     PENDING_FOLDER as PENDING_FOLDER,
@@ -40,6 +37,7 @@ from .files import (
 )
 from .foreign_files import (
     open_inside as open_inside,
+    problem_of_place as problem_of_place,
     read_inside as read_inside,
     size_inside as size_inside,
 )
@@ -128,6 +126,7 @@ from .shards import (
     Skipped as Skipped,
     VIEWER_FOLDER as VIEWER_FOLDER,
     add_up as add_up,
+    require_rows as require_rows,
     rows_per_shard as rows_per_shard,
     shard_ranges as shard_ranges,
 )
@@ -137,7 +136,6 @@ from .task import (
     ShardTask as ShardTask,
 )
 from .verification import (
-    problem_of_place as problem_of_place,
     require_finished as require_finished,
     verify as verify,
 )

@@ -46,7 +46,7 @@ def normalize_uri(place: str) -> str:
     if not scheme or not bucket or scheme in _WEB_SCHEMES or not is_plain:
         raise InputError(
             f"{place!r} is not the address of a data set; expected a folder, file:///FOLDER, "
-            "s3://BUCKET/FOLDER or the like, of plain names ('.', '..' and control characters are none), "
+            "s3://BUCKET/FOLDER or the like, of names without '.', '..' and control characters, "
             "and not of the web",
             next="write it so, as text (pathlib.Path drops a slash; a local folder of that name is ./NAME)",
         )

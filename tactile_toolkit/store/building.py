@@ -15,19 +15,14 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Unpack
 
-from tactile_toolkit import errors
-from tactile_toolkit.run import runner_for
-from tactile_toolkit.store import data_folder, parquet, pending, replacing, run_options
+from tactile_toolkit import errors, run
+from tactile_toolkit.store import data_folder, locks, parquet, pending, replacing, reports, run_options
 from tactile_toolkit.store.job import BuildJob, begin_job, require_parts, require_same_job
 from tactile_toolkit.store.local_folder import LocalFolder
-from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.plan import BuildPlan
-from tactile_toolkit.store.reports import merge_reports
-from tactile_toolkit.store.shards import DAMAGED, DATA_FOLDER, ShardRecord, Skipped
+from tactile_toolkit.store.shards import DATA_FOLDER, ShardRecord, require_rows
 from tactile_toolkit.store.task import AnyTask
-
-_CAUSES_SHOWN = 3
 
 WriteCard = Callable[[data_folder.DataFolder, Manifest], None]
 """Writes the card of a finished folder, after its report."""
@@ -104,6 +99,8 @@ def build(
         if options.part is not None:
             return _finish_partial_run(job, records)
         with folder.locked(is_patient=True):
+            if write_card is not None and job.folder is not folder and isinstance(folder, LocalFolder):
+                replacing.keep_card(folder)
             manifest = _finish(job, records, write_card)
             if job.folder is not folder and isinstance(folder, LocalFolder):
                 hold.close()
@@ -131,7 +128,7 @@ def _begun(
                 if is_replaced and isinstance(folder, LocalFolder):
                     target, existed = replacing.prepare_next(folder, plan), False
                     hold.enter_context(
-                        locked(folder.local_path(data_folder.NEXT_FOLDER), shared=True, patience_s=0.0)
+                        locks.locked(folder.local_path(data_folder.NEXT_FOLDER), shared=True, patience_s=0.0)
                     )
                 had_manifest = target.exists(MANIFEST_FILE)
                 job = begin_job(target, plan, options)
@@ -162,7 +159,7 @@ def _work(job: BuildJob, options: run_options.RunOptions) -> Iterator[ShardRecor
     done, total = 0, sum(sizes.values())
     options.on_progress(run_options.Progress(done, total))
     work = _WriteShard(job.folder, job.manifest.identity, job.plan.style, job.plan.libraries)
-    for record in runner_for(options.workers).run(work, tasks):
+    for record in run.runner_for(options.workers).run(work, tasks):
         done += sizes[record.shard]
         options.on_progress(run_options.Progress(done, total, record))
         yield record
@@ -195,7 +192,7 @@ def _finish(job: BuildJob, records: Sequence[ShardRecord], write_card: WriteCard
         others = {path: checksum for path, checksum in files.items() if path != plan.report_file}
         write_manifest(folder, replace(current, complete=False, files=others))
     if plan.report_file is not None:
-        checksum = merge_reports(folder, plan.report_file, manifest)
+        checksum = reports.merge_reports(folder, plan.report_file, manifest)
         if checksum is not None:
             files[plan.report_file] = checksum
     files |= plan.write_files(folder, manifest)
@@ -245,19 +242,3 @@ def _require_records(job: BuildJob, records: Sequence[ShardRecord]) -> None:
     job.folder.refresh(DATA_FOLDER)
     sizes = job.folder.sizes(DATA_FOLDER)
     require_parts(job, [record for record in records if record.is_size_of(sizes)])
-
-
-def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
-    """Refuse a run that left every item out: then its source is wrong, not its items.
-
-    Takes the number of rows of each shard, and its skipped items.
-    """
-    skipped = [item for _, left_out in shards for item in left_out]
-    if skipped and not any(rows for rows, _ in shards):
-        first = {item.reason: item.message for item in reversed(skipped)}
-        causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
-        raise (errors.IntegrityError if set(first) == {DAMAGED} else errors.InputError)(
-            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
-            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
-            next="correct the source, or choose another one",
-        )

@@ -114,3 +114,22 @@ def _require_inside(folder: DataFolder, path: str, known: set[str] | None) -> No
             return
     if known is not None and parent:
         known.add(parent)
+
+
+def problem_of_place(folder: DataFolder, path: str) -> str:
+    """Return why a path is not a file of the folder itself; empty if it is.
+
+    A link may lead to another file of the folder, or from a snapshot of the Hub's cache to its contents. No
+    other file is read, because the folder may come from anyone.
+    """
+    if not folder.exists(path):
+        return "is missing"
+    if not folder.is_local:
+        return ""
+    root, place = (Path(os.path.realpath(folder.address(each))) for each in ("", path))
+    blobs = root.parent.parent / "blobs"
+    if not place.is_relative_to(root) and not (root.parent.name == "snapshots" and place.parent == blobs):
+        return f"is a link that leads out of the folder, to {str(place)!r}; next: put the file there itself"
+    if place.is_file():
+        return ""
+    return "is not a file (it is a folder, a pipe or a device)"

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 
 T = TypeVar("T")
 
+_UPLOAD_OPTIONS = {"s3": {"max_concurrency": 2}}
+
 
 @dataclass(frozen=True)
 class FsspecFolder(DataFolder):
@@ -117,7 +119,7 @@ class FsspecFolder(DataFolder):
 
     def upload(self, path: str, source: Path) -> None:
         """Write a copy of a file of this machine in pieces."""
-        options = {"max_concurrency": 2} if scheme_of(self.root) == "s3" else {}
+        options = _UPLOAD_OPTIONS.get(scheme_of(self.root), {})
         size_bytes = source.stat().st_size
         self._put(path, size_bytes, lambda key: self._client.put_file(str(source), key, **options))
 

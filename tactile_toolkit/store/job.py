@@ -23,7 +23,7 @@ from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.run_options import RunOptions
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName, ShardRecord
 from tactile_toolkit.store.task import AnyTask
-from tactile_toolkit.wording import shortened
+from tactile_toolkit.wording import shortened, with_count
 
 _LONGEST_SHOWN = 200
 _DIFFERENCES_SHOWN = 5
@@ -241,7 +241,7 @@ def refuse_unknown_files(folder: DataFolder, plan: BuildPlan | None = None) -> N
 def _refuse_difference(folder: DataFolder, found: object, wanted: object, next_step: str = "") -> None:
     lines = _differences(found, wanted)
     if lines:
-        more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] if len(lines) > _DIFFERENCES_SHOWN else []
+        more = [f"and {len(lines) - _DIFFERENCES_SHOWN:,} more"] * (len(lines) > _DIFFERENCES_SHOWN)
         differing = "; ".join(lines[:_DIFFERENCES_SHOWN] + more)
         raise SpecMismatchError(
             f"{differing}: {folder.address()!r} holds a data set of another "
@@ -271,7 +271,7 @@ def _short(value: object) -> str:
     if short == text:
         return text
     if isinstance(value, list):
-        short = f"{len(value):,} entries"
+        short = with_count(len(value), "entries")
     return f"{short} (fingerprint {sha256_hex(text.encode())[:8]})"
 
 

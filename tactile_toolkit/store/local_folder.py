@@ -14,12 +14,13 @@ import shutil
 import stat
 import tempfile
 import uuid
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, ClassVar, TypeVar
+from typing import IO, ClassVar, TypeVar
 
 from tactile_toolkit.errors import InputError, IntegrityError, StorageError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.store.data_folder import NEXT_FOLDER, PENDING_FOLDER, TEMPORARY, DataFolder
 from tactile_toolkit.store.files import (
     make_folder,
@@ -34,6 +35,10 @@ from tactile_toolkit.store.locks import locked
 T = TypeVar("T")
 
 _COPY_BYTES = 1 << 20
+# Characters of the longest usual path in a data set folder, such as that of a report of a shard in `.next`.
+_LONGEST_INSIDE = 100
+# Windows says of a path beyond MAX_PATH (260 characters) that its folder does not exist, or that it is long.
+_TOO_LONG = (3, 206)
 # Of a path that is not known to exist: all other errors mean that there is no such file.
 _REFUSALS = (errno.EACCES, errno.EPERM, errno.ENAMETOOLONG)
 
@@ -71,7 +76,7 @@ class LocalFolder(DataFolder):
             return ""
         return f"{self.root!r} is a file; expected a folder"
 
-    def info(self, path: str) -> Mapping[str, Any] | None:
+    def info(self, path: str) -> JsonObject | None:
         """Return type, size, time and inode of a file or folder; None if it does not exist."""
         with readable(self.address(path)):
             try:
@@ -233,6 +238,12 @@ class LocalFolder(DataFolder):
             make_folder(Path(self.root))
             with tempfile.TemporaryFile(dir=self.root):
                 pass
+        if _is_too_long(Path(self.root) / ("x" * _LONGEST_INSIDE)):
+            raise InputError(
+                f"{self.root!r} has {len(self.root)} characters, so that the system refuses the names of "
+                "files in it",
+                next="choose a folder with a shorter path (--out or OUT), or enable long paths in Windows",
+            )
 
     def refresh(self, folder: str) -> None:
         """Change the time of a sub-folder, so that a network file system drops its cached listing."""
@@ -258,3 +269,12 @@ class LocalFolder(DataFolder):
                     with named_failures(str(home)):
                         make_folder(home)
             yield
+
+
+def _is_too_long(path: Path) -> bool:
+    """Return whether the system refuses a path, which does not exist, for its length."""
+    try:
+        path.lstat()
+    except OSError as error:
+        return error.errno == errno.ENAMETOOLONG or getattr(error, "winerror", None) in _TOO_LONG
+    return False

@@ -16,7 +16,8 @@ from collections.abc import Iterator
 from importlib import import_module
 from itertools import takewhile
 from pathlib import Path
-from typing import Any, NamedTuple
+from types import ModuleType
+from typing import NamedTuple
 
 from tactile_toolkit.errors import BusyError, IntegrityError
 from tactile_toolkit.redaction import redact
@@ -31,7 +32,7 @@ _LOOK_AGAIN_S = 0.02
 _STOPPED, _AT_WORK = ("T", "t"), ("R", "S", "D")  # process states of Linux
 _LONGEST_NOTE_BYTES = 300
 _LONGEST_COMMAND = 60
-# Windows lets nobody read a byte that is locked: the one that is lies behind the name of the holder.
+# On Windows, a locked byte cannot be read: this one lies behind the name of the holder.
 _LOCKED_BYTE = 1 << 20
 
 
@@ -132,17 +133,19 @@ def _busy(path: Path, holders: list[_Holder], patience_s: float) -> BusyError:
 def _locked_now(path: Path, shared: bool) -> Iterator[None]:
     fcntl, msvcrt, is_folder = _module("fcntl"), _module("msvcrt"), path.is_dir()
     with contextlib.ExitStack() as stack:
-        has_locks = msvcrt is not None
+        has_locks = True
         if fcntl is not None:
             has_locks = _lock_handle(path, fcntl, shared, stack)
-        elif has_locks:
+        elif msvcrt is not None:
             stack.enter_context(_lock_byte(path, msvcrt))
+        else:
+            has_locks = False
         if is_folder and not has_locks:
             stack.enter_context(_lock_file(path / LOCK_FILE))
         yield
 
 
-def _lock_handle(path: Path, fcntl: Any, shared: bool, stack: contextlib.ExitStack) -> bool:
+def _lock_handle(path: Path, fcntl: ModuleType, shared: bool, stack: contextlib.ExitStack) -> bool:
     """Lock a file or folder until the stack ends; return whether its file system has locks."""
     is_folder = path.is_dir()
     handle = os.open(path, os.O_RDONLY if is_folder else os.O_RDWR | os.O_CREAT, 0o666)
@@ -162,7 +165,7 @@ def _lock_handle(path: Path, fcntl: Any, shared: bool, stack: contextlib.ExitSta
 
 
 @contextlib.contextmanager
-def _lock_byte(path: Path, msvcrt: Any) -> Iterator[None]:
+def _lock_byte(path: Path, msvcrt: ModuleType) -> Iterator[None]:
     """Lock a byte of a file, or of one in a folder, as on Windows, which frees those of killed processes."""
     is_folder = path.is_dir()
     file = path
@@ -212,7 +215,7 @@ def _note() -> str:
     return f"{os.getpid()} {socket.gethostname()}\n"
 
 
-def _module(name: str) -> Any:
+def _module(name: str) -> ModuleType | None:
     """Return a module of Python that this system may lack."""
     try:
         return import_module(name)

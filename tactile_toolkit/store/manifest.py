@@ -26,7 +26,7 @@ from tactile_toolkit.wording import with_count
 MANIFEST_FILE = "manifest.json"
 SCHEMA_VERSION = 3
 """The only version that is written and read."""
-# Fields by which a manifest is told from files of that name of other programs.
+# Fields that manifests have and files of that name of other programs lack.
 _FIELDS = (b'"sha256_of_all_below"', b'"schema_version"', b'"shards"')
 # Fields that are left out of the text if they are empty.
 _OPTIONAL = ("libraries", "planned", "statistics", "trees")

@@ -13,7 +13,10 @@ from tactile_toolkit.store.manifest import MANIFEST_FILE
 from tactile_toolkit.store.pending import is_pending
 from tactile_toolkit.store.shards import DATA_FOLDER, ShardName
 
-_USUAL = ("reports/*.parquet", "previews/*.png", "README.md", RECORD_FILE, MANIFEST_FILE)
+CARD_FILE = "README.md"
+"""The data card."""
+
+_USUAL = ("reports/*.parquet", "previews/*.png", CARD_FILE, RECORD_FILE, MANIFEST_FILE)
 
 
 def extra_files() -> list[str]:

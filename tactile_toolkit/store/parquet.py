@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from itertools import chain
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, TYPE_CHECKING
 
 import pyarrow as pa
 import pyarrow.parquet as pq
@@ -19,6 +19,9 @@ import pyarrow.parquet as pq
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.store.data_folder import DataFolder
 from tactile_toolkit.store.files import readable
+
+if TYPE_CHECKING:
+    from typing_extensions import Buffer
 
 _TAIL = struct.Struct("<I4s")  # length of the footer and Parquet's mark: how a file ends
 _FOOTER_CHECKSUM = struct.Struct("<4sI")
@@ -72,7 +75,7 @@ def stream_parquet(stream: IO[bytes], tables: Iterable[pa.Table], style: Parquet
     """
     digest = hashlib.sha256()
 
-    def write(content: Any) -> None:
+    def write(content: bytes | memoryview) -> None:
         digest.update(content)
         stream.write(content)
 
@@ -95,7 +98,10 @@ def _whole_groups(tables: Iterable[pa.Table], rows: int) -> Iterator[pa.Table]:
 
 
 def _write(
-    write: Callable[[bytes], object], schema: pa.Schema, groups: Iterable[pa.Table], style: ParquetStyle
+    write: Callable[[bytes | memoryview], object],
+    schema: pa.Schema,
+    groups: Iterable[pa.Table],
+    style: ParquetStyle,
 ) -> None:
     """Write tables of complete row groups as one file, forward only."""
     encodings = dict(style.encodings)
@@ -113,7 +119,7 @@ def _write(
         write_statistics=others,
         data_page_size=_PAGE_BYTES if style.values_per_page is None else _SMALL_PAGE_BYTES,
         write_batch_size=style.values_per_page,  # after so many values Arrow looks whether the page is full
-        use_content_defined_chunking=_CONTENT_CHUNKS if style.chunks_by_content else False,
+        use_content_defined_chunking=style.chunks_by_content and _CONTENT_CHUNKS,
         write_page_index=style.page_index,
         write_page_checksum=True,
     ) as writer:
@@ -126,7 +132,7 @@ def _write(
 class _Sink(io.RawIOBase):
     """A stream that inserts the checksum of the footer before the footer."""
 
-    def __init__(self, write: Callable[[bytes], object]) -> None:
+    def __init__(self, write: Callable[[bytes | memoryview], object]) -> None:
         super().__init__()
         self._write = write
         self.tail: bytearray | None = None
@@ -135,12 +141,13 @@ class _Sink(io.RawIOBase):
     def writable(self) -> bool:
         return True
 
-    def write(self, content: Any) -> int:
+    def write(self, content: Buffer) -> int:
+        view = memoryview(content)
         if self.tail is not None:
-            self.tail += content
+            self.tail += view
         else:
-            self._write(content)
-        return len(content)
+            self._write(view)
+        return view.nbytes
 
     def finish(self) -> None:
         """Write the footer that was held back."""
@@ -228,7 +235,7 @@ def _require_checked_footer(source: str | IO[bytes]) -> None:
                 raise pa.ArrowInvalid("the footer does not match its checksum")
 
 
-def sha256_hex(content: Any) -> str:
+def sha256_hex(content: Buffer) -> str:
     """Return the SHA-256 of bytes in hexadecimal."""
     return hashlib.sha256(content).hexdigest()
 

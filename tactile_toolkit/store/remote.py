@@ -16,10 +16,10 @@ from concurrent.futures import Future, wait
 from dataclasses import dataclass
 from functools import partial
 from threading import Thread
-from typing import IO, TYPE_CHECKING, Any, TypeVar, cast
+from typing import IO, TYPE_CHECKING, TypeVar, cast
 
 from tactile_toolkit.errors import InputError, IntegrityError, MissingExtraError, RemoteError, ToolkitError
-from tactile_toolkit.json_types import JsonDict, JsonObject
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.redaction import redact
 from tactile_toolkit.store.addresses import scheme_of
 
@@ -173,11 +173,11 @@ def has_buckets(address: str) -> bool:
 
 def client_of(address: str) -> AbstractFileSystem:
     """Return the client of a store; folders in the same kind of store share it in this process."""
-    import fsspec
+    import fsspec  # takes a tenth of a second to import, and few data sets lie in stores
 
     scheme = scheme_of(address)
     try:
-        client = fsspec.filesystem(scheme, **_options(scheme))
+        client = fsspec.filesystem(scheme, **_options(scheme, fsspec.config.conf))
     except ImportError as error:
         package = _PACKAGES.get(scheme, "of this kind of store")
         if scheme == "s3":
@@ -196,16 +196,14 @@ def client_of(address: str) -> AbstractFileSystem:
     return client
 
 
-def _options(scheme: str) -> JsonDict:
+def _options(scheme: str, configured: JsonObject) -> JsonDict:
     """Return options for the client of a store: no listings are kept, because others write there, too."""
     if scheme == "hf":
         return {}  # a commit never changes
     if scheme != "s3":
         return {"use_listings_cache": False}
-    from fsspec.config import conf
-
     # Options given here override fsspec's own configuration; what the user sets there must hold.
-    own = conf.get("s3", {}).get("config_kwargs", {})
+    own = configured.get("s3", {}).get("config_kwargs", {})
     return {"use_listings_cache": False, "config_kwargs": {**_LIMITS, **own}}
 
 
@@ -229,7 +227,7 @@ def open_in_store(client: AbstractFileSystem, key: str, address: str) -> IO[byte
 class _Stream(io.BufferedIOBase):
     """A file of a store, read piece by piece."""
 
-    def __init__(self, stream: Any, address: str) -> None:
+    def __init__(self, stream: JsonValue, address: str) -> None:
         super().__init__()
         self._stream, self._address = stream, address
         self.details: JsonObject | None = getattr(stream, "details", None)
@@ -266,7 +264,10 @@ def _store_failure(error: Exception, doing: str, address: str) -> CallFailure | 
     ):
         return None
     status = next((code for code in map(_code_of, chain) if code is not None), None)
-    is_silent = status is None and any(map(_is_connection_error, chain))
+    is_silent = status is None and any(
+        isinstance(link, (ConnectionError, TimeoutError)) or _CONNECTION.search(type(link).__name__)
+        for link in chain
+    )
     causes = " ".join([status or "", *(type(link).__name__ for link in chain), _NO_ANSWER * is_silent])
     of_client = [link for link in chain if _is_of_client(link)]
     answer = (redact(str([error, *of_client][-1])).strip().splitlines() or [""])[0][:300]
@@ -295,11 +296,6 @@ def _code_of(link: BaseException) -> str | None:
     if isinstance(status, int):
         return str(status)
     return None
-
-
-def _is_connection_error(link: BaseException) -> bool:
-    """Return whether a store gave no answer, or the connection broke during one."""
-    return bool(_CONNECTION.search(type(link).__name__)) or isinstance(link, (ConnectionError, TimeoutError))
 
 
 def _is_of_client(link: BaseException) -> bool:

@@ -14,7 +14,7 @@ from tactile_toolkit.store.local_folder import LocalFolder
 from tactile_toolkit.store.locks import locked
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest, read_manifest, write_manifest
 from tactile_toolkit.store.names import is_hidden
-from tactile_toolkit.store.owned_files import extra_files, is_ours
+from tactile_toolkit.store.owned_files import CARD_FILE, extra_files, is_ours
 from tactile_toolkit.store.plan import BuildPlan
 from tactile_toolkit.store.sealed_json import decode
 from tactile_toolkit.store.shards import DATA_FOLDER
@@ -41,7 +41,7 @@ def require_replaceable(folder: DataFolder, plan: BuildPlan | None = None) -> li
         )
     manifest = _manifest(folder)
     # The manifest may come from the Hub, from anyone: what it names counts only if a kind declares it.
-    named = () if manifest is None else manifest.trees
+    named = (manifest and manifest.trees) or ()
     further = [pattern for pattern in extra_files() if pattern.partition("/")[0] in named]
     names = set(folder.names())
     shown = {name for name in names if name in (PENDING_FOLDER, RECORD_FILE) or not is_hidden(name)}
@@ -85,6 +85,13 @@ def prepare_next(folder: LocalFolder, plan: BuildPlan) -> LocalFolder:
             remove_next(folder)
         after.require_folder()
     return after
+
+
+def keep_card(folder: LocalFolder) -> None:
+    """Copy the card to the next data set, whose card takes from it what the owner stated."""
+    after = _next(folder)
+    if folder.exists(CARD_FILE) and not after.exists(CARD_FILE):
+        after.write_bytes(CARD_FILE, folder.read_bytes(CARD_FILE))
 
 
 def resume_promotion(folder: DataFolder) -> None:

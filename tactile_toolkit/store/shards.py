@@ -7,19 +7,20 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import zip_longest
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
-from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.redaction import redact
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit import redaction, shown_text
+from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonObject, JsonValue
 from tactile_toolkit.store.data_folder import PENDING_FOLDER
 from tactile_toolkit.store.sealed_json import LARGEST, Count, Sha256
 
 DAMAGED = "damaged"
 """Reason to leave out an item whose stored data is damaged."""
 
+_CAUSES_SHOWN = 3
 DATA_FOLDER = "data"
 VIEWER_FOLDER = "viewer"
 """Repeats the rows for the Hub's page (`tactile_toolkit.exchange.flat_tables`); copies may leave it out."""
@@ -111,7 +112,7 @@ class Skipped(msgspec.Struct, frozen=True):
     message: str
 
     def __post_init__(self) -> None:
-        msgspec.structs.force_setattr(self, "message", printable(redact(self.message)))
+        msgspec.structs.force_setattr(self, "message", shown_text.printable(redaction.redact(self.message)))
 
 
 class ShardRecord(msgspec.Struct, frozen=True, dict=True):
@@ -135,7 +136,7 @@ class ShardRecord(msgspec.Struct, frozen=True, dict=True):
     source_digest: Sha256 | None = None
 
     @classmethod
-    def of(cls, shard: ShardName, rows: int, size_bytes: int, sha256: str, **more: Any) -> ShardRecord:
+    def of(cls, shard: ShardName, rows: int, size_bytes: int, sha256: str, **more: JsonValue) -> ShardRecord:
         """Return the record of a shard."""
         return cls(shard.data_path, shard.split, rows, size_bytes, sha256, **more)
 
@@ -186,3 +187,19 @@ def add_up(parts: Sequence[JsonObject]) -> JsonDict:
         else:
             total[name] = sum(values)
     return total
+
+
+def require_rows(shards: Sequence[tuple[int, Sequence[Skipped]]]) -> None:
+    """Refuse a run that left every item out: then its source is wrong, not its items.
+
+    Takes the number of rows of each shard, and its skipped items.
+    """
+    skipped = [item for _, left_out in shards for item in left_out]
+    if skipped and not any(rows for rows, _ in shards):
+        first = {item.reason: item.message for item in reversed(skipped)}
+        causes = [f"{reason}: {first[reason]}" for reason in dict.fromkeys(item.reason for item in skipped)]
+        raise (IntegrityError if set(first) == {DAMAGED} else InputError)(
+            f"no row is left: all {len(skipped):,} were left out, nothing was written; the first of each "
+            f"reason: {'; '.join(causes[:_CAUSES_SHOWN])}",
+            next="correct the source, or choose another one",
+        )

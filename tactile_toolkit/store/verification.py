@@ -4,25 +4,20 @@ from __future__ import annotations
 
 import contextlib
 import io
-import os
 from collections import Counter
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
-from pathlib import Path
 from typing import IO, NamedTuple
 
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import errors, run
-from tactile_toolkit.store import data_folder, download_record
+from tactile_toolkit import errors, run, wording
+from tactile_toolkit.store import data_folder, download_record, foreign_files, names, pending
 from tactile_toolkit.store.manifest import MANIFEST_FILE, Manifest
-from tactile_toolkit.store.names import is_hidden
 from tactile_toolkit.store.parquet import named_damage, open_checked
-from tactile_toolkit.store.pending import manifest_so_far
 from tactile_toolkit.store.shards import DATA_FOLDER, VIEWER_FOLDER, Finding, ShardName, ShardRecord
-from tactile_toolkit.wording import with_count
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,7 +69,7 @@ def verify(
     IntegrityError
         The manifest, or the record of the download, is damaged.
     """
-    manifest = manifest_so_far(folder)
+    manifest = pending.manifest_so_far(folder)
     shards: dict[str, ShardRecord] = {}
     if manifest is None:
         files, findings, reference = _downloaded_files(folder)
@@ -159,7 +154,7 @@ def _check_file(
             else:
                 ids = parquet.read(columns=["id"], use_threads=False).column(0).combine_chunks()
     except errors.IntegrityError as error:
-        return _Checked([Finding(path, error.what)], 0 if record is None else record.rows)
+        return _Checked([Finding(path, error.what)], getattr(record, "rows", 0))
     if rows != record.rows:
         findings.append(Finding(path, f"has {rows} rows, expected {record.rows}"))
     # Arrow ignores the names of list elements.
@@ -173,25 +168,6 @@ def _check_file(
             differences = f"{found} there, {expected} expected"
         findings.append(Finding(path, f"schema differs: {differences}"))
     return _Checked(findings, record.rows, ids)
-
-
-def problem_of_place(folder: data_folder.DataFolder, path: str) -> str:
-    """Return why a path is not a file of the folder itself; empty if it is.
-
-    A link may lead to another file of the folder, or from a snapshot of the Hub's cache to its contents. No
-    other file is read, because the folder may come from anyone.
-    """
-    if not folder.exists(path):
-        return "is missing"
-    if not folder.is_local:
-        return ""
-    root, place = (Path(os.path.realpath(folder.address(each))) for each in ("", path))
-    blobs = root.parent.parent / "blobs"
-    if not place.is_relative_to(root) and not (root.parent.name == "snapshots" and place.parent == blobs):
-        return f"is a link that leads out of the folder, to {str(place)!r}; next: put the file there itself"
-    if place.is_file():
-        return ""
-    return "is not a file (it is a folder, a pipe or a device)"
 
 
 def _incomplete(folder: data_folder.DataFolder, manifest: Manifest) -> list[Finding]:
@@ -211,7 +187,7 @@ def _incomplete(folder: data_folder.DataFolder, manifest: Manifest) -> list[Find
 
 def require_finished(folder: data_folder.DataFolder) -> None:
     """Raise UnfinishedError if the run that makes a data set is under way or was interrupted."""
-    manifest = manifest_so_far(folder)
+    manifest = pending.manifest_so_far(folder)
     if manifest is not None and not manifest.complete:
         raise errors.UnfinishedError(f"{folder.address()!r} is {_not_finished(folder, manifest)}")
 
@@ -231,7 +207,7 @@ def _unlisted(
     for name in folder.names(DATA_FOLDER):
         path, shard = f"{DATA_FOLDER}/{name}", ShardName.parse(name)
         is_begun = shard is not None and shard.split in others
-        if not (path in listed or is_begun or is_hidden(name)):
+        if not (path in listed or is_begun or names.is_hidden(name)):
             findings.append(Finding(path, f"is not listed in {where}; next: move it to another folder"))
     return findings
 
@@ -239,7 +215,7 @@ def _unlisted(
 @contextlib.contextmanager
 def _intact(folder: data_folder.DataFolder, file: download_record.HubFile) -> Iterator[IO[bytes]]:
     """Open a file with this digest or size; IntegrityError states the problem of any other."""
-    problem = problem_of_place(folder, file.path)
+    problem = foreign_files.problem_of_place(folder, file.path)
     if problem:
         raise errors.IntegrityError(problem)
     # A file of a store is fetched as a whole, because it is read twice.
@@ -264,11 +240,12 @@ def _repeated_ids(ids: Mapping[str, pa.Array | None]) -> Iterator[Finding]:
         counted = pa.chunked_array(alike).value_counts()
         suspects.update(counted.filter(pc.greater(counted.field("counts"), 1)).field("values").to_pylist())
     first_files: dict[object, str] = {}
-    for path, each in readable.items() if suspects else ():
+    if not suspects:
+        return
+    for path, each in readable.items():
         held = [value for value in each.to_pylist() if value in suspects]
         repeated = [value for value, count in Counter(held).items() if count > 1 or value in first_files]
         if repeated:
-            first = first_files.get(repeated[0], path)
-            problem = f"is not unique, it is also in {first} ({with_count(len(repeated), 'such ids')})"
-            yield Finding(path, f"id {repeated[0]!r} {problem}")
+            first, such = first_files.get(repeated[0], path), wording.with_count(len(repeated), "such ids")
+            yield Finding(path, f"id {repeated[0]!r} is not unique, it is also in {first} ({such})")
         first_files.update(dict.fromkeys(held, path))

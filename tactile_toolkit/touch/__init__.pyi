@@ -17,6 +17,7 @@ from .jpeg import (
     decode_image as decode_image,
     decode_small as decode_small,
     encode_image as encode_image,
+    encode_png as encode_png,
     image_size as image_size,
     is_jpeg as is_jpeg,
     require_bounded_jpeg as require_bounded_jpeg,

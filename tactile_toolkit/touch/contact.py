@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
-from tactile_toolkit.checked_fields import real, text
+from tactile_toolkit.checked_fields import Declared, real, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.parsed_text import is_count
 
 CELL_M = (0.12, 0.12)
@@ -21,7 +20,7 @@ RENDERED_CONTACT_M = 1e-6
 
 def height_text(min_height_m: float) -> str:
     """Describe a contact height, metres: "the gel stopped 6 mm or more above the plate"."""
-    height = f"{1e3 * min_height_m:.4g} mm or more " if min_height_m > RENDERED_CONTACT_M else ""
+    height = f"{1e3 * min_height_m:.4g} mm or more " * (min_height_m > RENDERED_CONTACT_M)
     return f"the gel stopped {height}above the plate"
 
 
@@ -44,7 +43,7 @@ def missed_text(missed: int | None, touches: int, *, is_estimated: bool = False)
     return [f"{missed:,} of {touches:,} touches met no object; `realtouch select --contact` leaves them out."]
 
 
-def size_option(default: object, shown: str = "") -> Any:
+def size_option(default: object, shown: str = "") -> Declared:
     """Declare the option of the size of images, in pixels; ``shown`` is the default in help texts."""
     return text(
         default,
@@ -63,7 +62,7 @@ def _size(words: str) -> tuple[int, int]:
     return int(width), int(height)
 
 
-def contact_height_option(**option: Any) -> Any:
+def contact_height_option(**option: JsonValue) -> Declared:
     """Declare the option of the contact height; further arguments are those of ``real``."""
     return real(
         None,

@@ -84,7 +84,7 @@ def require_bounded_jpeg(data: memoryview | bytes) -> None:
     # This pair of bytes does not occur within coded pixels (ITU-T T.81, B.1.1.5).
     # An expression takes half of the time of `bytes.count`.
     starts = [found.start() for found in _SCAN_START.finditer(data)]
-    scans, header = len(starts), starts[0] if starts else -1
+    scans, header = len(starts), (starts or [-1])[0]
     if scans > MAX_SCANS:
         raise ValueError(f"a JPEG of {scans:,} scans; the limit is {MAX_SCANS}")
     if header > MAX_HEADER_BYTES:
@@ -158,12 +158,18 @@ def encode_image(pixels: UInt8, kind: ImageFormat = "jpeg", quality: int = 95) -
 
     ``quality`` (1 to 100) applies to JPEGs, which keep full colour resolution (4:4:4).
     """
-    stream = io.BytesIO()
     if kind == "png":
-        # Pillow's default level, written out so that other releases write the same bytes.
-        Image.fromarray(pixels).save(stream, "PNG", compress_level=6)
-    else:
-        Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
+        return encode_png(Image.fromarray(pixels))
+    stream = io.BytesIO()
+    Image.fromarray(pixels).save(stream, "JPEG", quality=quality, subsampling=0)
+    return stream.getvalue()
+
+
+def encode_png(picture: Image.Image) -> bytes:
+    """Encode a picture as PNG, without metadata."""
+    stream = io.BytesIO()
+    # Pillow's default level, written out so that other releases write the same bytes.
+    picture.save(stream, "PNG", compress_level=6)
     return stream.getvalue()
 
 

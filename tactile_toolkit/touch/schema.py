@@ -33,7 +33,7 @@ def _feature(name: str, data_type: pa.DataType, label_names: Sequence[str] | Non
     if name == "label" and label_names is not None:
         return read.label_feature(label_names)
     if read.list_depth(data_type)[0]:
-        length = data_type.list_size if pa.types.is_fixed_size_list(data_type) else -1
+        length = getattr(data_type, "list_size", -1)
         inner = _feature(name, data_type.value_type, label_names)
         # Both old and new releases of `datasets` read "Sequence" as a list.
         return {"feature": inner, "length": length, "_type": "Sequence"}

@@ -214,3 +214,19 @@ def test_sources_of_digits_are_named_with_their_terms(name, licence, words):
     source = source_words(name)
     assert source["licence"] == licence
     assert words in source_description(source, {"name": name, **FINGERPRINTS[name]})
+
+
+def test_what_the_owner_stated_stays_when_the_set_is_replaced(tmp_path, capsys):
+    out, few = tmp_path / "set", ("--split", "test", "--vertices", 300, "--workers", 1)
+    stated = ("--license", "cc-by-4.0", "--author", "Ada Lovelace", "--title", "My digits")
+    assert call("mnist3d", "generate", *few, "--limit", 1, "--out", out, *stated) == 0
+    assert call("mnist3d", "generate", *few, "--limit", 2, "--out", out, "--overwrite") == 0
+    card = DatasetCard.load(out / "README.md")
+    assert card.data.license == "cc-by-4.0"
+    assert card.text.strip().startswith("# My digits\n\nBy Ada Lovelace.\n")
+    assert "2 digits" in capsys.readouterr().out
+    other = ("--title", "Other digits", "--overwrite")
+    assert call("mnist3d", "generate", *few, "--limit", 3, "--out", out, *other) == 0
+    card = DatasetCard.load(out / "README.md")
+    assert (card.data.license, card.data.pretty_name) == ("cc-by-4.0", "Other digits")
+    assert call("mnist3d", "verify", out) == 0

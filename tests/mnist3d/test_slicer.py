@@ -22,7 +22,7 @@ from tactile_toolkit.printing import PlateSpec, arrange, choose, export_files, w
 from tactile_toolkit.printing.objects import place_on_plate
 from tactile_toolkit.printing.packing import PlacedObject
 from tests.command_line import call
-from tests.mnist3d.test_picture_prints import child, word
+from tests.mnist3d.drawn_pictures import child, word
 from tests.processes import PATIENCE_S
 
 SLICER = shutil.which("prusa-slicer") or ""
@@ -195,7 +195,7 @@ def test_a_drawing_slices_after_one_command(draw: Callable[[], Any], shape: Any,
     assert call("mnist3d", "solidify", tmp_path / "drawing.jpg", "--out", out, "--height-mm", 60, *shape) == 0
     (seen,) = seen_in(out)
     assert seen.complaints == ()
-    assert seen.size_mm[1] == pytest.approx(60 + 6 * ("--base-mm" in shape), abs=0.3)
+    assert seen.size_mm[1] == pytest.approx(60 + 6 * ("--base-mm" in shape), abs=0.01)
     (top_mm,) = slice_file(out, tmp_path).top_mm.values()
     assert top_mm == pytest.approx(seen.size_mm[2], abs=LAYER_MM)
     (counts,) = repairs_in(out, tmp_path).values()

@@ -125,7 +125,7 @@ def test_depth_survives_its_picture(monkeypatch):
     assert np.abs(decode_depth(encode_depth(image)) - image).max() < 1e-5
     level = decode_depth(encode_depth(np.zeros((4, 4), np.float32)))
     assert (level == 1).all()  # a level surface counts as no contact
-    monkeypatch.setattr("tactile_sim.pairs.MAX_IMAGE_PIXELS", 10_000)
+    monkeypatch.setattr("tactile_toolkit.touch.MAX_IMAGE_PIXELS", 10_000)
     for other, words in (
         (b"no picture", "expected a grey PNG"),
         (png_bytes(image.astype(np.uint8)), "mode L"),

@@ -43,7 +43,7 @@ torch = pytest.importorskip("torch", reason="needs torch, of the extra torch")
 
 from tactile_sim.learned import channels  # noqa: E402
 from tactile_sim.learned.batches import Batch  # noqa: E402
-from tactile_sim.learned.channels import depth_of, noisy_channels, picture_channels, shades_of  # noqa: E402
+from tactile_sim.learned.channels import depth_from, noisy_channels, picture_channels, shades_of  # noqa: E402
 from tactile_sim.learned.cyclegan import CycleGan, _mean_error  # noqa: E402
 from tactile_sim.learned.evaluation import (  # noqa: E402
     evaluate,
@@ -273,8 +273,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
     part = run.invoke(app, [*words, str(tmp_path / "parts"), "--part", "0/1"])
     assert "images in" in part.output
     assert "tactile-sim train" not in part.output, "there is nothing to train with before --finish"
-    for module in ("classifiers", "evaluation"):
-        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 60)
+    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 60)
     verified = run.invoke(app, ["verify", pairs])
     assert verified.exit_code == 0, verified.output
     noise = tmp_path / "noise.json"
@@ -320,8 +319,7 @@ def test_the_chain_from_the_command_line(sources, pairs, trained, tmp_path, monk
 
 
 def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monkeypatch):
-    for module in ("classifiers", "evaluation"):
-        monkeypatch.setattr(f"tactile_sim.learned.{module}.STEPS", 20)
+    monkeypatch.setattr("tactile_sim.learned.classifiers.STEPS", 20)
     steps: list[tuple[int, int]] = []
     found = []
     for together in (1, 64):
@@ -339,8 +337,8 @@ def test_an_evaluation_is_the_same_of_one_picture_at_a_time(pairs, trained, monk
     network = make_generator(read_weights(trained / "touch_to_depth.npz"))
     pictures = Pairs.open(pairs).real.images(np.arange(7))
     monkeypatch.setattr(channels, "_TOGETHER", 3)
-    alone = np.concatenate([depth_of(network, each[None]) for each in pictures])
-    np.testing.assert_allclose(depth_of(network, pictures), alone, atol=1e-5)
+    alone = np.concatenate([depth_from(network, each[None]) for each in pictures])
+    np.testing.assert_allclose(depth_from(network, pictures), alone, atol=1e-5)
     with pytest.raises(InputError, match="device is 'tpu'"):
         evaluate(trained, pairs, device="tpu")
 

@@ -108,10 +108,10 @@ def test_poses_that_cannot_be_are_refused():
 
 
 def test_a_set_without_taxim_says_what_to_install(made, tmp_path, monkeypatch):
-    import tactile_sim.generation
+    import tactile_sim.spec_optics
     import tactile_sim.taxim
 
-    tactile_sim.generation._optics.cache_clear()
+    tactile_sim.spec_optics._optics.cache_clear()
     monkeypatch.setattr("tactile_sim.taxim.find_spec", lambda _: None)
     tactile_sim.taxim.taxim_package.cache_clear()
     result = CliRunner().invoke(

@@ -6,12 +6,9 @@ Outcomes of the files next to the repository are those of the references that `s
 from __future__ import annotations
 
 import gzip
-import io
-import json
 import math
 import os
 import struct
-import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -22,9 +19,9 @@ import trimesh
 
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.mesh import Mesh, inspect, pack_mesh, read_mesh, unpack_mesh
-from tactile_toolkit.mesh.gltf import read_glb
 from tactile_toolkit.mesh.polygons import cut_polygons
 from tests.real_input import SHARED
+from tests.tactile_toolkit.mesh.solid_files import cube, outcome_of
 
 CASES = SHARED / "cases" / "solid"
 
@@ -61,15 +58,6 @@ OUTCOMES: dict[str, float | str] = {
 }
 
 
-def outcome_of(path: Path, unit: str | None = None) -> float | str:
-    """Return the volume of a solid, mm³, or why there is none."""
-    try:
-        report = inspect(read_mesh(path, unit=unit))
-    except InputError as error:
-        return str(error)
-    return report.volume_mm3 if report.is_solid else f"{report.problem}: {report.detail}"
-
-
 @pytest.mark.skipif(not CASES.is_dir(), reason="the folder ../shared next to the repository has no cases")
 @pytest.mark.parametrize("name", OUTCOMES)
 def test_files_of_public_reports(name: str) -> None:
@@ -81,10 +69,6 @@ def test_files_of_public_reports(name: str) -> None:
 
 
 # --- text and binary, made here -----------------------------------------------------------------------
-
-
-def cube(side: float = 20.0) -> Mesh:
-    return Mesh.from_trimesh(trimesh.creation.box((side / 1000,) * 3))
 
 
 def stl_text(mesh: Mesh, name: str = "part") -> str:
@@ -215,6 +199,22 @@ def test_units_are_asked_for_and_obeyed(unit: str, ending: str, tmp_path: Path) 
         read_mesh(path, unit="inch")
 
 
+@pytest.mark.parametrize(("radius_m", "sections"), [(1e-3, 512), (5e-4, 256), (1e-4, 64)])
+def test_a_tiny_cone_in_metres_is_a_solid(radius_m: float, sections: int, tmp_path: Path) -> None:
+    """Its corners lie a few micrometres apart; trimesh, which drops such triangles, makes it open."""
+    turns = np.arange(sections) * (2 * np.pi / sections)
+    rim = radius_m * np.stack([np.cos(turns), np.sin(turns), np.zeros(sections)], axis=1)
+    beside = np.roll(rim, -1, axis=0)
+    tip, middle = np.full((sections, 3), [0, 0, 2 * radius_m]), np.zeros((sections, 3))
+    corners = np.concatenate([np.stack([rim, beside, tip], 1), np.stack([beside, rim, middle], 1)])
+    facets = np.zeros(len(corners), [("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("rest", "<u2")])
+    facets["corners"] = corners
+    content = bytes(80) + struct.pack("<I", len(facets)) + facets.tobytes()
+    (tmp_path / "cone.stl").write_bytes(content)
+    base_mm2 = sections / 2 * math.sin(2 * math.pi / sections) * (1e3 * radius_m) ** 2
+    assert outcome_of(tmp_path / "cone.stl", "m") == pytest.approx(base_mm2 * 2e3 * radius_m / 3, rel=1e-4)
+
+
 def test_formats_that_state_their_unit_keep_it(tmp_path: Path) -> None:
     for ending, stated in ((".glb", "m"), (".3mf", "mm")):
         path = tmp_path / f"part{ending}"
@@ -330,317 +330,6 @@ def test_what_is_open_stays_as_it_is() -> None:
     for ending in (".stl", ".ply", ".glb"):
         found = unpack_mesh(pack_mesh(open_box, ending), ending)
         assert (len(found.vertices_m), len(found.faces), found.notes) == (8, 11, ())
-
-
-# --- glTF ---------------------------------------------------------------------------------------------
-
-BOX = Mesh.from_trimesh(trimesh.creation.box((0.03, 0.02, 0.005)))
-
-
-def glb_of(tree: dict[str, Any], content: bytes) -> bytes:
-    text = json.dumps(tree).encode()
-    text += b" " * (-len(text) % 4)
-    chunks = struct.pack("<I4s", len(text), b"JSON") + text
-    chunks += struct.pack("<I4s", len(content), b"BIN\0") + content
-    return struct.pack("<4sII", b"glTF", 2, 12 + len(chunks)) + chunks
-
-
-def tree_of(mesh: Mesh = BOX, **changes: Any) -> tuple[dict[str, Any], bytes]:
-    """A mesh as it is, y up, and what a test changes in its tree."""
-    vertices, corners = mesh.vertices_m.astype("<f4"), mesh.faces.astype("<u2")
-    content = vertices.tobytes() + corners.tobytes()
-    tree: dict[str, Any] = {
-        "asset": {"version": "2.0"},
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "indices": 1}]}],
-        "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": len(vertices), "type": "VEC3"},
-            {"bufferView": 1, "componentType": 5123, "count": corners.size, "type": "SCALAR"},
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteLength": vertices.nbytes},
-            {"buffer": 0, "byteOffset": vertices.nbytes, "byteLength": corners.nbytes},
-        ],
-        "buffers": [{"byteLength": len(content)}],
-    }
-    return {**tree, **changes}, content
-
-
-def sizes_mm(data: bytes) -> np.ndarray:
-    vertices, _ = read_glb(data)
-    return np.asarray(np.ptp(vertices, axis=0) * 1000)
-
-
-def test_y_is_up_in_glb_files() -> None:
-    """A part that lies flat is low along y in the file, and comes back along z, as it was."""
-    shape = Mesh(BOX.vertices_m + np.array([0.1, 0.2, 0.3]), BOX.faces)
-    data = pack_mesh(shape, ".glb")
-    there = trimesh.load_scene(io.BytesIO(data), file_type="glb").to_mesh()
-    assert there.bounds == pytest.approx(np.array([[0.085, 0.2975, -0.21], [0.115, 0.3025, -0.19]]), abs=1e-7)
-    assert unpack_mesh(data, ".glb").bounds_m == pytest.approx(shape.bounds_m, abs=1e-7)
-    assert sizes_mm(glb_of(*tree_of())) == pytest.approx([30, 5, 20], abs=1e-4)
-
-
-def test_nodes_place_what_they_hold() -> None:
-    half = math.sqrt(0.5)
-    nodes = [
-        {"children": [1, 2], "translation": [1, 0, 0]},
-        {"mesh": 0, "rotation": [0, 0, half, half], "scale": [1, 1, 2]},
-        {"mesh": 0, "matrix": [-1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 1, 1]},
-    ]
-    vertices, faces = read_glb(glb_of(*tree_of(nodes=nodes)))
-    reference = trimesh.load_scene(io.BytesIO(glb_of(*tree_of(nodes=nodes))), file_type="glb").to_mesh()
-    assert np.sort(vertices, axis=0) == pytest.approx(
-        np.sort(reference.vertices[:, [0, 2, 1]] * [1, -1, 1], axis=0), abs=1e-6
-    )
-    assert Mesh(vertices, faces).volume_m3 == pytest.approx(3 * BOX.volume_m3, rel=1e-5)
-
-
-def test_the_default_scene_is_read() -> None:
-    scenes = [{"nodes": [0]}, {"nodes": [1]}]
-    nodes = [{"mesh": 0}, {"mesh": 0, "scale": [2, 2, 2]}]
-    tree, content = tree_of(scenes=scenes, nodes=nodes, scene=1)
-    assert sizes_mm(glb_of(tree, content)) == pytest.approx([60, 10, 40], abs=1e-4)
-    del tree["scene"]
-    with pytest.raises(InputError, match="2 scenes and names none"):
-        read_glb(glb_of(tree, content))
-
-
-@pytest.mark.parametrize(
-    ("component", "kind", "normalized"),
-    [(5120, "i1", True), (5121, "u1", False), (5122, "<i2", True), (5123, "<u2", True), (5123, "<u2", False)],
-)
-def test_quantized_values_are_read(component: int, kind: str, normalized: bool) -> None:
-    """KHR_mesh_quantization: integers, or shares of the largest, four bytes apart."""
-    most = np.iinfo(kind).max
-    unit = (BOX.vertices_m > 0).astype(kind) * most
-    step = -(-unit.shape[1] * unit.itemsize // 4) * 4
-    stored = b"".join(row.tobytes().ljust(step, b"\0") for row in unit)
-    tree, content = tree_of(extensionsRequired=["KHR_mesh_quantization"])
-    tree["accessors"][0] |= {"componentType": component, "normalized": normalized, "bufferView": 2}
-    tree["bufferViews"].append(
-        {"buffer": 0, "byteOffset": len(content), "byteLength": len(stored), "byteStride": step}
-    )
-    scale = 0.03 if normalized else 0.03 / most
-    tree["nodes"] = [{"mesh": 0, "scale": [scale] * 3}]
-    assert sizes_mm(glb_of(tree, content + stored)) == pytest.approx([30] * 3, rel=1e-6)
-
-
-def test_strips_fans_and_sparse_values_are_read() -> None:
-    square = Mesh(np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], float), np.array([[0, 1, 2]]))
-    areas = {}
-    for mode, corners in ((5, [0, 1, 2, 3]), (6, [0, 1, 3, 2]), (4, [0, 1, 3, 0, 3, 2])):
-        tree, content = tree_of(square)
-        stored = np.array(corners, "<u2").tobytes()
-        tree["accessors"][1] |= {"bufferView": 2, "count": len(corners)}
-        tree["bufferViews"].append({"buffer": 0, "byteOffset": len(content), "byteLength": len(stored)})
-        tree["meshes"][0]["primitives"][0]["mode"] = mode
-        vertices, faces = read_glb(glb_of(tree, content + stored))
-        a, b, c = vertices[faces].swapaxes(0, 1)
-        areas[mode] = np.cross(b - a, c - a).sum(axis=0) / 2
-    assert areas[5] == pytest.approx(areas[4])
-    assert areas[6] == pytest.approx(areas[4])
-    tree, content = tree_of()
-    rows, values = np.array([3], "<u2").tobytes() + b"\0\0", np.array([[0.5, 0, 0]], "<f4").tobytes()
-    tree["bufferViews"] += [
-        {"buffer": 0, "byteOffset": len(content), "byteLength": 2},
-        {"buffer": 0, "byteOffset": len(content) + 4, "byteLength": 12},
-    ]
-    tree["accessors"][0]["sparse"] = {
-        "count": 1,
-        "indices": {"bufferView": 2, "componentType": 5123},
-        "values": {"bufferView": 3},
-    }
-    assert read_glb(glb_of(tree, content + rows + values))[0][3] == pytest.approx([0.5, 0, 0])
-
-
-@pytest.mark.parametrize(
-    ("changes", "words"),
-    [
-        ({"extensionsRequired": ["EXT_meshopt_compression"]}, "extension 'EXT_meshopt_compression'"),
-        ({"extensionsRequired": ["KHR_materials_unlit"]}, ""),
-        ({"nodes": [{"mesh": 0, "skin": 0}]}, "skin"),
-        ({"nodes": [{"mesh": 0, "weights": [0.5]}]}, "morph targets"),
-        ({"nodes": [{"children": [0]}]}, "in a circle"),
-        ({"nodes": [{"mesh": 0, "rotation": [0, 0, 0, 2]}]}, "a quaternion of length 2; expected length one"),
-        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 1] * 3, 0, 0, 0, 1]}]}, "that distorts"),
-        ({"nodes": [{"mesh": 0, "matrix": [*[1, 0, 0, 0, 0] * 3, 1], "scale": [2, 2, 2]}]}, "next to parts"),
-        ({"asset": {"version": "2.0", "minVersion": "2.1"}}, r"needs glTF 2\.1"),
-        ({"asset": {"version": "3.0"}}, r"needs glTF 3\.0"),
-        ({"nodes": [{"mesh": 7}]}, "names meshes 7; there are 1"),
-        ({"nodes": [{"mesh": -1}]}, "names meshes -1"),
-        ({"buffers": [{"byteLength": 9, "uri": "part.bin"}]}, "keeps data elsewhere"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 4}] * 2}, "reaches beyond the data"),
-        ({"bufferViews": [{"buffer": 0, "byteLength": 10**9}] * 2, "accessors": [
-            {"bufferView": 0, "componentType": 5126, "count": 10**7, "type": "VEC3"}]}, "is cut short"),
-        ({"accessors": [{"componentType": 5126, "count": 8, "type": "VEC3"}] * 2}, "has no data"),
-    ],
-)  # fmt: skip
-def test_what_glb_files_need_is_read_or_named(changes: dict[str, Any], words: str) -> None:
-    data = glb_of(*tree_of(**changes))
-    if not words:
-        assert len(read_glb(data)[1]) == 12
-        return
-    with pytest.raises(InputError, match=words):
-        read_glb(data)
-
-
-# --- 3MF ----------------------------------------------------------------------------------------------
-
-CORE = "http://schemas.microsoft.com/3dmanufacturing/core/2015/02"
-
-
-def mesh_xml(*meshes: Mesh) -> str:
-    vertices, faces, start = "", "", 0
-    for mesh in meshes:
-        vertices += "".join(f'<vertex x="{x}" y="{y}" z="{z}"/>' for x, y, z in mesh.vertices_mm)
-        faces += "".join(
-            f'<triangle v1="{a + start}" v2="{b + start}" v3="{c + start}"/>'
-            for a, b, c in mesh.faces.tolist()
-        )
-        start += len(mesh.vertices_m)
-    return f"<mesh><vertices>{vertices}</vertices><triangles>{faces}</triangles></mesh>"
-
-
-def package(path: Path, resources: str, build: str, head: str = "", **files: str) -> Path:
-    with zipfile.ZipFile(path, "w") as archive:
-        for name, text in files.items():
-            archive.writestr(name, text)
-        archive.writestr(
-            "3D/3dmodel.model",
-            f'<model unit="millimeter" xmlns="{CORE}" {head}><resources>{resources}</resources>'
-            f"<build>{build}</build></model>",
-        )
-    return path
-
-
-BESIDE = Mesh(cube(10).vertices_m + np.array([0.05, 0, 0]), cube().faces)
-ITEM, TWO = '<item objectid="1"/>', f'<object id="1" type="model">{mesh_xml(cube(), BESIDE)}</object>'
-
-
-def prusa(kind: str) -> dict[str, str]:
-    return {
-        "Metadata/Slic3r_PE_model.config": '<config><object id="1"><metadata type="object" key="name" '
-        'value="a"/><volume firstid="0" lastid="11"><metadata type="volume" key="volume_type" '
-        f'value="ModelPart"/></volume><volume firstid="12" lastid="23">{kind}</volume></object></config>'
-    }
-
-
-def volume_type(value: str) -> dict[str, str]:
-    return prusa(f'<metadata type="volume" key="volume_type" value="{value}"/>')
-
-
-@pytest.mark.parametrize("kind", ["ParameterModifier", "SupportBlocker", "SupportEnforcer", "1"])
-def test_volumes_of_prusaslicer_that_are_not_the_object(kind: str, tmp_path: Path) -> None:
-    files = volume_type(kind)
-    if kind == "1":  # of old releases
-        files = prusa('<metadata type="volume" key="modifier" value="1"/>')
-    mesh = read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **files))
-    assert inspect(mesh).volume_mm3 == pytest.approx(8000)
-    assert np.ptp(mesh.bounds_m, axis=0) == pytest.approx([0.02] * 3)
-    assert mesh.notes[0].startswith("left out: 1 volume of kind ")
-    whole = read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **volume_type("ModelPart")))
-    assert (inspect(whole).bodies, whole.notes) == (2, ())
-    with pytest.raises(InputError, match="has a negative volume"):
-        read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **volume_type("NegativeVolume")))
-
-
-@pytest.mark.parametrize(
-    ("subtype", "found"),
-    [
-        ("normal_part", 9000),
-        ("modifier_part", 8000),
-        ("support_blocker", 8000),
-        ("support_enforcer", 8000),
-        ("negative_part", "has a negative volume"),
-    ],
-)
-def test_parts_of_bambu_studio(subtype: str, found: float | str, tmp_path: Path) -> None:
-    """As it writes them: parts in a model of their own, what each is for in a file of settings."""
-    production = "http://schemas.microsoft.com/3dmanufacturing/production/2015/06"
-    parts = f'<object id="1">{mesh_xml(cube())}</object><object id="2">{mesh_xml(BESIDE)}</object>'
-    files = {
-        "3D/Objects/object_1.model": f'<model unit="millimeter" xmlns="{CORE}"><resources>{parts}</resources>'
-        "<build/></model>",
-        "Metadata/model_settings.config": '<config><object id="8"><metadata key="name" value="a"/>'
-        f'<part id="1" subtype="normal_part"/><part id="2" subtype="{subtype}"/></object></config>',
-    }
-    path = 'p:path="/3D/Objects/object_1.model"'
-    whole = f'<object id="8" type="model"><components><component {path} objectid="1"/>'
-    whole += f'<component {path} objectid="2"/></components></object>'
-    head = f'xmlns:p="{production}" requiredextensions="p"'
-    outcome = outcome_of(package(tmp_path / "a.3mf", whole, '<item objectid="8"/>', head, **files))
-    assert found in outcome if isinstance(found, str) else outcome == pytest.approx(found)
-
-
-@pytest.mark.parametrize("kind", ["support", "solidsupport", "other", "surface"])
-def test_objects_of_other_types_are_not_of_the_model(kind: str, tmp_path: Path) -> None:
-    two = (
-        f'<object id="1">{mesh_xml(cube())}</object><object id="2" type="{kind}">{mesh_xml(BESIDE)}</object>'
-    )
-    mesh = read_mesh(package(tmp_path / "a.3mf", two, f'{ITEM}<item objectid="2"/>'))
-    assert inspect(mesh).volume_mm3 == pytest.approx(8000)
-    assert mesh.notes == (f"left out: 1 object of type {kind!r}",)
-    with pytest.raises(InputError, match="holds nothing to build"):
-        read_mesh(package(tmp_path / "a.3mf", two, '<item objectid="2"/>'))
-    twice = read_mesh(package(tmp_path / "a.3mf", two, f'{ITEM}<item objectid="1" printable="0"/>'))
-    assert twice.notes == ("left out: 1 object not to be printed",)
-    assert inspect(twice).bodies == 1
-
-
-@pytest.mark.parametrize(
-    ("head", "inside", "words"),
-    [
-        ('xmlns:b="http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02" requiredextensions="b"',
-         "", "beamlattice/2017"),
-        ('requiredextensions="sc"', "", "requires the extension 'sc'"),
-        ('xmlns:m="http://schemas.microsoft.com/3dmanufacturing/material/2015/02" requiredextensions="m"',
-         "", ""),
-        ('xmlns:b="http://schemas.microsoft.com/3dmanufacturing/beamlattice/2017/02"',
-         "<b:beamlattice/>", "holds a beamlattice"),
-    ],
-)  # fmt: skip
-def test_extensions_of_3mf(head: str, inside: str, words: str, tmp_path: Path) -> None:
-    one = f'<object id="1">{mesh_xml(cube()).replace("</mesh>", inside + "</mesh>")}</object>'
-    outcome = outcome_of(package(tmp_path / "a.3mf", one, ITEM, head))
-    assert words in str(outcome)
-    if not words:
-        assert outcome == pytest.approx(8000)
-
-
-@pytest.mark.parametrize(
-    ("resources", "build", "words"),
-    [
-        (TWO + TWO, ITEM, "has several objects '1'"),
-        (TWO, "", "holds nothing to build$"),
-        (TWO.replace('x="10', 'x="10,', 1), ITEM, "is not a number; expected one such as"),
-        (TWO.replace('x="10', 'x="1_0', 1), ITEM, "is not a number"),
-        (TWO.replace('v1="1"', 'v1="1.5"', 1), ITEM, "'1.5' is not a number; expected an integer"),
-    ],
-)
-def test_what_3mf_does_not_allow_is_named(resources: str, build: str, words: str, tmp_path: Path) -> None:
-    """lib3mf refuses them, too, or reads another solid."""
-    with pytest.raises(InputError, match=words):
-        read_mesh(package(tmp_path / "a.3mf", resources, build))
-
-
-def test_relations_name_the_root_model(tmp_path: Path) -> None:
-    model = f'<model unit="millimeter" xmlns="{CORE}"><resources><object id="1">{mesh_xml(BESIDE)}</object>'
-    model += f"</resources><build>{ITEM}</build></model>"
-    relation = "http://schemas.microsoft.com/3dmanufacturing/2013/01/3dmodel"
-    for target, found in (("/part/real.model", 1000), ("/3D/3dmodel.model", 8000)):
-        relations = (
-            '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">'
-            f'<Relationship Target="{target}" Id="r" Type="{relation}"/></Relationships>'
-        )
-        files = {"part/real.model": model, "_rels/.rels": relations}
-        path = package(tmp_path / "a.3mf", f'<object id="1">{mesh_xml(cube())}</object>', ITEM, **files)
-        assert outcome_of(path) == pytest.approx(found)
-    files["_rels/.rels"] = relations.replace("3dmodel.model", "none.model")
-    with pytest.raises(InputError, match=r"holds no model /3d/none\.model"):
-        read_mesh(package(tmp_path / "a.3mf", TWO, ITEM, **files))
 
 
 # --- which files are opened ---------------------------------------------------------------------------

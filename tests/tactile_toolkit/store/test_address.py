@@ -40,7 +40,7 @@ def test_one_form_of_each_place(given, place):
         ("s3:///set", "is not the address of a data set"),
         ("file://set", "expected a folder, file:///FOLDER, s3://"),
         ("s3://a/../b", "'s3://a/../b' is not the address of a data set"),
-        ("s3://a/./b", "of plain names ('.', '..' and control characters are none)"),
+        ("s3://a/./b", "of names without '.', '..' and control characters"),
         ("s3://a/b\0", "is not the address of a data set"),
         ("s3://KEY:SECRET@bucket/set", "the address 's3://...' may hold a user, a key or a signature"),
         ("https://KEY:SECRET@host/set", "the address 'https://...' may hold"),

@@ -293,3 +293,14 @@ def test_a_card_shows_only_pictures_of_its_folder(finished, path):
     except ToolkitError as error:  # pragma: no cover - said so below
         problems = [str(error)]
     assert any(problem.startswith(f"shows the picture '{path}', which ") for problem in problems)
+
+
+@pytest.mark.skipif(not hasattr(os, "pathconf"), reason="needs a system that states its longest path")
+def test_a_folder_whose_path_leaves_no_room_for_names_is_refused_before_the_work(tmp_path):
+    longest, place = os.pathconf(tmp_path, "PC_PATH_MAX"), tmp_path
+    while len(str(place)) < longest - 60:
+        place /= "d" * min(200, longest - 60 - len(str(place)))
+    made: list[object] = []
+    with pytest.raises(InputError, match=r"characters, so that the system refuses .*; next: .*shorter path"):
+        build(open_folder(str(place)), toy_plan(), on_progress=made.append)
+    assert made == []

@@ -1,0 +1,60 @@
+"""Pictures that tests draw, as a maker would: handwriting, a coloured drawing, and photographs of them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw, ImageFilter
+from scipy import ndimage
+
+from mnist3d.solid import SizedInk, SolidSize, sized_ink
+from tactile_toolkit.mesh import Mesh
+
+PEN = (15, 15, 40)
+SUN, WALL, GRASS = (255, 165, 0), (255, 235, 150), (60, 170, 60)
+
+
+def word(width: int = 22) -> Image.Image:
+    """Handwriting of five pieces: an l, two i with their dots."""
+    picture = Image.new("RGB", (800, 400), "white")
+    draw = ImageDraw.Draw(picture)
+    for x, top in ((200, 80), (350, 180), (500, 180)):
+        draw.line([(x, top), (x, 320)], fill=PEN, width=width)
+    for x in (350, 500):
+        draw.ellipse([x - width / 2, 120 - width / 2, x + width / 2, 120 + width / 2], fill=PEN)
+    return picture
+
+
+def child() -> Image.Image:
+    """A house with an outline and pale walls, an orange sun, grass: three pieces, all of them filled."""
+    picture = Image.new("RGB", (800, 600), "white")
+    draw = ImageDraw.Draw(picture)
+    draw.ellipse([560, 60, 700, 200], fill=SUN)
+    draw.rectangle([120, 250, 380, 480], fill=WALL, outline=(0, 0, 0), width=8)
+    draw.rectangle([60, 520, 740, 550], fill=GRASS)
+    return picture
+
+
+def photographed(picture: Image.Image) -> Image.Image:
+    """What a phone makes of a page: uneven warm light, noise, blur."""
+    page = np.asarray(picture.resize((1200, 900)), float)
+    rows, columns = np.mgrid[:900, :1200]
+    light = 0.5 + 0.5 * (0.7 * columns / 1200 + 0.3 * rows / 900)
+    shot = page * light[..., None] * np.array([0.93, 0.89, 0.82])
+    shot += np.random.default_rng(0).normal(0, 3, page.shape)
+    blurred = Image.fromarray(np.clip(shot, 0, 255).astype(np.uint8))
+    return blurred.filter(ImageFilter.GaussianBlur(1))
+
+
+def inked(picture: Any, **options: Any) -> SizedInk:
+    size = SolidSize(**{name: options.pop(name) for name in list(options) if name.endswith("_mm")})
+    return sized_ink(picture, None, size, **options)
+
+
+def pieces(mask: np.ndarray) -> int:
+    return int(ndimage.label(mask, np.ones((3, 3)))[1])
+
+
+def size_mm(mesh: Mesh) -> np.ndarray:
+    return np.ptp(mesh.vertices_m, axis=0) * 1000
