@@ -13,21 +13,17 @@ import typer
 from typer.core import TyperCommand
 
 from cli.declared_options import DEBUG_VARIABLE, Debug, Version, with_options
-from cli.streams import _Output
+from cli.streams import Output
 from tactile_toolkit import store
-from tactile_toolkit.errors import (
-    InputError,
-    SpecMismatchError,
-    ToolkitError,
-    require_public,
-)
+from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError, require_public
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.shown_text import printable
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 
 # Line length of the help on wide terminals.
-_SETTINGS: dict[str, Any] = {"max_content_width": 100, "help_option_names": ["--help", "-h"]}
+_SETTINGS: dict[str, JsonValue] = {"max_content_width": 100, "help_option_names": ["--help", "-h"]}
 # Headings of the help, by type of parameter.
 _PANELS = {"argument": "Arguments", "option": "Options"}
 
@@ -66,7 +62,7 @@ class _Command(TyperCommand):
                 error.message = error.message.removeprefix("Value error, ")
                 raise
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         with self._errors_reported():
             return super().invoke(ctx)
 
@@ -118,7 +114,7 @@ class _Command(TyperCommand):
 
 
 def command(
-    app: typer.Typer, name: str | None = None, *, asks_hub: bool = True, **known: Any
+    app: typer.Typer, name: str | None = None, *, asks_hub: bool = True, **known: object
 ) -> Callable[[F], F]:
     """Return a decorator that adds a function as a command, by its own name or another one.
 
@@ -146,9 +142,10 @@ def run(app: typer.Typer) -> None:
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
-    output: Any = _Output(sys.stdout)
-    info: Any = _Output(sys.stderr)
-    with redirect_stdout(output), redirect_stderr(info):
+    output = Output(sys.stdout)
+    # They behave as streams of text, as far as anything is printed.
+    streams = (redirect_stdout(output), redirect_stderr(Output(sys.stderr)))
+    with streams[0], streams[1]:
         try:
             _dispatch(app)
         except (MemoryError, ImportError, OSError) as error:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Protocol
 
 import typer
 
@@ -15,9 +15,35 @@ from cli.output import Sink
 from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
+
+
+class Checked(Protocol):
+    """What was found in a data set or a file."""
+
+    @property
+    def checked(self) -> int:
+        """Number of checked objects."""
+
+    @property
+    def failed(self) -> int:
+        """Number of objects that are not valid."""
+
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """Reasons why files or rows could not be read."""
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values."""
+
+    def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
+        """Return header, rows and title of a table."""
+
+    def advice(self) -> Sequence[str]:
+        """Return what to do about warnings, a line each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +51,11 @@ class Geometry:
     """How the objects of a kind are checked.
 
     ``check`` takes names, a split or None, a limit or None and a number of processes, and the keywords
-    ``opened``, a function that opens a name, and ``on_progress``. It returns results with ``checked``,
-    ``failed``, ``unreadable``, ``to_dict()``, ``table()`` and ``advice()``.
+    ``opened``, a function that opens a name, and ``on_progress``.
     """
 
     nouns: str
-    check: Callable[..., Sequence[Any]]
+    check: Callable[..., Sequence[Checked]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,7 +151,7 @@ def check_objects(
     split: str | None,
     limit: int | None,
     workers: int,
-    verified: dict[str, Any] | None = None,
+    verified: JsonDict | None = None,
 ) -> None:
     """Check objects as they are read back from disk.
 
@@ -139,7 +164,7 @@ def check_objects(
         opened = partial(opening.open, sink)
         workers = process_count(workers)
         results = geometry.check(paths, split, limit, workers, opened=opened, on_progress=update)
-    documents: Any = [result.to_dict() for result in results]
+    documents: JsonValue = [result.to_dict() for result in results]
     if verified is not None:
         documents = {**verified, "geometry": documents}
     sink.document(documents)

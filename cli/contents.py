@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 from cli.nested_values import brief, flat_lines, stored_value
 from cli.options import ANY_SET, Opening, argument, local_place
@@ -12,6 +11,7 @@ from cli.runs import PrintMade, print_set
 from tactile_toolkit import catalog, hub, places, read, store
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
@@ -121,7 +121,7 @@ def list_sets(
     sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
 
 
-def _sets_in(folder: Path) -> list[dict[str, Any]]:
+def _sets_in(folder: Path) -> list[JsonDict]:
     """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
 
     ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError

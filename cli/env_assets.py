@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import env_assets
 from cli.application import command, new_app, run
@@ -21,8 +20,11 @@ from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import mesh
 from tactile_toolkit.checked_fields import text
+from tactile_toolkit.kind import lazy
 from tactile_toolkit.wording import with_count
 
+# Imported when it is called: it registers the environments, and imports numpy.
+_environment_ids = lazy("tactile_envs:ids")
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
 app = new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
@@ -78,12 +80,9 @@ def list_environments(
 
     Example: env-assets list Minecraft
     """
-    # Imported here: it registers the environments, and imports numpy.
-    import tactile_envs
-
-    found = tactile_envs.ids(*words or ())
+    found = _environment_ids(*words or ())
     sink.document([asdict(each) for each in found])
-    names = [field.name for field in fields(tactile_envs.EnvId)]
+    names = [field.name for field in fields(found[0])]
     sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
     sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
     for assets in dict.fromkeys(each.assets for each in found):
@@ -91,7 +90,7 @@ def list_environments(
             sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> object:
     """Return parts of an observation or an action with their shapes as text, other values as they are."""
     if not isinstance(value, Mapping):
         return value

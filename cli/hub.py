@@ -14,13 +14,14 @@ from cli.output import Sink
 from tactile_toolkit import catalog, exchange, places
 from tactile_toolkit.checked_fields import switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.quantities import BYTES, bytes_text
 from tactile_toolkit.wording import with_count
 
 _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
+_disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
 _VISIBLE = {True: "private", False: "public"}
 
 
@@ -126,11 +127,9 @@ def download(
 
 def quiet_client(*, is_all: bool) -> None:
     """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
-    from huggingface_hub.utils.tqdm import disable_progress_bars
-
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
     if is_all:
-        disable_progress_bars()  # it draws them even if stderr is not a terminal
+        _disable_progress_bars()  # it draws them even if stderr is not a terminal
 
 
 def _require_consent(question: str, refused: str, next_step: str) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
 from cli.output import Sink
@@ -11,9 +10,14 @@ from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.wording import with_count
+
+
+def _given(chosen: catalog.RowFilter) -> JsonDict:
+    return {each: value for each, value in chosen.given().items() if value is not None}
 
 
 def _fractions(words: str) -> tuple[float, ...]:
@@ -86,7 +90,7 @@ def split(
 
     Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
     """
-    given = {each: value for each, value in chosen.given().items() if value is not None}
+    given = _given(chosen)
     if given and fractions:
         raise InputError(
             "--fractions was given with --ids or other filters; expected only one of them",
@@ -94,7 +98,7 @@ def split(
         )
     if not given and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
-    options: dict[str, Any] = given or {"fractions": fractions, "seed": seed}
+    options = given or {"fractions": fractions, "seed": seed}
     source = opening.open(sink, name)
     for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
@@ -116,7 +120,7 @@ def select(
 
     Example: select DIR --labels 3,5 --per-class 10 --out some
     """
-    given = {each: value for each, value in chosen.given().items() if value is not None}
+    given = _given(chosen)
     if not given:
         raise InputError("expected filters such as --ids", next="add --ids, --labels, --per-class or --limit")
     source = opening.open(sink, name)

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import mnist3d
 from cli.application import command, new_app, run as run_app
 from cli.checks import Geometry
-from cli.declared_options import OptionsOf
+from cli.declared_options import Given, OptionsOf
 from cli.options import Making, Opening, argument, out_folder
 from cli.output import Sink
 from cli.picture_prints import solidify
@@ -38,7 +38,7 @@ def generate(
     ),
     out: str = out_folder("mnist3d-data"),
     source: str = choice("synthetic", SOURCES, help="Where the images come from."),
-    images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
+    images: Annotated[Given, OptionsOf(SourceOptions)],
     division: SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,

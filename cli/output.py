@@ -11,9 +11,9 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any
 
 from tactile_toolkit.checked_fields import switch
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
 from tactile_toolkit.redaction import redact
 from tactile_toolkit.shown_text import printable, printable_json
@@ -34,7 +34,7 @@ class Sink:
     as_json: bool = switch(False, name="--json", help="Print one JSON document on stdout.")
     quiet: bool = switch(False, name="--quiet -q", help="Print neither progress nor tables, only errors.")
 
-    def document(self, content: Any) -> None:
+    def document(self, content: JsonValue) -> None:
         """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:
             sys.stdout.write(_encodable(printable_json(content)) + "\n")

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import typer
 
@@ -216,7 +215,7 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
-    rows: list[tuple[str, Any]] = [
+    rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
         ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
@@ -241,7 +240,7 @@ _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")
 command(app, "import")(import_touches)
 command(app)(check)
-_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-add_shared(app, KIND, {**_own, **dict.fromkeys(("info", "verify", "validate", "export", "select"))})
+_left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
+add_shared(app, KIND, {**_left_out, "preview": preview_touches, "gallery": gallery_of_touches})
 
 main = partial(run, app)

@@ -7,12 +7,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from cli.options import Making, Work, process_count
 from cli.output import Sink
 from tactile_toolkit import store
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.quantities import bytes_text, duration_text
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import with_count
@@ -20,6 +21,9 @@ from tactile_toolkit.wording import with_count
 if TYPE_CHECKING:
     from tactile_toolkit.generation import Forecast, RowGenerator
 
+# Imported when they are called: they import Arrow and numpy, which `--help` does not need.
+_forecast = lazy("tactile_toolkit.generation:forecast")
+_generate = lazy("tactile_toolkit.generation:generate")
 _LEFT_OUT_SHOWN = 20
 
 PrintMade = Callable[..., None]
@@ -40,14 +44,11 @@ def generate_set(
     require: Callable[[], None] = lambda: None,
 ) -> None:
     """Make a data set of a kind, or forecast it, and print a summary and the next step."""
-    # Imported here: it imports Arrow and numpy, which `--help` does not need.
-    from tactile_toolkit.generation import forecast, generate
-
     if making.dry_run:
-        view = forecast(rows, out, splits, require=require, **making.run_keywords())
+        view = _forecast(rows, out, splits, require=require, **making.run_keywords())
         _print_forecast(sink, rows.kind, view, out, making)
         return
-    make = partial(generate, rows, out, splits, require=require)
+    make = partial(_generate, rows, out, splits, require=require)
     manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
     if manifest is None:
         return
@@ -137,7 +138,7 @@ def print_set(
     header: Sequence[str] = (),
     rows: Sequence[Sequence[object]] = (),
     left_out: str = "",
-    **further: Any,
+    **further: JsonValue,
 ) -> None:
     """Print the content of a folder and, if its run is not finished, the next step.
 
@@ -183,10 +184,8 @@ def print_set(
 def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
     """Print the first files and items of the source that were left out, with the reasons."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
-    source: Any = manifest.spec.get("source")
-    files: dict[str, str] = {}
-    if isinstance(source, dict):
-        files = source.get("left_out") or files
+    source = manifest.spec.get("source")
+    files = source.get("left_out", {}) if isinstance(source, dict) else {}
     named = (f"{name} ({reason})" for name, reason in files.items())
     for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
         sink.info(printable(f"left out: {line}"))

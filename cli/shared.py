@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import typer
 
@@ -17,7 +16,9 @@ from cli.merge_and_split import merge, select, split
 from cli.upkeep import cache, card
 from tactile_toolkit.kind import DatasetKind
 
-_COMMANDS: dict[str, Any] = {
+Command = Callable[..., None]
+
+_COMMANDS: dict[str, Command | None] = {
     "info": info,
     "verify": verify,
     "validate": validate,
@@ -39,7 +40,9 @@ _LOCAL = ("cache",)
 """Commands that never ask the Hub."""
 
 
-def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
+def add_shared(
+    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Callable[..., None] | None], **known: object
+) -> None:
     """Add the shared commands to the application of a kind.
 
     ``others`` are the kind's own commands by name, in place of those here; None leaves one out. ``known`` are

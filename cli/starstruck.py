@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import starstruck_gen
 from cli.application import command, new_app, run as run_app
@@ -33,7 +32,7 @@ def generate(
     *,
     split: str = choice("all", ("train", "test", "all"), help="Split to make."),
     out: str = out_folder("starstruck-data"),
-    scenes: Any = text(
+    scenes: tuple[tuple[str, int], ...] | None = text(
         metavar="N|train=N,test=N",
         read=scene_counts,
         help="Scenes of each split instead of the published 3,000 and 300.",
@@ -81,7 +80,10 @@ def _print_made(
 
 def _check(
     paths: Sequence[str],
-    *options: Any,
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    *,
     opened: Callable[[str], places.Place],
     unit: str | None = None,
     profile: mesh.PrintProfile | None = None,
@@ -92,7 +94,10 @@ def _check(
         raise InputError(
             "--nozzle-mm applies to objects that are printed, not to scenes", next="leave it out"
         )
-    return [starstruck_gen.validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
+    return [
+        starstruck_gen.validate_folder(opened(path), split, limit, workers, on_progress=on_progress)
+        for path in paths
+    ]
 
 
 _CHECKS = Geometry("scenes", _check)

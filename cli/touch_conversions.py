@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
-from typing import Any
 
 import typer
 
 from cli.application import command
+from cli.declared_options import Given
 from cli.options import TOUCH_SET, Opening, Work, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_set
@@ -26,14 +26,13 @@ _FRAME = choice(
 )
 
 
+@dataclass(frozen=True, slots=True)
 class _Options:
     """Options of a conversion."""
 
-    __slots__ = ()
-
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> Given:
         """Return the arguments of the conversion."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +55,7 @@ class Resize(_Options):
     size: tuple[int, int] = size_option(MISSING)
     quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> Given:
         """Return the arguments of the conversion; width and height are separate."""
         width, height = self.size
         return {"width": width, "height": height, "quality": self.quality}
@@ -114,11 +113,11 @@ class Select(_Options):
         name="--recalibrate/--as-recorded",
         help="Take the deepest touch of each round as the height of the plate, if that is not known.",
     )
-    ids: tuple[Any, ...] | None = catalog.IDS
+    ids: catalog.IdChoice | None = catalog.IDS
     labels: tuple[str, ...] | None = catalog.LABELS
     per_class: int | None = catalog.PER_CLASS
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> Given:
         """Return the arguments of the conversion; InputError for options that would have no effect."""
         if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
@@ -172,7 +171,7 @@ def add_conversion(
         source: str = TOUCH_SET,
         opening: Opening,
         out: str = out_folder(),
-        options: Any,
+        options: _Options,
         split: str | None = catalog.SPLIT,
         limit: int | None = catalog.LIMIT,
         work: Work,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import realtouch
+from cli.declared_options import Given
 from cli.options import Making, argument, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
@@ -75,7 +75,7 @@ def import_touches(
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    reading: dict[str, Any] = {
+    reading: Given = {
         "layout": file_format,
         "columns": columns.with_mapped(mapped or ()),
         "table": table,

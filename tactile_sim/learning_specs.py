@@ -19,6 +19,9 @@ from tactile_toolkit.touch import contact_height_option, size_option
 if TYPE_CHECKING:
     from tactile_sim.sensor_noise import SensorNoise
 
+BASELINES = ("taxim", "untrained")
+"""Methods with which trained weights are compared."""
+
 _SIDES_PX = range(16, 2049, 4)
 
 # Five convolutions of 4 x 4, three of them halving, leave a patch of 2 x 2.

@@ -29,15 +29,13 @@ from tactile_sim.learned.networks import initialise
 from tactile_sim.learned.processes import chosen_device
 from tactile_sim.learned.training import DEPTH_WEIGHTS, TOUCH_WEIGHTS
 from tactile_sim.learned.weights import GeneratorWeights, generator_of, read_weights, weights_of
+from tactile_sim.learning_specs import BASELINES
 from tactile_sim.pairs import Domain, Pairs
 from tactile_sim.random_numbers import keyed_rng
 from tactile_sim.sensor_noise import SensorNoise, add_noise
 from tactile_toolkit import cards, store
 from tactile_toolkit.array_types import AnyArray, Bool, Int64, UInt8
 from tactile_toolkit.errors import InputError
-
-BASELINES = ("taxim", "untrained")
-"""Methods that trained weights may be compared with."""
 
 # Half of these are held back; fewer are not conclusive.
 _LEAST = 40
