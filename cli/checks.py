@@ -9,9 +9,8 @@ from typing import Protocol
 
 import typer
 
-from cli.application import EXIT_FAILED
+from cli import application, output
 from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
-from cli.output import Sink
 from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
@@ -76,7 +75,7 @@ def verify(
     folder: str = FOLDER,
     objects: Objects,
     workers: int = WORKERS,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Check every checksum, row count, schema and id of a data set folder.
 
@@ -127,7 +126,7 @@ def validate(
         None, above=0, optional=True, shown="0.4", help="Nozzle of the printer: walls need two lines of it."
     ),
     workers: int = WORKERS,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Check each object of data sets, or of mesh files, as it is read back from disk.
 
@@ -144,7 +143,7 @@ def validate(
 
 
 def check_objects(
-    sink: Sink,
+    sink: output.Sink,
     geometry: Geometry,
     paths: Sequence[str],
     opening: Opening,
@@ -178,4 +177,4 @@ def check_objects(
     failed = sum(result.failed for result in results)
     sink.line(f"{checked - failed:,} of {checked:,} {geometry.nouns} are valid")
     if failed:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.nested_values import brief, flat_lines, stored_value
-from cli.options import ANY_SET, Opening, argument, local_place
-from cli.output import Sink
-from cli.runs import PrintMade, print_set
+from cli import nested_values, options, output, runs
 from tactile_toolkit import catalog, hub, places, read, store
 from tactile_toolkit.checked_fields import integer
 from tactile_toolkit.errors import InputError, ToolkitError
@@ -20,7 +17,12 @@ _STATES = {True: "finished", False: "unfinished"}
 
 
 def info(
-    *, kind: DatasetKind, print_made: PrintMade, name: str = ANY_SET, opening: Opening, sink: Sink
+    *,
+    kind: DatasetKind,
+    print_made: runs.PrintMade,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
+    sink: output.Sink,
 ) -> None:
     """Show what a data set holds and how it was made.
 
@@ -32,15 +34,15 @@ def info(
         _print_without_manifest(sink, place, kind)
         return
     if folder is None or is_copy(manifest):
-        print_set(sink, kind, manifest, name)
+        runs.print_set(sink, kind, manifest, name)
         return
     print_made(sink, kind, manifest, folder.address(), None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in flat_lines(manifest.spec):
+    for line in nested_values.flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
-def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
+def _print_without_manifest(sink: output.Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print the content of the splits of a data set without a manifest, and its repository."""
     repository: store.DownloadRecord | hub.HubRepository | None = place.repository
     if place.folder is not None:
@@ -68,11 +70,11 @@ def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) 
 
 def show(
     *,
-    name: str = ANY_SET,
+    name: str = options.ANY_SET,
     row: int = integer(0, help="Row of the split, counted from 0."),
     split: str | None = catalog.SPLIT,
-    opening: Opening,
-    sink: Sink,
+    opening: options.Opening,
+    sink: output.Sink,
 ) -> None:
     """Show a row of a data set: each column, its type and its value, or the number of its values.
 
@@ -89,13 +91,15 @@ def show(
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
-    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
+    values = {
+        name: nested_values.brief(nested_values.stored_value(stored[name][0])) for name in stored.column_names
+    }
     sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
     sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
         type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
-        for line in flat_lines({field.name: values[field.name]}):
+        for line in nested_values.flat_lines({field.name: values[field.name]}):
             column, _, value = line.partition(" = ")
             lines.append((column, type_text, value))
     sink.table(("column", "type", "value"), lines)
@@ -104,8 +108,10 @@ def show(
 def list_sets(
     *,
     kind: DatasetKind,
-    folder: str | None = argument("DIR", "Folder of data sets; the published ones by default.", default=None),
-    sink: Sink,
+    folder: str | None = options.argument(
+        "DIR", "Folder of data sets; the published ones by default.", default=None
+    ),
+    sink: output.Sink,
 ) -> None:
     """List the published data sets and which of them are on this machine, or the data sets in a folder.
 
@@ -114,7 +120,7 @@ def list_sets(
     if folder is None:
         print_sets(sink, kind)
         return
-    found = _sets_in(local_place(folder))
+    found = _sets_in(options.local_place(folder))
     sink.document(found)
     rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
@@ -150,7 +156,7 @@ def _sets_in(folder: Path) -> list[JsonDict]:
     return found
 
 
-def print_sets(sink: Sink, kind: DatasetKind) -> None:
+def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
     documents, rows = [], []
     for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):

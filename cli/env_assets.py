@@ -8,14 +8,7 @@ from functools import partial
 from pathlib import Path
 
 import env_assets
-from cli.application import command, new_app, run
-from cli.checks import Objects, verify
-from cli.contents import show
-from cli.exports import export
-from cli.merge_and_split import merge, split
-from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
-from cli.output import Sink
-from cli.upkeep import cache
+from cli import application, checks, contents, exports, merge_and_split, options, output, upkeep
 from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
 from tactile_toolkit import mesh
@@ -27,22 +20,22 @@ from tactile_toolkit.wording import with_count
 _environment_ids = lazy("tactile_envs:ids")
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
-app = new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
+app = application.new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
 
 
-@command(app)
+@application.command(app)
 def wrench(
     *,
     spec: WrenchSpec,
-    out: Path = local_out_folder("wrench-data"),
+    out: Path = options.local_out_folder("wrench-data"),
     stl: Path | None = text(
         metavar="FILE",
-        read=local_place,
+        read=options.local_place,
         help="Also write the mesh for a printer: .stl, .3mf, .ply, .obj, .glb.",
     ),
-    overwrite: bool = OVERWRITE,
-    dry_run: bool = DRY_RUN,
-    sink: Sink,
+    overwrite: bool = options.OVERWRITE,
+    dry_run: bool = options.DRY_RUN,
+    sink: output.Sink,
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
@@ -68,13 +61,13 @@ def wrench(
     sink.line(_WRITTEN[dry_run].format(files))
 
 
-@command(app, name="list")
+@application.command(app, name="list")
 def list_environments(
     *,
-    words: list[str] | None = argument(
+    words: list[str] | None = options.argument(
         "WORD...", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
     ),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """List the ids of environments, and what each of them is.
 
@@ -97,7 +90,14 @@ def _shown(value: object) -> object:
     return " ".join(f"{name}{list(shape)}" for name, shape in value.items())
 
 
-for _shared in (export, verify, merge, split, show, cache):
-    command(app, kind=KIND, checks=None, objects=Objects())(_shared)
+for _shared in (
+    exports.export,
+    checks.verify,
+    merge_and_split.merge,
+    merge_and_split.split,
+    contents.show,
+    upkeep.cache,
+):
+    application.command(app, kind=KIND, checks=None, objects=checks.Objects())(_shared)
 
-main = partial(run, app)
+main = partial(application.run, app)

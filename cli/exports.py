@@ -10,8 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
-from cli.application import EXIT_FAILED
-from cli.declared_options import OptionsOf
+from cli import application, declared_options, output, runs
 from cli.options import (
     ANY_SET,
     Job,
@@ -20,8 +19,6 @@ from cli.options import (
     local_out_folder,
     process_count,
 )
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
@@ -74,11 +71,11 @@ def export(
     opening: Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
-    distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
-    material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
+    distances: Annotated[dict[str, Any], declared_options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[dict[str, Any], declared_options.OptionsOf(printing.Physics)],
     out: Path = local_out_folder("prints"),
     job: Job,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Write files for printers and simulators, or tables for other libraries.
 
@@ -148,7 +145,7 @@ def _refuse_for_plate(form: ExportOptions) -> None:
 
 
 def _export_calibration_plate(
-    sink: Sink, objects: list[printing.PrintObject], ending: str, out: str, job: Job
+    sink: output.Sink, objects: list[printing.PrintObject], ending: str, out: str, job: Job
 ) -> None:
     made = printing.export_calibration_plate(
         objects, out, ending, overwrite=job.overwrite, dry_run=job.dry_run
@@ -163,7 +160,7 @@ def _export_calibration_plate(
 
 
 def _export_files(
-    sink: Sink,
+    sink: output.Sink,
     objects: list[printing.PrintObject],
     ending: str,
     scale: float,
@@ -206,7 +203,7 @@ def _export_files(
 
 
 def _export_flat(
-    sink: Sink,
+    sink: output.Sink,
     kind: DatasetKind,
     place: places.Place,
     choices: Any,
@@ -224,11 +221,11 @@ def _export_flat(
         return
     make = partial(store.build, store.open_folder(out), plan, write_card=kind.write_card)
     work = Work(job.workers, overwrite=job.overwrite)
-    make_with_progress(sink, "writing", kind, make, work, out, print_set)
+    runs.make_with_progress(sink, "writing", kind, make, work, out, runs.print_set)
 
 
 def _export_plates(
-    sink: Sink,
+    sink: output.Sink,
     objects: list[printing.PrintObject],
     spec: printing.PlateSpec,
     scale: float,
@@ -259,12 +256,12 @@ def _export_plates(
     _report_failures(sink, made.failed)
 
 
-def _report_failures(sink: Sink, failures: Iterable[printing.FailedExport]) -> None:
+def _report_failures(sink: output.Sink, failures: Iterable[printing.FailedExport]) -> None:
     """Name the objects that could not be written; if there are any, exit as after a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")
     if failures:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)
 
 
 def _kept(count: int) -> str:

@@ -15,10 +15,8 @@ from cli.options import (
 )
 from cli.output import Sink
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, gallery
-from tactile_toolkit.checked_fields import integer
+from tactile_toolkit import catalog, checked_fields, gallery, quantities
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text, duration_text
 from tactile_toolkit.wording import with_count
 
 
@@ -46,9 +44,9 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
     sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
-    took = duration_text(time.monotonic() - start_s)
+    took = quantities.duration_text(time.monotonic() - start_s)
     items, files = with_count(site.items, nouns), with_count(site.files, "files")
-    sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
+    sink.line(f"made {out} in {took}: {items}, {files}, {quantities.bytes_text(site.bytes)}")
     sink.line(f"next: open {index} in a browser")
 
 
@@ -77,7 +75,7 @@ def gallery_of_touches(
     name: str = TOUCH_SET,
     opening: Opening,
     chosen: catalog.RowFilter,
-    touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
+    touches: int = checked_fields.integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
     out: Path = local_out_folder("gallery"),
     job: Job,
     sink: Sink,

@@ -11,8 +11,7 @@ import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import Sink
-from tactile_toolkit import catalog, exchange, places
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit import catalog, checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.quantities import BYTES, bytes_text
@@ -31,8 +30,8 @@ def upload(
     folder: str = FOLDER,
     repository: str = argument("USER/NAME", "Repository of the Hub."),
     options: exchange.UploadOptions,
-    dry_run: bool = switch(False, help="Print what would be sent; send nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Send without asking."),
+    dry_run: bool = checked_fields.switch(False, help="Print what would be sent; send nothing."),
+    yes: bool = checked_fields.switch(False, name="--yes -y", help="Send without asking."),
     workers: int = WORKERS,
     sink: Sink,
 ) -> None:
@@ -86,17 +85,19 @@ def download(
     *,
     kind: DatasetKind,
     name: str = argument("NAME", "Short name of a published set, or USER/NAME on the Hub."),
-    split: list[str] | None = text(metavar="SPLIT", several=True, help="Only this split; may be repeated."),
+    split: list[str] | None = checked_fields.text(
+        metavar="SPLIT", several=True, help="Only this split; may be repeated."
+    ),
     revision: str | None = catalog.REVISION,
     config_name: str | None = catalog.CONFIG,
-    out: str | None = text(
+    out: str | None = checked_fields.text(
         name="--out -o",
         metavar="DIR",
         read=parse_address,
         help="Folder to write; the Hub's own cache by default.",
     ),
-    dry_run: bool = switch(False, help="Print what would be fetched; fetch nothing."),
-    yes: bool = switch(False, name="--yes -y", help="Do not ask before a large download."),
+    dry_run: bool = checked_fields.switch(False, help="Print what would be fetched; fetch nothing."),
+    yes: bool = checked_fields.switch(False, name="--yes -y", help="Do not ask before a large download."),
     sink: Sink,
 ) -> None:
     """Download a data set from the Hub, or some of its splits, and check every file.

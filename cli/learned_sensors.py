@@ -10,10 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import tactile_sim
-from cli import options
-from cli.declared_options import Given, OptionsOf
-from cli.output import Sink
-from cli.runs import generate_set, print_set
+from cli import declared_options, options, output, runs
 from tactile_sim import SENSOR_NOISE, PairsSpec, TrainConfig, learning_specs
 from tactile_toolkit import run
 from tactile_toolkit.catalog import INCOMPLETE
@@ -35,7 +32,7 @@ def pairs(
     out: str = options.out_folder("pairs"),
     spec: PairsSpec,
     making: options.Making,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Make the training set of a CycleGAN: unpaired depth images and real touches.
 
@@ -45,7 +42,7 @@ def pairs(
     opened = partial(options.Opening(allow_incomplete=allow_incomplete).open, sink)
     pairs = tactile_sim.PairsGenerator.of(objects, real, split, spec, opened)
     require = partial(pairs.refuse_sources, objects, out)
-    generate_set(sink, "pressing and scaling", pairs, out, None, making, print_set, require)
+    runs.generate_set(sink, "pressing and scaling", pairs, out, None, making, runs.print_set, require)
 
 
 def train(
@@ -57,12 +54,12 @@ def train(
         read=options.local_place,
         help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
-    given: Annotated[Given, OptionsOf(TrainConfig)],
+    given: Annotated[declared_options.Given, declared_options.OptionsOf(TrainConfig)],
     device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     deterministic: bool = switch(False, help="Make every run give the same weights, on the CPU."),
     resume: bool = switch(False, help="Continue the training in the folder; an error if there is none."),
     compiled: bool = switch(False, name="--compile", help="Compile the generators first; for GPUs."),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Train a CycleGAN: one generator of touches from depth, one of depth from touches.
 
@@ -74,7 +71,7 @@ def train(
     settings = TrainConfig.read(config, given)
     # `torchrun` starts this command once for each GPU, numbered by RANK: only the first one prints.
     if os.environ.get("RANK", "0") != "0":
-        sink = Sink(quiet=True)
+        sink = output.Sink(quiet=True)
     with sink.progress("training", "steps") as update:
         done = _train(
             pairs,
@@ -110,7 +107,7 @@ def evaluate(
     ),
     seed: int = integer(0, help="Random seed."),
     device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Measure trained weights on touches that the training did not use: a table and a sheet of images.
 

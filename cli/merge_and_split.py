@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
+from cli import output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
 from tactile_toolkit import catalog, exchange
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
@@ -45,7 +44,7 @@ def merge(
     ),
     out: str = out_folder("merged"),
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
 
@@ -55,7 +54,7 @@ def merge(
     """
     places = [opening.open(sink, name) for name in names]
     make = partial(exchange.merge_sets, kind, places, out, renumber=renumber, source_column=source_column)
-    manifest = make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    manifest = runs.make_with_progress(sink, "copying", kind, make, work, out, runs.print_set)
     if manifest is None:
         return
     for entry in manifest.spec["options"].get("renumbered", ()):
@@ -81,7 +80,7 @@ def split(
     seed: int = integer(0, help="Random seed for --fractions."),
     chosen: catalog.RowFilter,
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
 
@@ -103,7 +102,7 @@ def split(
     for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
         make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
-        make_with_progress(sink, "copying", kind, make, work, place, print_set)
+        runs.make_with_progress(sink, "copying", kind, make, work, place, runs.print_set)
 
 
 def select(
@@ -114,7 +113,7 @@ def select(
     chosen: catalog.RowFilter,
     out: str = out_folder("selected"),
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Write selected rows of a data set as a data set of the same kind.
 
@@ -125,4 +124,4 @@ def select(
         raise InputError("expected filters such as --ids", next="add --ids, --labels, --per-class or --limit")
     source = opening.open(sink, name)
     make = partial(exchange.select_rows, kind, source, given, out)
-    make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    runs.make_with_progress(sink, "copying", kind, make, work, out, runs.print_set)

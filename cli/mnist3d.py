@@ -7,15 +7,8 @@ from functools import partial
 from typing import Annotated
 
 import mnist3d
+from cli import checks, declared_options, options, output, picture_prints, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from cli.checks import Geometry
-from cli.declared_options import Given, OptionsOf
-from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink
-from cli.picture_prints import solidify
-from cli.previews import Pictures
-from cli.runs import generate_set, print_left_out, print_set
-from cli.shared import add_shared
 from mnist3d.digit_options import SOURCES, DigitPreviewSpec, SourceOptions
 from mnist3d.kind import KIND
 from mnist3d.published_splits import SPLITS, SplitSpec
@@ -36,16 +29,16 @@ def generate(
         shown="all",
         help="Split to make. Without this option, the images of a folder are all in train.",
     ),
-    out: str = out_folder("mnist3d-data"),
+    out: str = options.out_folder("mnist3d-data"),
     source: str = choice("synthetic", SOURCES, help="Where the images come from."),
-    images: Annotated[Given, OptionsOf(SourceOptions)],
+    images: Annotated[declared_options.Given, declared_options.OptionsOf(SourceOptions)],
     division: SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
     solid: SolidSpec,
     words: cards.OwnerWords,
-    making: Making,
-    sink: Sink,
+    making: options.Making,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of printable 3D digits.
 
@@ -68,12 +61,12 @@ def generate(
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
     if words.given() and not making.dry_run:
         _state_owner(sink, out, words)
 
 
-def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
+def _state_owner(sink: output.Sink, out: str, words: cards.OwnerWords) -> None:
     """Write words of the owner into the card of a finished data set."""
     folder = store.open_folder(out)
     manifest = store.read_manifest(folder)
@@ -84,7 +77,7 @@ def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
 
 
 def _print_made(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     # The report that the figures come from is written at the end of a run.
     summaries = []
@@ -93,22 +86,22 @@ def _print_made(
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
     facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
-    print_left_out(sink, manifest)
-    print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
+    runs.print_left_out(sink, manifest)
+    runs.print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
 
 
-_CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
+_CHECKS = checks.Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 
 def _preview(
     *,
-    path: str = argument(
+    path: str = options.argument(
         "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
     ),
-    opening: Opening,
+    opening: options.Opening,
     spec: DigitPreviewSpec,
-    pictures: Pictures,
-    sink: Sink,
+    pictures: previews.Pictures,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of digits as PNG, without a screen: a sheet of each split, or steps from ink to mesh.
 
@@ -120,7 +113,7 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(name, spec))
 
 
-command(app)(solidify)
-add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
+command(app)(picture_prints.solidify)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

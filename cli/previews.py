@@ -5,13 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from cli.options import (
-    DRY_RUN,
-    TOUCH_SET,
-    Opening,
-    local_place,
-)
-from cli.output import Sink
+from cli import options, output
 from realtouch.kind import KIND
 from realtouch.touch_options import TouchPreviewSpec
 from tactile_toolkit import pictures, store
@@ -28,13 +22,13 @@ class Pictures:
     out: Path | None = text(
         name="--out -o",
         metavar="DIR|FILE.png",
-        read=local_place,
+        read=options.local_place,
         shown="previews",
         help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
     )
-    dry_run: bool = DRY_RUN
+    dry_run: bool = options.DRY_RUN
 
-    def write(self, sink: Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
+    def write(self, sink: output.Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
         folder, drawn = self.out or Path(usual), plan.pictures
         if folder.suffix.lower() == ".png":
@@ -62,11 +56,11 @@ class Pictures:
 def preview_touches(
     *,
     kind: DatasetKind,
-    name: str = TOUCH_SET,
-    opening: Opening,
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
     spec: TouchPreviewSpec,
     pictures: Pictures,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 

@@ -9,14 +9,9 @@ from pathlib import Path
 import typer
 
 import realtouch
+from cli import galleries, nested_values, output, previews, runs, shared, touch_imports
 from cli.application import EXIT_FAILED, command, new_app, run
-from cli.galleries import gallery_of_touches
-from cli.nested_values import flat_lines
 from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
-from cli.output import Sink
-from cli.previews import preview_touches
-from cli.runs import print_set
-from cli.shared import add_shared
 from cli.touch_checks import check
 from cli.touch_conversions import (
     ClipsToImages,
@@ -28,7 +23,6 @@ from cli.touch_conversions import (
     add_conversion,
     announce_fetching,
 )
-from cli.touch_imports import import_touches
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import switch, text
@@ -57,7 +51,7 @@ def load(
     split: str | None = catalog.ONE_SPLIT,
     opening: Opening,
     check: bool = switch(True, help="Check every round and the headers of its images."),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Download missing files, check the data set, and print a summary.
 
@@ -80,7 +74,9 @@ def load(
 
 
 @command(app)
-def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: Opening, sink: Sink) -> None:
+def info(
+    *, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: Opening, sink: output.Sink
+) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
@@ -93,7 +89,7 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
             manifest.spec.get("operation"), str, f"{name}/{store.MANIFEST_FILE}", "spec.operation"
         )
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
-            print_set(sink, KIND, manifest, name)
+            runs.print_set(sink, KIND, manifest, name)
             return
     announce_fetching(sink, place, split)
     source = realtouch.Source.open(place, split)
@@ -111,7 +107,7 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
         _print_summary(sink, each, summary)
     if manifest is not None:
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in flat_lines(manifest.spec.get("options")):
+        for line in nested_values.flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
 
 
@@ -123,7 +119,7 @@ def verify(
     opening: Opening,
     quick: bool = switch(False, help="Read only the headers of images; decode none."),
     workers: int = WORKERS,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all errors.
 
@@ -162,7 +158,7 @@ def reproduce(
         help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
     ),
     solids: str = text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
@@ -188,7 +184,7 @@ def reproduce(
 
 
 def _verified(
-    sink: Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
+    sink: output.Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
 ) -> realtouch.TouchVerification:
     count = process_count(workers)
     with sink.progress("checking", "rounds") as update:
@@ -196,7 +192,7 @@ def _verified(
 
 
 def _require_intact(
-    sink: Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
+    sink: output.Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
 ) -> None:
     """Name all damage on stderr; IntegrityError if there is any."""
     for finding in result.findings:
@@ -208,7 +204,7 @@ def _require_intact(
         raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=next_step)
 
 
-def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
+def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) -> None:
     """Print the figures of one split."""
     width, height = summary.image_size
     contact = f"not counted ({summary.contact_rule})"
@@ -238,9 +234,11 @@ _convert("depth", Depth, lazy("realtouch:add_depth"))
 _convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
 _convert("select", Select, lazy("realtouch:select"))
 _convert("export", Export, lazy("realtouch:export"), nouns="rows")
-command(app, "import")(import_touches)
+command(app, "import")(touch_imports.import_touches)
 command(app)(check)
 _left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
-add_shared(app, KIND, {**_left_out, "preview": preview_touches, "gallery": gallery_of_touches})
+shared.add_shared(
+    app, KIND, {**_left_out, "preview": previews.preview_touches, "gallery": galleries.gallery_of_touches}
+)
 
 main = partial(run, app)

@@ -9,8 +9,7 @@ from functools import partial
 from itertools import chain, islice
 from typing import TYPE_CHECKING
 
-from cli.options import Making, Work, process_count
-from cli.output import Sink
+from cli import options, output
 from tactile_toolkit import store
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -34,12 +33,12 @@ Takes a sink, a kind, a manifest, the folder, and the duration of the run in sec
 
 
 def generate_set(
-    sink: Sink,
+    sink: output.Sink,
     what: str,
     rows: RowGenerator,
     out: str,
     splits: Sequence[str] | None,
-    making: Making,
+    making: options.Making,
     print_made: PrintMade,
     require: Callable[[], None] = lambda: None,
 ) -> None:
@@ -60,11 +59,11 @@ def generate_set(
 
 
 def make_with_progress(
-    sink: Sink,
+    sink: output.Sink,
     what: str,
     kind: DatasetKind,
     make: Callable[..., store.Manifest],
-    work: Work,
+    work: options.Work,
     out: str,
     print_made: PrintMade,
     unit: str | None = None,
@@ -110,7 +109,9 @@ def make_with_progress(
     return manifest
 
 
-def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
+def _print_forecast(
+    sink: output.Sink, kind: DatasetKind, view: Forecast, out: str, making: options.Making
+) -> None:
     sink.document(asdict(view))
     header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [tuple(entry.values()) for entry in view.splits])
@@ -124,13 +125,13 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
     sink.line(
         f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
         f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
-        f"{with_count(process_count(making.workers), 'workers')} (measured on "
+        f"{with_count(options.process_count(making.workers), 'workers')} (measured on "
         f"{with_count(view.sampled, kind.nouns)}); nothing was written"
     )
 
 
 def print_set(
-    sink: Sink,
+    sink: output.Sink,
     kind: DatasetKind,
     manifest: store.Manifest,
     out: str,
@@ -181,7 +182,7 @@ def print_set(
         sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
 
 
-def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
+def print_left_out(sink: output.Sink, manifest: store.Manifest) -> None:
     """Print the first files and items of the source that were left out, with the reasons."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
     source = manifest.spec.get("source")

@@ -6,34 +6,27 @@ from collections.abc import Callable, Mapping
 
 import typer
 
-from cli.application import command
-from cli.checks import validate, verify
-from cli.contents import info, list_sets, show
-from cli.exports import export
-from cli.galleries import gallery_of_meshes
-from cli.hub import download, upload
-from cli.merge_and_split import merge, select, split
-from cli.upkeep import cache, card
+from cli import application, checks, contents, exports, galleries, hub, merge_and_split, upkeep
 from tactile_toolkit.kind import DatasetKind
 
 Command = Callable[..., None]
 
 _COMMANDS: dict[str, Command | None] = {
-    "info": info,
-    "verify": verify,
-    "validate": validate,
-    "show": show,
+    "info": contents.info,
+    "verify": checks.verify,
+    "validate": checks.validate,
+    "show": contents.show,
     "preview": None,
-    "card": card,
-    "upload": upload,
-    "download": download,
-    "list": list_sets,
-    "merge": merge,
-    "split": split,
-    "select": select,
-    "cache": cache,
-    "gallery": gallery_of_meshes,
-    "export": export,
+    "card": upkeep.card,
+    "upload": hub.upload,
+    "download": hub.download,
+    "list": contents.list_sets,
+    "merge": merge_and_split.merge,
+    "split": merge_and_split.split,
+    "select": merge_and_split.select,
+    "cache": upkeep.cache,
+    "gallery": galleries.gallery_of_meshes,
+    "export": exports.export,
 }
 
 _LOCAL = ("cache",)
@@ -41,7 +34,7 @@ _LOCAL = ("cache",)
 
 
 def add_shared(
-    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Callable[..., None] | None], **known: object
+    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Command | None], **known: object
 ) -> None:
     """Add the shared commands to the application of a kind.
 
@@ -50,4 +43,4 @@ def add_shared(
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:
-            command(app, name, asks_hub=name not in _LOCAL, kind=kind, **known)(function)
+            application.command(app, name, asks_hub=name not in _LOCAL, kind=kind, **known)(function)

@@ -7,13 +7,8 @@ from dataclasses import asdict
 from functools import partial
 
 import starstruck_gen
+from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from cli.checks import Geometry
-from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink
-from cli.previews import Pictures
-from cli.runs import generate_set, print_set
-from cli.shared import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
 from tactile_toolkit import catalog, mesh, places, run, store
@@ -31,7 +26,7 @@ app = new_app(
 def generate(
     *,
     split: str = choice("all", ("train", "test", "all"), help="Split to make."),
-    out: str = out_folder("starstruck-data"),
+    out: str = options.out_folder("starstruck-data"),
     scenes: tuple[tuple[str, int], ...] | None = text(
         metavar="N|train=N,test=N",
         read=scene_counts,
@@ -40,8 +35,8 @@ def generate(
     scene: SceneOptions,
     seed: int = integer(0, help="Random seed."),
     limit: int | None = catalog.LIMIT,
-    making: Making,
-    sink: Sink,
+    making: options.Making,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of scenes.
 
@@ -59,11 +54,11 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneMaking(spec)
-        generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
+        runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 
 def _print_made(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     found = starstruck_gen.summarise(manifest)
     rows = [
@@ -75,7 +70,7 @@ def _print_made(
         for split, counts in manifest.split_table().items()
     ]
     header = ("split", "per class", "accepted", "started over")
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
+    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
 def _check(
@@ -100,16 +95,16 @@ def _check(
     ]
 
 
-_CHECKS = Geometry("scenes", _check)
+_CHECKS = checks.Geometry("scenes", _check)
 
 
 def _preview(
     *,
-    path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
-    opening: Opening,
+    path: str = options.argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    opening: options.Opening,
     spec: ScenePreviewSpec,
-    pictures: Pictures,
-    sink: Sink,
+    pictures: previews.Pictures,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of scenes as PNG, without a screen: a sheet of each split.
 
@@ -118,6 +113,6 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
 
 
-add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -6,17 +6,21 @@ from functools import partial
 from typing import Annotated
 
 import tactile_sim
-from cli import learned_sensors, options, sensor_twins
+from cli import (
+    calibration,
+    checks,
+    declared_options,
+    galleries,
+    learned_sensors,
+    options,
+    output,
+    previews,
+    runs,
+    sensor_twins,
+    shared,
+    touch_rendering,
+)
 from cli.application import command, new_app, run as run_app
-from cli.calibration import calibrate
-from cli.checks import Objects
-from cli.declared_options import Given, OptionsOf
-from cli.galleries import gallery_of_touches
-from cli.output import Sink
-from cli.previews import preview_touches
-from cli.runs import generate_set, print_set
-from cli.shared import add_shared
-from cli.touch_rendering import press_of, render, spec_of
 from tactile_sim import ElasticPress, GenerateSpec, TouchPlan
 from tactile_sim.kind import KIND
 from tactile_toolkit import catalog, mesh, run, store
@@ -37,11 +41,11 @@ def generate(
     chosen: catalog.RowFilter,
     unit: str | None = mesh.UNIT,
     out: str = options.out_folder("touches"),
-    plan: Annotated[Given, OptionsOf(TouchPlan)],
-    picture: Annotated[Given, OptionsOf(GenerateSpec)],
-    press: Annotated[Given, OptionsOf(ElasticPress)],
+    plan: Annotated[declared_options.Given, declared_options.OptionsOf(TouchPlan)],
+    picture: Annotated[declared_options.Given, declared_options.OptionsOf(GenerateSpec)],
+    press: Annotated[declared_options.Given, declared_options.OptionsOf(ElasticPress)],
     making: options.Making,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Press the gel onto the objects of a data set, or onto your own, and write a data set of touches.
 
@@ -61,7 +65,9 @@ def generate(
     given = chosen.given()
     split = given.pop("split")
     splits = split and (split,)
-    spec = spec_of(sink, picture, plan=TouchPlan(**plan), press=press_of(press), **given)
+    spec = touch_rendering.spec_of(
+        sink, picture, plan=TouchPlan(**plan), press=touch_rendering.press_of(press), **given
+    )
     if not making.dry_run:
         run.prepare_batch_process()
     touches = tactile_sim.TouchGenerator.of(objects, spec, unit, partial(opening.open, sink))
@@ -72,11 +78,11 @@ def generate(
             next="leave them out",
         )
     require = partial(touches.refuse_sources, objects, out)
-    generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
+    runs.generate_set(sink, "rendering", touches, out, splits, making, _print_made, require)
 
 
 def _print_made(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     rows = []
     for split, held in manifest.split_table().items():
@@ -88,19 +94,24 @@ def _print_made(
             share = f"{100 * contact / touches:.1f} %"
         rows.append((split, held["rows"], touches, share, held["skipped"], bytes_text(held["bytes"])))
     header = ("split", "rounds", "touches", "on the object", "objects left out", "Parquet")
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows)
+    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 
 
-for _command in (render, learned_sensors.pairs, learned_sensors.train, learned_sensors.evaluate):
+for _command in (
+    touch_rendering.render,
+    learned_sensors.pairs,
+    learned_sensors.train,
+    learned_sensors.evaluate,
+):
     command(app)(_command)
-command(app)(calibrate)
+command(app)(calibration.calibrate)
 command(app)(sensor_twins.check)
-add_shared(
+shared.add_shared(
     app,
     KIND,
     {
-        "preview": preview_touches,
-        "gallery": gallery_of_touches,
+        "preview": previews.preview_touches,
+        "gallery": galleries.gallery_of_touches,
         "show": sensor_twins.show_sensor,
         "upload": sensor_twins.upload_sensor,
         "download": sensor_twins.download_sensor,
@@ -109,7 +120,7 @@ add_shared(
     },
     print_made=_print_made,
     checks=None,
-    objects=Objects(),
+    objects=checks.Objects(),
 )
 
 main = partial(run_app, app)

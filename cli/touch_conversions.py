@@ -8,11 +8,8 @@ from functools import partial
 
 import typer
 
-from cli.application import command
-from cli.declared_options import Given
+from cli import application, declared_options, output, runs
 from cli.options import TOUCH_SET, Opening, Work, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import choice, integer, switch, text
@@ -30,7 +27,7 @@ _FRAME = choice(
 class _Options:
     """Options of a conversion."""
 
-    def arguments(self) -> Given:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion."""
         return {each.name: getattr(self, each.name) for each in fields(self)}
 
@@ -55,7 +52,7 @@ class Resize(_Options):
     size: tuple[int, int] = size_option(MISSING)
     quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
 
-    def arguments(self) -> Given:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion; width and height are separate."""
         width, height = self.size
         return {"width": width, "height": height, "quality": self.quality}
@@ -117,7 +114,7 @@ class Select(_Options):
     labels: tuple[str, ...] | None = catalog.LABELS
     per_class: int | None = catalog.PER_CLASS
 
-    def arguments(self) -> Given:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion; InputError for options that would have no effect."""
         if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
@@ -175,20 +172,20 @@ def add_conversion(
         split: str | None = catalog.SPLIT,
         limit: int | None = catalog.LIMIT,
         work: Work,
-        sink: Sink,
+        sink: output.Sink,
     ) -> None:
         opened = opening.open(sink, source).require(KIND, name)
         make = partial(function, opened, out, **options.arguments(), split=split, limit=limit)
         announce_fetching(sink, opened, split)
         kind = replace(KIND, nouns=nouns)
-        make_with_progress(sink, "converting", kind, make, work, out, print_set, KIND.nouns)
+        runs.make_with_progress(sink, "converting", kind, make, work, out, runs.print_set, KIND.nouns)
 
     convert.__doc__ = options_of.__doc__
     convert.__annotations__["options"] = options_of
-    command(app, name)(convert)
+    application.command(app, name)(convert)
 
 
-def announce_fetching(sink: Sink, place: places.Place, split: str | None) -> None:
+def announce_fetching(sink: output.Sink, place: places.Place, split: str | None) -> None:
     """Print which splits will be fetched from the Hub, as published data sets have many gigabytes."""
     if place.repository is None:
         return

@@ -6,10 +6,8 @@ from dataclasses import asdict
 from functools import partial
 
 import realtouch
-from cli.declared_options import Given
+from cli import declared_options, output, runs
 from cli.options import Making, argument, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_left_out, print_set
 from realtouch.alignment_options import Alignment
 from realtouch.import_columns import ImportColumns
 from realtouch.kind import KIND
@@ -66,7 +64,7 @@ def import_touches(
         help="Name of the split, if no column has it; by default that of tars (SPLIT-000000.tar), or train.",
     ),
     making: Making,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of touches from recordings; pictures are not changed where that is possible.
 
@@ -75,7 +73,7 @@ def import_touches(
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    reading: Given = {
+    reading: declared_options.Given = {
         "layout": file_format,
         "columns": columns.with_mapped(mapped or ()),
         "table": table,
@@ -89,11 +87,11 @@ def import_touches(
         _print_preview(sink, realtouch.preview_import(source, **reading), out)
         return
     make = partial(realtouch.import_touches, source, out, **reading)
-    if make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches"):
+    if runs.make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches"):
         sink.line(f"next: realtouch check {out}   realtouch gallery {out}")
 
 
-def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None:
+def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) -> None:
     sink.document(asdict(found))
     by = f", recognised by {found.recognised_by}" if found.recognised_by else ""
     sink.line(f"format: {found.layout}{by}")
@@ -115,7 +113,7 @@ def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None
 
 
 def _print_imported(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
 ) -> None:
     options = manifest.spec["options"]
     if realtouch.CONVERSION in options:
@@ -126,7 +124,7 @@ def _print_imported(
         sink.table(STREAM_HEADER, manifest.spec[STREAMS])
     if LEFT_OUT in manifest.spec:
         sink.info(f"not read: {', '.join(manifest.spec[LEFT_OUT])}")
-    print_left_out(sink, manifest)
+    runs.print_left_out(sink, manifest)
     counted = store.add_up(list(manifest.statistics().values()))
     for note, count in counted.get(CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
@@ -134,4 +132,4 @@ def _print_imported(
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
-    print_set(sink, kind, manifest, out, left_out="touches")
+    runs.print_set(sink, kind, manifest, out, left_out="touches")

@@ -8,9 +8,7 @@ from pathlib import Path
 from typing import Annotated, Literal
 
 import tactile_sim
-from cli import options
-from cli.declared_options import Given, OptionsOf
-from cli.output import Sink
+from cli import declared_options, options, output
 from tactile_sim import GenerateSpec
 from tactile_sim.sensor_models import GELSIGHT_MINI
 from tactile_toolkit import checked_fields, mesh, store, touch
@@ -19,7 +17,7 @@ from tactile_toolkit.errors import InputError
 _ENDINGS: dict[str, Literal["jpeg", "png"]] = {".png": "png", ".jpg": "jpeg", ".jpeg": "jpeg"}
 
 
-def spec_of(sink: Sink, picture: Given, **others: object) -> GenerateSpec:
+def spec_of(sink: output.Sink, picture: declared_options.Given, **others: object) -> GenerateSpec:
     """Return the specification of the options that were given."""
     known, optics = "optics" in picture, tactile_sim.default_optics()
     sensor = picture.get("sensor", GELSIGHT_MINI)
@@ -31,7 +29,7 @@ def spec_of(sink: Sink, picture: Given, **others: object) -> GenerateSpec:
     return spec
 
 
-def press_of(given: Given) -> tactile_sim.ElasticPress | None:
+def press_of(given: declared_options.Given) -> tactile_sim.ElasticPress | None:
     """Return the press of the options that were given; InputError for those of a gel that is not elastic."""
     if given.get("gel") is not None:
         return tactile_sim.ElasticPress(**given)
@@ -71,12 +69,12 @@ def render(
     ),
     turn_deg: float = checked_fields.real(0.0, help="Rotation of the object about z."),
     unit: str | None = mesh.UNIT,
-    picture: Annotated[Given, OptionsOf(GenerateSpec)],
-    press: Annotated[Given, OptionsOf(tactile_sim.ElasticPress)],
+    picture: Annotated[declared_options.Given, declared_options.OptionsOf(GenerateSpec)],
+    press: Annotated[declared_options.Given, declared_options.OptionsOf(tactile_sim.ElasticPress)],
     out: Path = checked_fields.text(
         Path("touch.png"), name="--out", metavar="FILE", read=options.local_place, help="Image to write."
     ),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Press the gel onto a mesh once and write the image.
 

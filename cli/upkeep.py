@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.options import FOLDER
-from cli.output import Sink
+from cli import options, output
 from tactile_toolkit import cards, catalog, places, store
 from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
 from tactile_toolkit.checked_fields import choice, real
@@ -15,7 +14,9 @@ from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 
-def card(*, kind: DatasetKind, folder: str = FOLDER, words: cards.OwnerWords, sink: Sink) -> None:
+def card(
+    *, kind: DatasetKind, folder: str = options.FOLDER, words: cards.OwnerWords, sink: output.Sink
+) -> None:
     """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
     Numbers are computed from the data; examples name FOLDER until the folder is uploaded. Licence, authors,
@@ -46,7 +47,7 @@ def cache(
     *,
     action: str = choice("ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."),
     unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for this many days."),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """List or remove cached files; they are made again when they are needed.
 
