@@ -18,6 +18,7 @@ from tactile_sim.touch_spec import TouchPlan
 from tactile_toolkit.cache import cache_folder
 from tactile_toolkit.errors import InputError
 from tests.command_line import call
+from tests.processes import printed_by
 
 
 @pytest.fixture(scope="module")
@@ -50,8 +51,16 @@ def test_a_row_of_others_is_shown_whatever_is_in_it(tmp_path, capsys):
         "none": [None],
     }
     pq.write_table(pa.table(columns), tmp_path / "train-00000-of-00001.parquet")
+    code = f"""
+import sys
+from cli.mnist3d import main
+sys.argv = ["mnist3d", "show", {str(tmp_path)!r}]
+main()
+"""
     assert call("mnist3d", "show", tmp_path) == 0
     printed = capsys.readouterr().out
+    # In a process of its own, as pandas is imported here, with which Arrow converts more.
+    assert printed_by(code) == printed
     assert "1970-01-01 00:00:00.000000001" in printed
     assert "\x1b" not in printed
     assert "\x07" not in printed
