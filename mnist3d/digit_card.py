@@ -10,10 +10,8 @@ from typing import Any
 from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, class_names
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, mesh, pictures, read, store
-from tactile_toolkit.kind import is_copy
+from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import class_name, with_count
 
 COLUMNS = meanings(DigitRow)
@@ -49,11 +47,11 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
+    spec = manifest.spec["source_spec"] if kind.is_copy(manifest) else manifest.spec
     words = source_words("copy" if spec is None else str(spec["source"]["name"]))
     # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
-    if is_copy(manifest):
+    if kind.is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
@@ -66,7 +64,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     cards.Card(
         template=KIND.card_template,
-        title=printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
+        title=shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
         columns=COLUMNS,
         picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
         licence=words["licence"],

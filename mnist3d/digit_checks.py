@@ -11,15 +11,14 @@ from pathlib import Path
 from typing import Any
 
 from mnist3d.kind import KIND
-from tactile_toolkit import catalog, mesh, places, read, store
+from tactile_toolkit import catalog, mesh, places, read, rows, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.rows import columns
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 _SHOWN = [
     each
-    for name, each in columns(mesh.PrintReport).items()
+    for name, each in rows.columns(mesh.PrintReport).items()
     if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
 ]
 

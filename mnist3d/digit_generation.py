@@ -9,11 +9,10 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from mnist3d import solid
+from mnist3d import solid, solid_spec
 from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
 from mnist3d.kind import KIND
 from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
-from mnist3d.solid_spec import SolidSpec
 from mnist3d.sources.digit_source import DIGITS, DigitImage, DigitSource
 from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.source_choice import chosen_source
@@ -58,7 +57,7 @@ class DigitSetSpec:
     """
 
     source: DigitSource
-    solid: SolidSpec = field(default_factory=SolidSpec)
+    solid: solid_spec.SolidSpec = field(default_factory=solid_spec.SolidSpec)
     split: SplitSpec = field(default_factory=SplitSpec)
     profile: PrintProfile = field(default_factory=PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)

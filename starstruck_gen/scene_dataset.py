@@ -6,10 +6,8 @@ from typing import Literal, overload
 
 import numpy as np
 
-from starstruck_gen.kind import KIND
-from starstruck_gen.placement import Placement
+from starstruck_gen import kind, placement, scene_drawing
 from starstruck_gen.scene import Scene
-from starstruck_gen.scene_drawing import draw_scene
 from tactile_toolkit import mesh, pictures, places, read
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
@@ -43,11 +41,13 @@ class SceneRecord(mesh.SolidRecord):
         return self.row.has("placements")
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
+    def placements(self) -> tuple[placement.Placement, ...]:
         """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
-            lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
+            lambda: tuple(
+                placement.Placement(**entry) for entry in self._stated("placements").required("placements")
+            ),
         )
 
     @property
@@ -88,7 +88,7 @@ class SceneRecord(mesh.SolidRecord):
 
     def _drawn(self, px_per_mm: float) -> UInt8:
         # A record does not know its specification; most scenes have the published cell.
-        return np.asarray(draw_scene(self.placements, CELL_M, px_per_mm))
+        return np.asarray(scene_drawing.draw_scene(self.placements, CELL_M, px_per_mm))
 
 
 class SceneMeshDataset(read.RecordDataset[SceneRecord]):
@@ -177,7 +177,7 @@ def load(
         The repository cannot be reached or does not exist.
     """
     place = places.open_place(name, revision=revision, config=config)
-    shards = place.shards(split, kind=KIND, streaming=streaming)
+    shards = place.shards(split, kind=kind.KIND, streaming=streaming)
     return mesh.open_solids(
-        shards, place.name, SceneMeshDataset, KIND, mesh.RecordStream if streaming else None
+        shards, place.name, SceneMeshDataset, kind.KIND, mesh.RecordStream if streaming else None
     )

@@ -6,10 +6,9 @@ import re
 from dataclasses import dataclass
 
 import starstruck_gen
-from tactile_toolkit import catalog
+from tactile_toolkit import catalog, parsed_text
 from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import comma_separated, is_count
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # Between 3 tips, notches at half the radius, as published, lie on straight sides.
@@ -20,11 +19,13 @@ def _counts(option: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
     # Bounded before a tuple of the range is made; `SceneSpec` checks the rest.
-    if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
+    if parsed_text.is_count(least) and parsed_text.is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
-    if not all(map(is_count, comma_separated(words))) or not comma_separated(words):
+    if not all(
+        map(parsed_text.is_count, parsed_text.comma_separated(words))
+    ) or not parsed_text.comma_separated(words):
         raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
-    return tuple(map(int, comma_separated(words)))
+    return tuple(map(int, parsed_text.comma_separated(words)))
 
 
 def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
@@ -40,7 +41,7 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
 
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    if is_count(words.strip()):
+    if parsed_text.is_count(words.strip()):
         return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
     return read_split_counts("--scenes", words)
 
@@ -78,7 +79,7 @@ class SceneOptions:
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("--distractors", self.distractors)
-        if len(comma_separated(self.distractors)) > 2:
+        if len(parsed_text.comma_separated(self.distractors)) > 2:
             raise InputError(
                 f"--distractors is {self.distractors!r}; expected the minimum and the maximum, such as 0-5"
             )

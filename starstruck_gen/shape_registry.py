@@ -8,13 +8,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.placement import prism_solid
-from starstruck_gen.prisms import checked_prism, prism, prisms
-from starstruck_gen.shape_kinds import KINDS, TOOLKIT_KINDS, Proportions
-from starstruck_gen.shapes import outline, read_only
+from starstruck_gen import placement, prisms, shape_kinds, shapes
 from tactile_toolkit.errors import InputError
 
-K = TypeVar("K", bound=type[Proportions])
+K = TypeVar("K", bound=type[shape_kinds.Proportions])
 _REACH_TOLERANCE = 1e-9
 
 
@@ -61,28 +58,30 @@ def register_shape(kind: K) -> K:
     'kite(width=0.4)'
     """
     _require_valid_kind(kind)
-    former = KINDS.get(kind.name)
+    former = shape_kinds.KINDS.get(kind.name)
     if former is kind:
         return kind
     # A notebook cell that is run again defines its class again; the new class replaces the former one.
-    if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
+    if former is not None and (
+        former in shape_kinds.TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__
+    ):
         raise InputError(f"the name {kind.name!r} is taken by {former.__qualname__}; expected another name")
-    made = checked_prism(kind.name, read_only(kind().rings()))
+    made = prisms.checked_prism(kind.name, shapes.read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
         raise InputError(
             f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
             "the circumscribed radius"
         )
-    KINDS[kind.name] = kind
+    shape_kinds.KINDS[kind.name] = kind
     # Caches may hold outlines of the former kind of the same name.
-    for kept in (outline, prism, prisms, prism_solid):
+    for kept in (shapes.outline, prisms.prism, prisms.prisms, placement.prism_solid):
         kept.cache_clear()
     return kind
 
 
 def _require_valid_kind(kind: Any) -> None:
-    is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
+    is_kind = isinstance(kind, type) and issubclass(kind, shape_kinds.Proportions) and is_dataclass(kind)
     if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
         raise InputError(
             f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions, with a "

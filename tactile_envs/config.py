@@ -13,9 +13,8 @@ from tactile_envs.gym_types import Options
 from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M
 from tactile_sim.sensor_noise import checked_noise
-from tactile_toolkit import checked_fields
+from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CELL_M, PRESS_DEPTH_M
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -85,7 +84,7 @@ class EpisodeConfig:
     transfer_timedelta_s: float = checked_fields.real(0.2, above=0, most=3600)
     action_regularization: float = checked_fields.real(1e-3, -1e6, 1e6)
     timeout_behavior: str = checked_fields.choice("terminate", ("terminate", "truncate"))
-    cell_size: tuple[float, float] = checked_fields.real(CELL_M, above=0, most=10, many=2)
+    cell_size: tuple[float, float] = checked_fields.real(touch.CELL_M, above=0, most=10, many=2)
     cell_padding: tuple[float, float] = checked_fields.real(_PADDING_M, -10, 10, many=2)
 
     def __post_init__(self) -> None:
@@ -182,7 +181,7 @@ class Config(EpisodeConfig):
     angular_acceleration: float = checked_fields.real(10 * pi, above=0, most=1e6)
     max_tilt_angle: float = checked_fields.real(pi / 4, 0, pi / 4)
     gel_thickness: float = checked_fields.real(GEL_M, above=0, most=0.1)
-    penetration_depth: float = checked_fields.real(PRESS_DEPTH_M, above=0, most=0.1)
+    penetration_depth: float = checked_fields.real(touch.PRESS_DEPTH_M, above=0, most=0.1)
     elastic_gel: tactile_sim.Gel | None = None
     press_force: float | None = checked_fields.real(None, above=0, below=1000, optional=True)
     penetration_depth_reduction_std: float = checked_fields.real(0.0, 0, 1)

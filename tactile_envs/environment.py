@@ -13,13 +13,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from realtouch import Poses
-from tactile_envs.config import EpisodeConfig
-from tactile_envs.drawing import PredictionView, draw_environment
-from tactile_envs.episode_log import EpisodeLog
+from tactile_envs import config, drawing, episode_log, tasks
 from tactile_envs.gym_types import Action, Info, Observation, Options
 from tactile_envs.reset_options import EVERY, ResetOptions, Rows
 from tactile_envs.scene import TouchScene
-from tactile_envs.tasks import Score, Task
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -64,7 +61,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def __init__(
         self,
         scene: TouchScene,
-        task: Task,
+        task: tasks.Task,
         *,
         sparse: bool = False,
         render_mode: str | None = None,
@@ -73,7 +70,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._scene, self._task, self._is_sparse = scene, task, sparse
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode is {render_mode!r}; expected None or 'rgb_array'")
-        self.config: EpisodeConfig = scene.config
+        self.config: config.EpisodeConfig = scene.config
         self.num_envs, self.render_mode = scene.num_envs, render_mode
         self.autoreset_mode = _checked_mode(autoreset_mode)
         self.metadata = {
@@ -81,7 +78,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             "render_fps": 1 / self.config.transfer_timedelta_s,
             "autoreset_mode": self.autoreset_mode,
         }
-        self._log = EpisodeLog(self.num_envs, self.config.step_limit)
+        self._log = episode_log.EpisodeLog(self.num_envs, self.config.step_limit)
         self._steps = np.zeros(self.num_envs, np.int64)
         steps = np.arange(self.config.step_limit + 1)
         self._progress = (steps / self.config.step_limit * 2 - 1).astype(np.float32)
@@ -239,7 +236,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             observation, info = self._restarted(observation, info)
         return observation, costs - loss, terminated, truncated, info
 
-    def _advance(self, moves: Action, score: Score) -> Float32:
+    def _advance(self, moves: Action, score: tasks.Score) -> Float32:
         """Aim the sensors, or begin the next episode where one is over; return what the actions cost."""
         if not self._any_over:
             self._log.add(self._steps, EVERY, score.metrics)
@@ -293,11 +290,11 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if self.render_mode is None:
             return None
         self._require_reset()
-        view = PredictionView()
+        view = drawing.PredictionView()
         if self._predicted is not None:
             view = self._task.view(*self._predicted)
         scenes = (self._scene.drawing(row) for row in range(self.num_envs))
-        return tuple(draw_environment(scene, view, row) for row, scene in enumerate(scenes))
+        return tuple(drawing.draw_environment(scene, view, row) for row, scene in enumerate(scenes))
 
     def close(self, **options: object) -> None:  # gymnasium's docstring is not valid reST
         """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""

@@ -10,18 +10,20 @@ import numpy as np
 
 from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
-from tactile_envs import reset_options
+from tactile_envs import (
+    elastic_gel,
+    episode_kernels,
+    gym_types,
+    mesh_pool,
+    motion,
+    randomization,
+    reset_options,
+    scene,
+    toucher,
+)
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.elastic_gel import ElasticGel
-from tactile_envs.episode_kernels import place
-from tactile_envs.gym_types import Action, Space
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.motion import Motion, require_move
-from tactile_envs.randomization import Randomization
-from tactile_envs.scene import Readings
-from tactile_envs.toucher import SensorReadings, Toucher
 from tactile_toolkit import spatial
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
@@ -55,15 +57,15 @@ class MeshScene:
         self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
     ) -> None:
         self.config, self.num_envs = config, num_envs
-        self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
+        self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
-        self._elastic: ElasticGel | None = None
+        self._elastic: elastic_gel.ElasticGel | None = None
         met = camera.sensor
         if config.elastic_gel is not None:
-            self._elastic = ElasticGel(config, camera.sensor)
+            self._elastic = elastic_gel.ElasticGel(config, camera.sensor)
             met = self._elastic.sensor
-        self._toucher = Toucher(met, config.least_height_m, num_envs, threads)
-        self._motion = Motion.of(config)
+        self._toucher = toucher.Toucher(met, config.least_height_m, num_envs, threads)
+        self._motion = motion.Motion.of(config)
         self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
         self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
@@ -72,9 +74,11 @@ class MeshScene:
         width, height = config.sensor_output_size
         image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
         shape = (num_envs, height, width, camera.channels)
-        self._randomization = Randomization(config, shape, camera.bases)
-        self.action_parts: dict[str, Space] = {"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)}
-        self.observation_parts: dict[str, Space] = {
+        self._randomization = randomization.Randomization(config, shape, camera.bases)
+        self.action_parts: dict[str, gym_types.Space] = {
+            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
+        }
+        self.observation_parts: dict[str, gym_types.Space] = {
             "sensor_pos": gym.spaces.Box(-corner, corner),
             "sensor_img": image,
         }
@@ -88,7 +92,7 @@ class MeshScene:
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
-        self._pool = MeshPool.of(self._records, self._most_tilt_rad)
+        self._pool = mesh_pool.MeshPool.of(self._records, self._most_tilt_rad)
         self._pool.require(self.numbers[self.numbers >= 0])
 
     @property
@@ -102,7 +106,7 @@ class MeshScene:
         return self._poses[:, :3, :3]
 
     @property
-    def pool(self) -> MeshPool:
+    def pool(self) -> mesh_pool.MeshPool:
         """The meshes."""
         return self._pool
 
@@ -151,7 +155,9 @@ class MeshScene:
             most_rad = config.max_initial_angle_perturbation
             room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
             pool = self._pool
-            place(self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed)
+            episode_kernels.place(
+                self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed
+            )
         self.places[rows] = placed
         for row in chosen:
             pose = poses[row]
@@ -175,11 +181,11 @@ class MeshScene:
             )
         self._targets[row] = start.position_m
 
-    def checked_action(self, action: Action) -> Action:
+    def checked_action(self, action: gym_types.Action) -> gym_types.Action:
         """Return the arrays of an action; InputError or ValueError if it cannot be used."""
-        return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
+        return {"sensor_target_pos_rel": motion.require_move(action, "sensor_target_pos_rel", self.num_envs)}
 
-    def aim(self, action: Action, rows: reset_options.Rows) -> Float32:
+    def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
         """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
         moves = action["sensor_target_pos_rel"]
         if rows is reset_options.EVERY:
@@ -189,7 +195,7 @@ class MeshScene:
         self._targets[rows] = targets[rows]
         return costs
 
-    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Touch in some cells, and let their objects slip."""
         config = self.config
         self._move_to_targets(rows, rng, steps)
@@ -215,7 +221,7 @@ class MeshScene:
         info: dict[str, AnyArray] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = touches.depths_m
-        return Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
+        return scene.Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
 
     def _press(
         self,
@@ -225,7 +231,7 @@ class MeshScene:
         places: Float64,
         drift: Float64,
         has_depth: bool,
-    ) -> SensorReadings:
+    ) -> toucher.SensorReadings:
         """Bring sensors down on objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
         return self._toucher.touch(

@@ -12,9 +12,15 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 
-from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
-from env_assets.asset_kinds import THIRD_PARTY_ASSETS, MeshSet, published_meshes
-from env_assets.mesh_view import PlannedView
+from env_assets import (
+    KINDS,
+    AssetProvider,
+    MeshView,
+    asset_kinds,
+    mesh_view,
+    meshes_at,
+    require_fitting_meshes,
+)
 from tactile_envs.config import Config
 from tactile_envs.env_specs import EnvSpec
 from tactile_envs.mesh_pool import MeshPool
@@ -27,7 +33,7 @@ from tactile_toolkit.wording import with_count
 
 PUBLISHED = "published"
 
-Objects = MeshView | MeshSet
+Objects = MeshView | asset_kinds.MeshSet
 
 # Of more meshes, packing takes seconds.
 _MANY = 1000
@@ -48,7 +54,9 @@ def open_objects(
     is_plain = not (config.allow_sensor_rotation or config.smallest_dimension_up)
     may_begin = spec.task == "classification" and is_plain
     records = _records(spec, assets, unit, may_begin=may_begin)
-    if isinstance(records, PlannedView):  # of our own set, which fits; checking it would make all of it
+    if isinstance(
+        records, mesh_view.PlannedView
+    ):  # of our own set, which fits; checking it would make all of it
         return records
     kind = KINDS.get(spec.assets) if assets is None else None
     where = f"{spec.assets!r}, split {spec.split!r},"
@@ -61,14 +69,14 @@ def open_objects(
     return records
 
 
-def _packed_meanwhile(records: AnyRecords) -> PlannedView:
+def _packed_meanwhile(records: AnyRecords) -> mesh_view.PlannedView:
     """Let episodes begin with single meshes, while a process in the background packs all of them."""
     key = records.identity, str(len(records)), ""
     if key not in _BEGUN:
         _BEGUN.add(key)
         _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
         run.start_background(MeshPool.of, records)
-    return PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
+    return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
 def _same(records: AnyRecords) -> AnyRecords:
@@ -84,14 +92,15 @@ def _records(
     if assets is None:
         if name not in KINDS:
             step = "give `assets`, a folder of meshes"
-            if published_meshes(name) is not None:
+            if asset_kinds.published_meshes(name) is not None:
                 step += ', or "published"'
             raise InputError(
-                f"meshes of {name!r} are not made here: they are {THIRD_PARTY_ASSETS[name]}", next=step
+                f"meshes of {name!r} are not made here: they are {asset_kinds.THIRD_PARTY_ASSETS[name]}",
+                next=step,
             )
         return _default_set(name, split, may_begin=may_begin)
     if assets == PUBLISHED:
-        repo_id = published_meshes(name)
+        repo_id = asset_kinds.published_meshes(name)
         if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(repo_id, split)
@@ -125,7 +134,7 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
 
 
 def _announce(
-    planned: PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
+    planned: mesh_view.PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
 ) -> None:
     cores = run.free_workers()
     duration = f"{duration_text(planned.left_s / cores)} on {with_count(cores, 'cores')}"

@@ -12,8 +12,7 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 import realtouch
-from env_assets import KINDS, MeshView, meshes_at, require_fitting_meshes
-from env_assets.mesh_view import MeshRecord
+from env_assets import KINDS, MeshView, mesh_view, meshes_at, require_fitting_meshes
 from tactile_envs.config import RecordedConfig
 from tactile_envs.env_specs import REAL_TOUCHES
 from tactile_envs.mesh_pool import MeshPool
@@ -157,7 +156,7 @@ def _touch_count(rounds: realtouch.TouchSingleDataset, where: str, step_limit: i
 class TouchedObjects:
     """Meshes of touched objects; ``which``, shape (R,), is the number of the mesh of each round."""
 
-    records: Sequence[MeshRecord]
+    records: Sequence[mesh_view.MeshRecord]
     pool: MeshPool
     which: Int64
 

@@ -7,10 +7,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from realtouch import Poses
+from tactile_envs import gym_types, reset_options
 from tactile_envs.config import EpisodeConfig
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.gym_types import Action, Space
-from tactile_envs.reset_options import ResetOptions, Rows
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 
 
@@ -37,8 +36,8 @@ class TouchScene(Protocol):
     """
 
     num_envs: int
-    action_parts: dict[str, Space]
-    observation_parts: dict[str, Space]
+    action_parts: dict[str, gym_types.Space]
+    observation_parts: dict[str, gym_types.Space]
     numbers: Int64
     places: Float64
 
@@ -46,19 +45,21 @@ class TouchScene(Protocol):
     def config(self) -> EpisodeConfig:
         """Settings."""
 
-    def begin(self, rows: Rows, rng: np.random.Generator, options: ResetOptions) -> None:
+    def begin(
+        self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
+    ) -> None:
         """Begin an episode in some cells: choose objects and the places of the first touches."""
 
-    def discard_upcoming(self, rows: Rows) -> None:
+    def discard_upcoming(self, rows: reset_options.Rows) -> None:
         """Forget which objects come next in some cells, as a reset does."""
 
-    def checked_action(self, action: Action) -> Action:
+    def checked_action(self, action: gym_types.Action) -> gym_types.Action:
         """Return the arrays of an action of all cells; InputError or ValueError if it cannot be used."""
 
-    def aim(self, action: Action, rows: Rows) -> Float32:
+    def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
         """Send the sensors of some cells to where an action says; return what actions cost, (num_envs,)."""
 
-    def touch(self, rows: Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
         """Touch in some cells; ``steps``, shape (n,), count from the first touch of their episodes."""
 
     @property

@@ -12,9 +12,7 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from mnist3d.ink.binarisation import binarise, ink_of_levels
-from mnist3d.ink.cleaning import count_bodies_and_holes
-from mnist3d.ink.refusals import refuse
+from mnist3d.ink import binarisation, cleaning, refusals
 from mnist3d.solid.decimation import BUDGET_SLACK, decimate, without_flat_vertices
 from mnist3d.solid.erosion_and_stacking import erode, stack
 from mnist3d.solid.lattice import Lattice, lattice_of
@@ -109,8 +107,8 @@ def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) 
     Of a drawing, parts that are as thin as its strokes are kept, such as the dot of an i.
     """
     if is_drawing:
-        spec = for_strokes(ink_of_levels(pixels, spec.threshold), spec)
-    return solid_steps(binarise(pixels, spec, ink="dark"), spec).mesh
+        spec = for_strokes(binarisation.ink_of_levels(pixels, spec.threshold), spec)
+    return solid_steps(binarisation.binarise(pixels, spec, ink="dark"), spec).mesh
 
 
 class SolidSteps(NamedTuple):
@@ -140,7 +138,7 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
     Raises ItemError ``topology`` or ``vertex-budget``.
     """
     lattice = lattice_of(ink, spec)
-    counts = count_bodies_and_holes(lattice.ink)
+    counts = cleaning.count_bodies_and_holes(lattice.ink)
     while True:
         layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
         upper_half = stack(layers)
@@ -151,7 +149,7 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
             break
         finer = lattice.finer(layers[0] > 0)
         if finer is None:
-            refuse("topology", *counts, *found)
+            refusals.refuse("topology", *counts, *found)
         lattice = finer
     mesh = scale(mirror(smoothed), ink.shape, spec)
     # With a given pitch, the number of vertices follows from it.

@@ -20,9 +20,8 @@ import numpy as np
 
 import mnist3d.ink
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
-from tactile_toolkit import store
+from tactile_toolkit import bounds, store
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 
 IMAGES_MAGIC = 0x803
@@ -188,7 +187,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
             found, *shape = struct.unpack(f">{start // 4}I", header)
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)
-            require_unpackable(prod(shape), str(path))
+            bounds.require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
     except (EOFError, OSError, zlib.error) as error:
         problem = getattr(error, "strerror", None) or "damaged or cut off"
