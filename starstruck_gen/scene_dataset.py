@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal, overload
-
 import numpy as np
 
 from starstruck_gen import kind, placement, scene_drawing
@@ -103,81 +101,4 @@ class SceneMeshDataset(read.RecordDataset[SceneRecord]):
         return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
 
 
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[False] = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[True],
-    revision: str | None = None,
-    config: str | None = None,
-) -> mesh.RecordStream[SceneRecord]: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]: ...
-
-
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]:
-    """Open a data set of scenes.
-
-    Parameters
-    ----------
-    name : str or path
-        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
-        columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
-    split : str, optional
-        Split to open; only its shards are downloaded. Optional if there is only one.
-    streaming : bool
-        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
-        random access.
-    revision : str, optional
-        Branch, tag or commit of a Hub repository.
-    config : str, optional
-        Configuration, if the card of the data set has several.
-
-    Returns
-    -------
-    SceneMeshDataset or RecordStream
-        Rows are read on demand.
-
-    Raises
-    ------
-    InputError
-        There is no such folder or split, there are several splits and none is named, or the data set is of
-        another kind or lacks the columns of Starstruck.
-    IntegrityError
-        The data set is damaged or unfinished.
-    HubError
-        The repository cannot be reached or does not exist.
-    """
-    place = places.open_place(name, revision=revision, config=config)
-    shards = place.shards(split, kind=kind.KIND, streaming=streaming)
-    return mesh.open_solids(
-        shards, place.name, SceneMeshDataset, kind.KIND, mesh.RecordStream if streaming else None
-    )
+load = places.loader(kind.KIND, SceneMeshDataset, mesh.RecordStream[SceneRecord])
