@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
@@ -22,6 +22,7 @@ from cli.options import (
 from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
@@ -71,8 +72,8 @@ def export(
     opening: Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
-    distances: Annotated[dict[str, Any], declared_options.OptionsOf(printing.PlateSpec)],
-    material: Annotated[dict[str, Any], declared_options.OptionsOf(printing.Physics)],
+    distances: Annotated[declared_options.Given, declared_options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[declared_options.Given, declared_options.OptionsOf(printing.Physics)],
     out: Path = local_out_folder("prints"),
     job: Job,
     sink: output.Sink,
@@ -168,11 +169,12 @@ def _export_files(
     out: str,
     job: Job,
 ) -> None:
-    how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
     with sink.progress(_DOING[job.dry_run], "files") as update:
         made = printing.export_files(
             *(objects, out, ending),
-            **how,
+            scale=scale,
+            physics=physics,
+            overwrite=job.overwrite,
             dry_run=job.dry_run,
             workers=process_count(job.workers),
             on_progress=update,
@@ -206,8 +208,8 @@ def _export_flat(
     sink: output.Sink,
     kind: DatasetKind,
     place: places.Place,
-    choices: Any,
-    filters: Mapping[str, Any],
+    choices: exchange.Choices,
+    filters: JsonObject,
     out: str,
     job: Job,
 ) -> None:

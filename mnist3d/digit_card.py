@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import Any
 
 from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, class_names
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
 from tactile_toolkit.wording import class_name, with_count
 
@@ -105,7 +105,7 @@ def _sheet(facts: cards.FolderSummary) -> bytes | None:
     return cards.tiles_png(tiles, 5)
 
 
-def _split_rule(spec: Mapping[str, Any]) -> str:
+def _split_rule(spec: JsonObject) -> str:
     split = spec["split"]
     unit = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
     cuts = [
@@ -146,7 +146,7 @@ def source_words(name: str) -> dict[str, str]:
     return {"name": name, **known.get(name, known["other"])}
 
 
-def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
+def source_description(words: Mapping[str, str], fingerprint: JsonObject) -> str:
     """Describe a source with its fingerprint."""
     fields = dict(fingerprint)
     if words["name"] == "mnist":  # its files are in parts, train and test

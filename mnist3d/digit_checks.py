@@ -8,11 +8,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from mnist3d.kind import KIND
 from tactile_toolkit import catalog, mesh, places, read, rows, store
 from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.json_types import JsonDict
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
@@ -30,7 +30,7 @@ class CheckedMesh:
     name: str
     report: mesh.PrintReport
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         values = {"name": self.name, **self.report.to_row()}
         # JSON has no NaN: unknown values of a broken mesh are null.
@@ -80,7 +80,7 @@ class CheckedMeshes:
         """Return a line for each print warning: what to do about it."""
         return mesh.print_advice(self.warnings())
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {
             "path": self.path,

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import pyarrow as pa
 import pyarrow.compute as pc
 
 from mnist3d import digit_dataset, digit_rows, kind, sources
 from tactile_toolkit import catalog, gallery, mesh, places, store
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import with_role
 from tactile_toolkit.wording import class_name
 
@@ -26,7 +24,7 @@ def plan_gallery(
     folder = place.folder
     has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
 
-    def known(rows: digit_dataset.DigitDataset, split: str) -> list[Mapping[str, Any] | None]:
+    def known(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
         report = store.read_report(folder, digit_rows.REPORT_FILE)
@@ -40,7 +38,7 @@ def plan_gallery(
 
 
 def _item(
-    record: digit_dataset.DigitRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
+    record: digit_dataset.DigitRecord, split: str, names: tuple[str, ...], report: JsonObject | None
 ) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
     vertices_m, faces = record.vertices_m, record.faces

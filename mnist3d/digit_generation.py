@@ -5,9 +5,10 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
+import pyarrow as pa
 
 from mnist3d import solid, solid_spec
 from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
@@ -18,8 +19,10 @@ from mnist3d.sources.picture_folder import FolderSource
 from mnist3d.sources.source_choice import chosen_source
 from mnist3d.splits import plan_splits
 from tactile_toolkit import generation, store
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import Mesh, PrintProfile, inspect
 
 # Time for a digit and its report on one core (AMD EPYC).
@@ -66,7 +69,7 @@ class DigitSetSpec:
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "source": self.source.fingerprint(),
@@ -93,7 +96,7 @@ class DigitMaking(generation.RowGenerator):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
-    def items(self) -> Mapping[str, Any]:
+    def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
         usual: Mapping[str, int] = PUBLISHED_SIZES
         splits: tuple[str, ...] = SPLITS
@@ -116,12 +119,12 @@ class DigitMaking(generation.RowGenerator):
             report_file=REPORT_FILE,
         )
 
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         names = self.spec.source.catalog().class_names
         return stored_schema(names, has_files=isinstance(self.spec.source, FolderSource))
 
-    def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
+    def make(self, split: str, items: Int64) -> Iterator[DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:
@@ -129,7 +132,7 @@ class DigitMaking(generation.RowGenerator):
             except ItemError as error:
                 yield store.Skipped(digit_id, error.reason, error.message)
 
-    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
+    def report(self, shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
         """Return the printability report of the meshes."""
         return report_table(shard, rows)
 

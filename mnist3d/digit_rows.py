@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field
 from functools import cache
-from typing import Any
 
 import pyarrow as pa
 
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import kind, mesh, store
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -67,8 +67,8 @@ def class_names(manifest: kind.Specified | None) -> tuple[str, ...]:
     return tuple(_source_of(manifest).get("classes") or KIND.class_names)
 
 
-def _source_of(manifest: kind.Specified | None) -> dict[str, Any]:
-    source: Any = None if manifest is None else manifest.spec.get("source")
+def _source_of(manifest: kind.Specified | None) -> JsonDict:
+    source = None if manifest is None else manifest.spec.get("source")
     return source if isinstance(source, dict) else {}
 
 

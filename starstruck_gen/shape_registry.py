@@ -34,12 +34,12 @@ def register_shape(kind: K) -> K:
     ------
     InputError
         The name is taken or not a plain word, a field is not a number, or the default outline bounds no area
-        or does not reach distance 1 from the origin.
+        or has another reach than 1.
 
     Notes
     -----
-    Pickled specifications and shapes register the class in the process that unpickles them. Before JSON or a
-    stored data set is read, the kind must be registered. The command line has the shapes of the toolkit only.
+    Pickled specifications and shapes register the class in the process that unpickles them. JSON and stored
+    data sets need a registered kind. The command line has the shapes of the toolkit only.
 
     Examples
     --------

@@ -36,9 +36,7 @@ _ESTIMATES = cache.DiskCache(
 )
 _LOG = logging.getLogger(__name__)
 
-_estimator: Any = kind.lazy(
-    "tactile_sim.learned:DepthEstimator"
-)  # imported by name: it needs the extra `torch`
+_estimator = kind.lazy("tactile_sim.learned:DepthEstimator")  # imported by name: it needs the extra `torch`
 
 Source = str | PathLike[str] | realtouch.TouchSingleDataset
 

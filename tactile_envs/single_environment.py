@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import ap_gym
 import numpy as np
@@ -102,14 +101,14 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.vector_env.spec = spec
 
 
-def _batched(action: Any) -> Any:
+def _batched(action: gym_types.Nested) -> gym_types.Nested:
     """Return an action, or a part of it, as that of a vector of one."""
     if isinstance(action, Mapping):
         return {name: _batched(part) for name, part in action.items()}
     return np.asarray(action)[np.newaxis]
 
 
-def _first(values: Any) -> Any:
+def _first(values: gym_types.Nested) -> gym_types.Nested:
     """Return what the first environment of a vector gives: arrays without their first axis."""
     if isinstance(values, dict):
         return {name: _first(part) for name, part in values.items()}

@@ -6,8 +6,6 @@ budget. Slow and plain on purpose.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import ndimage
 
@@ -62,5 +60,5 @@ def eroded_by_disc(ink: Bool, radius_px: float) -> Bool:
     more. ``SolidSpec.erosion`` chooses between them through the radii of :func:`erosion_radii_px`.
     """
     # One transform serves any radius; repeated small erosions would draw polygons.
-    distance: Any = ndimage.distance_transform_edt(np.pad(ink, 1))
+    distance = np.asarray(ndimage.distance_transform_edt(np.pad(ink, 1)))
     return np.asarray(ink & (distance[1:-1, 1:-1] >= radius_px + 0.5))

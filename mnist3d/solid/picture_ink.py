@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from PIL import Image
@@ -22,6 +21,7 @@ from mnist3d.sources import picture_files, picture_levels
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.wording import with_count
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image.Image | AnyArray"
@@ -47,7 +47,7 @@ _NODES_PER_STROKE = 4.0
 # Most nodes of the lattice of a drawing; each takes some 20 bytes.
 _MOST_NODES = 3e7
 
-NO_CHANGES: Mapping[str, Any] = MappingProxyType({})
+NO_CHANGES: JsonObject = MappingProxyType({})
 """The parameters of a specification as they are."""
 
 
@@ -66,7 +66,7 @@ def sized_ink(
     spec: SolidSpec | None,
     size: SolidSize,
     *,
-    changes: Mapping[str, Any] = NO_CHANGES,
+    changes: JsonObject = NO_CHANGES,
     which: str = "auto",
     threshold: str = "auto",
     page: int = 0,

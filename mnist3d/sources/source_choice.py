@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from mnist3d.sources import digit_source, hwdplus, mnist, picture_folder, synthetic
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 
 _NEEDED = {
     "synthetic": (),
@@ -28,7 +26,7 @@ _UNCOMPARED = ("writers_sha256", "left_out")
 """Parts of a fingerprint that do not affect solids."""
 
 
-def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> digit_source.DigitSource:
+def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
     """Return the source that options ask for; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
@@ -54,7 +52,7 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> digit_sourc
     return mnist.MnistSource(given["images"])
 
 
-def source_again(described: Mapping[str, Any], **files: str | None) -> digit_source.DigitSource:
+def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
     """Return the source that a fingerprint describes; ``files`` are the present paths of its files.
 
     Raises InputError if files are missing, or differ from those that the data set was made from.
