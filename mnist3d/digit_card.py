@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
 
-from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, class_names
+from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
 from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
@@ -30,7 +30,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     Raises IntegrityError if the report is missing or damaged.
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
-    names = class_names(manifest)
+    names = classes_of(manifest)
     return [
         replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
         for each in cards.summarise_columns(manifest, report, SUMMED_UP)
@@ -58,7 +58,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
     things = "handwritten digits"
-    if class_names(manifest) != KIND.class_names:
+    if classes_of(manifest) != KIND.class_names:
         things = "drawings"
     columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""

@@ -59,10 +59,10 @@ SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "
 def digit_schema(manifest: kind.Specified | None = None) -> pa.Schema:
     """Return the Arrow schema of the shards that a manifest lists; by default that of MNIST 3D."""
     source = _source_of(manifest)
-    return stored_schema(class_names(manifest), has_files=source.get("name") == FolderSource.name)
+    return stored_schema(classes_of(manifest), has_files=source.get("name") == FolderSource.name)
 
 
-def class_names(manifest: kind.Specified | None) -> tuple[str, ...]:
+def classes_of(manifest: kind.Specified | None) -> tuple[str, ...]:
     """Return the names of the classes of a data set, which are the digits unless its source names others."""
     return tuple(_source_of(manifest).get("classes") or KIND.class_names)
 

@@ -66,6 +66,7 @@ def sample_scene(
     Examples
     --------
     >>> import numpy as np
+    >>> from starstruck_gen import SceneSpec
     >>> scene = sample_scene(SceneSpec(), np.random.default_rng(0), star_count=2)
     >>> scene.star_count
     2

@@ -49,7 +49,7 @@ class Proportions:
 
     def __post_init__(self) -> None:
         for entry in fields(self):
-            kind: type[float] = type(entry.default)
+            kind: Any = type(entry.default)
             least, most = entry.metadata.get("least", -_LARGEST), entry.metadata.get("most", _LARGEST)
             value = to_builtin_number(getattr(self, entry.name), float)
             if not (isinstance(value, float) and least <= value <= most and kind(value) == value):

@@ -8,10 +8,11 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen import placement, prisms, shape_kinds, shapes
+from starstruck_gen import placement, prisms, shapes
+from starstruck_gen.shape_kinds import KINDS, TOOLKIT_KINDS, Proportions
 from tactile_toolkit.errors import InputError
 
-K = TypeVar("K", bound=type[shape_kinds.Proportions])
+K = TypeVar("K", bound=type[Proportions])
 _REACH_TOLERANCE = 1e-9
 
 
@@ -21,9 +22,9 @@ def register_shape(kind: K) -> K:
     Parameters
     ----------
     kind : type
-        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name`` names the
-        shape, ``rings()`` gives its outline, and each field is a number with a default. A field's range is
-        its metadata ``least`` and ``most``.
+        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name``, ``rings()``
+        of the outline, and fields that are numbers with a default, within ``least`` and ``most`` of their
+        metadata.
 
     Returns
     -------
@@ -45,6 +46,7 @@ def register_shape(kind: K) -> K:
     --------
     >>> from dataclasses import dataclass, field
     >>> import numpy as np
+    >>> from starstruck_gen import Proportions, Shape
     >>> @register_shape
     ... @dataclass(frozen=True, slots=True)
     ... class Kite(Proportions):
@@ -53,27 +55,23 @@ def register_shape(kind: K) -> K:
     ...
     ...     def rings(self):
     ...         return (np.array([(1.0, 0.0), (0.0, self.width), (-0.5, 0.0), (0.0, -self.width)]),)
-    >>> from starstruck_gen import Shape
     >>> Shape("kite", 0.012, Kite(width=0.4)).key
     'kite(width=0.4)'
     """
     _require_valid_kind(kind)
-    former = shape_kinds.KINDS.get(kind.name)
+    former = KINDS.get(kind.name)
     if former is kind:
         return kind
     # A notebook cell that is run again defines its class again; the new class replaces the former one.
-    if former is not None and (
-        former in shape_kinds.TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__
-    ):
+    if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
         raise InputError(f"the name {kind.name!r} is taken by {former.__qualname__}; expected another name")
     made = prisms.checked_prism(kind.name, shapes.read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
         raise InputError(
-            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
-            "the circumscribed radius"
+            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1"
         )
-    shape_kinds.KINDS[kind.name] = kind
+    KINDS[kind.name] = kind
     # Caches may hold outlines of the former kind of the same name.
     for kept in (shapes.outline, prisms.prism, prisms.prisms, placement.prism_solid):
         kept.cache_clear()
@@ -81,7 +79,7 @@ def register_shape(kind: K) -> K:
 
 
 def _require_valid_kind(kind: Any) -> None:
-    is_kind = isinstance(kind, type) and issubclass(kind, shape_kinds.Proportions) and is_dataclass(kind)
+    is_kind = isinstance(kind, type) and issubclass(kind, Proportions) and is_dataclass(kind)
     if not (is_kind and isinstance(kind.name, str) and re.fullmatch(r"[A-Za-z_]\w*", kind.name)):
         raise InputError(
             f"{kind!r} is not a kind of shape; expected a frozen dataclass derived from Proportions, with a "

@@ -16,11 +16,11 @@ from tactile_envs.touch_kernels import (
     Pool,
     Room,
     batch_room,
+    draw_touch,
     highest_of,
     lay_edge,
     leave,
     raise_within,
-    show,
 )
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 from tactile_toolkit.compiled import compiled
@@ -73,7 +73,7 @@ def touch_tilted(
         is_bare[i] = False  # a tilted plate is seen, too
         # The sensor may not go below a height: how far along its axis that is.
         least_m = (window[5] - sensors[i, 2]) / axes[i, 2, 2]
-        show(i, images, depths, heights, highest, window, least_m)
+        draw_touch(i, images, depths, heights, highest, window, least_m)
         observed_m = max(highest + window[3] + lifts[i], least_m)
         for axis in range(3):
             sensors[i, axis] += axes[i, axis, 2] * observed_m

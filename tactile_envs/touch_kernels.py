@@ -306,7 +306,7 @@ def touch(
         if is_near:
             highest = highest_of(heights, greatest)
         is_bare[i] = highest == 0.0
-        show(i, images, depths, heights, highest, window, least_m)
+        draw_touch(i, images, depths, heights, highest, window, least_m)
         if is_near:
             heights[:, :] = 0.0
         sensors[i, 2] = max(highest + press_m + lifts[i], least_m)
@@ -314,7 +314,7 @@ def touch(
 
 
 @compiled
-def show(
+def draw_touch(
     i: int,
     images: Float32,
     depths: Float32,

@@ -8,7 +8,7 @@ from .kinds_of_rows import (
     require_kind as require_kind,
 )
 from .loading import (
-    Load as Load,
+    MeshLoader as MeshLoader,
     loader as loader,
 )
 from .opening import (

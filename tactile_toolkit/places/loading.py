@@ -47,7 +47,7 @@ _DOC = """Open a data set of {nouns}.
     """
 
 
-class Load(Protocol[D, S]):
+class MeshLoader(Protocol[D, S]):
     """The type of a function ``load``: it returns a data set, or with ``streaming`` a stream."""
 
     @overload
@@ -82,7 +82,7 @@ class Load(Protocol[D, S]):
     ) -> D | S: ...
 
 
-def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> Load[D, S]:
+def loader(kind: DatasetKind, dataset: type[D], stream: type[S]) -> MeshLoader[D, S]:
     """Return the function ``load`` of a kind; ``dataset`` and ``stream`` are the classes that it opens."""
 
     def load(
