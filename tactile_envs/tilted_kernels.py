@@ -77,7 +77,7 @@ def touch_tilted(
         observed_m = max(highest + window[3] + lifts[i], least_m)
         for axis in range(3):
             sensors[i, axis] += axes[i, axis, 2] * observed_m
-        leave(i, motion, drift, sensors, objects, positions)
+        leave(i, cosine, sine, motion, drift, sensors, objects, positions)
 
 
 @compiled

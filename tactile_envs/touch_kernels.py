@@ -310,7 +310,7 @@ def touch(
         if is_near:
             heights[:, :] = 0.0
         sensors[i, 2] = max(highest + press_m + lifts[i], least_m)
-        leave(i, motion, drift, sensors, objects, positions)
+        leave(i, cosine, sine, motion, drift, sensors, objects, positions)
 
 
 @compiled
@@ -334,14 +334,20 @@ def draw_touch(
 
 @compiled
 def leave(
-    i: int, motion: Float64, drift: Float64, sensors: Float64, objects: Float64, positions: Float32
+    i: int,
+    cosine: float,
+    sine: float,
+    motion: Float64,
+    drift: Float64,
+    sensors: Float64,
+    objects: Float64,
+    positions: Float32,
 ) -> None:
-    """Write the observed position of sensor ``i``, and let its object slip."""
+    """Write the observed position of sensor ``i``, and let its object, whose rotation is given, slip."""
     for axis in range(3):
         low, high = motion[axis], motion[axis + 3]
         share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
         positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
-    cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
     objects[i, 0] += cosine * drift[0] - sine * drift[1]
     objects[i, 1] += sine * drift[0] + cosine * drift[1]
     objects[i, 2] += drift[2]
