@@ -136,8 +136,8 @@ def command(
 
 def run(app: typer.Typer) -> None:
     """Run a command line, and end the process."""
-    # If a standard stream is closed, the next file that is opened would get its number, and the text that
-    # libraries print.
+    # If a standard stream is closed, the next file that is opened would get its number, and with it the text
+    # that libraries print.
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)

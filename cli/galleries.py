@@ -38,7 +38,7 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
         with sink.progress("making the gallery", nouns) as update:
             site = gallery.build_site(page, str(out), workers, overwrite=job.overwrite, on_progress=update)
     except KeyboardInterrupt as error:
-        # The default message says that finished work is kept, but half a gallery would be of no use.
+        # The default message says that finished work is kept; half a gallery is not.
         raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
     index = str(Path(site.path) / gallery.PAGE_FILE)
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}

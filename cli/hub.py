@@ -153,7 +153,7 @@ def _listed(paths: Sequence[str]) -> str:
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     for paths, words in (
-        (prepared.left_out, "left out, as they are no part of the data set: {}"),
+        (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
     ):
         if paths:

@@ -37,7 +37,7 @@ def merge(
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
     renumber: bool = switch(
-        False, help="Give rows whose id occurs before a new one; the first row with an id keeps it."
+        False, help="Give rows with a repeated id a new one; the first row with an id keeps it."
     ),
     source_column: str | None = text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
@@ -48,7 +48,7 @@ def merge(
 ) -> None:
     """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
 
-    Columns and classes must be the same. What rows say of other data sets, such as object_id, is not changed.
+    Columns and classes must be the same. References to other data sets, such as object_id, are not changed.
 
     Examples: merge DIR OTHER --out both;  merge DIR OTHER --renumber --source-column source --out both
     """

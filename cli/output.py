@@ -51,7 +51,7 @@ class Sink:
 
     def warn(self, text: str) -> None:
         """Print a message on stderr even with ``--quiet``, such as the name of a damaged file."""
-        # It may quote a source, with an address that somebody else wrote there.
+        # It may quote a source, and with it an address that holds a secret.
         sys.stderr.write(redaction.redact(shown_text.printable(text, keep="\n")) + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:

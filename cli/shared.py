@@ -39,7 +39,7 @@ def add_shared(
     """Add the shared commands to the application of a kind.
 
     ``others`` are the kind's own commands by name, in place of those here; None leaves one out. ``known`` are
-    arguments of the commands that are no options.
+    arguments of the commands that are not options.
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:

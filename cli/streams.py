@@ -15,7 +15,7 @@ T = TypeVar("T")
 
 # 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
 _EXIT_CLOSED_PIPE = 141
-# What stands for characters that an encoding lacks, such as the code page of a console; others are escaped.
+# Replacements of characters that an encoding lacks, such as the code page of a console; others are escaped.
 _IN_ASCII = str.maketrans(
     {"─": "-", "━": "#", "…": "...", "µ": "u", "\N{MULTIPLICATION SIGN}": "x", "²": "^2", "³": "^3"}
     | {"°": " deg", "±": "+-", "→": "->", "\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-"}

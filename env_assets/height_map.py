@@ -1,7 +1,7 @@
 """Height maps: the top surface of a mesh on a grid of pixels, exact at their centres.
 
-Where a map lies and what it means stands here; how triangles become pixels, in
-:mod:`tactile_toolkit.mesh.raster`.
+This module defines where a map lies and what its values mean; :mod:`tactile_toolkit.mesh.raster` turns
+triangles into pixels.
 """
 
 from __future__ import annotations

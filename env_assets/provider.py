@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.generation import Recipe
 
-# What takes less is made without a word, seconds.
+# Work that takes less shows no progress, seconds.
 _QUIET_S = 2.0
 
 
@@ -41,7 +41,7 @@ class AssetProvider:
     root : path
         Folder of data set folders.
     places : mapping of str to path, optional
-        Folder, file or repository of the Hub that a name stands for, such as ``{"mnist3d": "digits"}``. Names
+        Folder, file or repository of the Hub for each name, such as ``{"mnist3d": "digits"}``. Names
         are those of the toolkit, ``"abc"``, ``"minecraft"``, and those of :data:`realtouch.SHORT_NAMES`.
     revision : str, optional
         Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
@@ -53,7 +53,7 @@ class AssetProvider:
     per_class : int, optional
         Make only this many of each class of a split, instead of the published numbers.
     workers : int
-        Number of processes that make it. What takes long shows its progress on stderr.
+        Number of processes that make it. Long work shows its progress on stderr.
 
     Notes
     -----
@@ -136,7 +136,7 @@ class AssetProvider:
         return found
 
     def finished(self, name: str, split: str = "train") -> asset_kinds.MeshSet | None:
-        """Return the meshes of a split, or None if they are not there or unfinished; makes nothing."""
+        """Return the meshes of a split, or None if they are missing or unfinished; makes nothing."""
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
@@ -229,7 +229,7 @@ class AssetProvider:
         return kept.volumes_m3
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave open data sets behind, but not the commits of the Hub."""
+        """Leave out open data sets, but keep the commits of the Hub."""
         return {**self.__dict__, "_opened": {}}
 
     def __repr__(self) -> str:

@@ -30,7 +30,7 @@ PUBLISHED_SIZES: dict[str, int] = {
 """Digits per class in each published split, 1,358 in total."""
 
 OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
-"""Proportions of the splits of pictures in a folder, which were printed by nobody."""
+"""Proportions of the splits of pictures in a folder, which have not been printed."""
 
 MOST_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""

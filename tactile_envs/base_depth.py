@@ -1,7 +1,7 @@
 """Depth of real touches without contact, as a network estimates it from their images: never quite flat.
 
-Environments of recorded touches show what the network makes of them. A simulated touch looks like those with
-such a depth map behind its own. Estimates take about a second each, and are kept in the cache folder.
+Environments of recorded touches show what the network makes of them. A simulated touch looks like them if
+such a depth map lies behind its own. Estimates take about a second each, and are kept in the cache folder.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def _opened(given: Source) -> realtouch.TouchSingleDataset:
 
 @contextlib.contextmanager
 def _one_process() -> Iterator[None]:
-    """Let one process make estimates at a time, where the cache folder can be written: others find them."""
+    """Let one process at a time make estimates if the cache folder can be written; others find them there."""
     path = _ESTIMATES.path("base-depth.lock")
     with contextlib.ExitStack() as stack:
         try:

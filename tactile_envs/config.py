@@ -39,7 +39,7 @@ _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.
 
 
 class NetworkOptions(TypedDict, total=False):
-    """Where networks compute, and in which precision; see :func:`tactile_sim.make_optics`."""
+    """Device and precision of networks; see :func:`tactile_sim.make_optics`."""
 
     device: str
     bfloat16: bool
@@ -101,7 +101,7 @@ class EpisodeConfig:
 
     @property
     def optics_options(self) -> NetworkOptions:
-        """Options of the optics; those without a network have none."""
+        """Options of the optics; empty for those without a network."""
         if self.sensor_type != "cycle_gan":
             return {}
         return self.network_options
@@ -112,7 +112,7 @@ class EpisodeConfig:
         return {"device": self.network_device, "bfloat16": self.network_bfloat16}
 
     def longest_way(self, velocity: float, acceleration: float) -> float:
-        """Return the greatest distance from one touch to the next; units as those of the velocity."""
+        """Return the greatest distance from one touch to the next; in the units of the velocity."""
         half_s = self.transfer_timedelta_s / 2
         ramp_s = min(velocity / acceleration, half_s)
         return (half_s - ramp_s) * velocity + 0.5 * acceleration * ramp_s**2
@@ -205,7 +205,7 @@ class Config(EpisodeConfig):
             )
 
     def _check_press(self) -> None:
-        """Refuse settings that the gel cannot have (InputError)."""
+        """Refuse settings that do not fit the gel (InputError)."""
         if self.elastic_gel is None and self.press_force is not None:
             raise InputError(
                 f"press_force of the environment is {self.press_force!r}, and its gel is not elastic",
@@ -218,7 +218,7 @@ class Config(EpisodeConfig):
             )
 
     def sensor(self, size_px: tuple[int, int]) -> tactile_sim.Sensor:
-        """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
+        """Return the sensor, with an image of this size, pixels; InputError for an impossible gel."""
         view = tactile_sim.center_view(*size_px)
         return replace(view, gel_m=self.gel_thickness, press_m=self.penetration_depth)
 
@@ -231,14 +231,14 @@ class Config(EpisodeConfig):
 
 
 def _noise_of(given: object) -> tactile_sim.SensorNoise | None:
-    """Return the noise of a setting: as of a specification, or as an option names it."""
+    """Return the noise of a setting: a specification, or a name as for an option."""
     if isinstance(given, (str, PathLike)):
         return tactile_sim.SensorNoise.named(fspath(given))
     return checked_noise(given, "sensor_noise of the environment")
 
 
 def _gel_of(given: object) -> tactile_sim.Gel | None:
-    """Return the elastic gel of a setting: as an option names it, or with values of its attributes."""
+    """Return the elastic gel of a setting: a gel, a name as for an option, or values of its attributes."""
     if given is None:
         return None
     if isinstance(given, (str, PathLike)):

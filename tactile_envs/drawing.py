@@ -32,7 +32,7 @@ _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionView:
-    """What a drawing shows of predictions.
+    """Predictions as they are drawn.
 
     ``shares``, shape (n, k), are bars from 0 to 1 with ``names`` beside them; bar ``right``, shape (n,), has
     the colour of a right answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and
@@ -137,7 +137,7 @@ def _panel(scene: EnvDrawing, view: PredictionView, index: int) -> Float32:
     picked = scene.felt[np.arange(rows) * height // rows][:, np.arange(_FELT_PX) * width // _FELT_PX]
     panel[_MARGIN_PX : _MARGIN_PX + rows, _MARGIN_PX : _MARGIN_PX + _FELT_PX] = picked
     words: list[_Word] = []
-    if not scene.felt.any():  # black: without a word, it looks as if nothing was drawn
+    if not scene.felt.any():  # black, which looks as if nothing was drawn
         is_plate = scene.sensor[2] <= center_view(1, 1).press_m + _EVEN_M
         text = ("flat", "plate")[int(is_plate)]
         words.append(_Word(_PANEL_PX // 2, _MARGIN_PX + rows // 2, text, "mm", _ON_BLACK))

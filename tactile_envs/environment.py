@@ -28,7 +28,7 @@ _OVER = "some episodes are over; next: call reset(options={'reset_mask': termina
 
 
 class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[misc]
-    """Touch objects that lie in cells, one touch a step, and predict something about them.
+    """Touch objects in cells, one touch a step, and predict a property of them.
 
     Parameters
     ----------
@@ -167,7 +167,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return seen, info
 
     def _spread(self, rows: Rows, info: dict[str, AnyArray], others: Info) -> Info:
-        """Give all environments the infos of some; those of others are 0 and masked as of gymnasium."""
+        """Give all environments the infos of some; those of others are 0 and masked, as gymnasium does."""
         found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
         is_given[rows] = True
@@ -297,7 +297,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         return tuple(drawing.draw_environment(scene, view, row) for row, scene in enumerate(scenes))
 
     def close(self, **options: object) -> None:  # gymnasium's docstring is not valid reST
-        """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
+        """Release threads and pictures; options as for :class:`gymnasium.vector.VectorEnv`."""
         super().close(**options)
 
     def close_extras(self, **_: object) -> None:

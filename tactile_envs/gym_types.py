@@ -1,4 +1,4 @@
-"""Types of what goes into environments and comes out of them, as gymnasium has them."""
+"""Types of actions, observations and results of environments, as in gymnasium."""
 
 from __future__ import annotations
 

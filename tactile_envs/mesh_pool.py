@@ -41,7 +41,7 @@ _FORMAT = 3
 _CHUNK = 128
 # Fewer chunks are packed before workers have started.
 _FEW_CHUNKS = 8
-# What takes less is done without a word, seconds.
+# Work that takes less shows no progress, seconds.
 _QUIET_S = 2.0
 _LOOK_AGAIN_S = 5.0
 # Where a row of `grids` has its first vertex, face, start and corner of the hull.
@@ -132,7 +132,7 @@ class MeshPool:
         return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
     def require(self, numbers: Int64) -> None:
-        """Have the meshes of these numbers in the arrays, as those of a complete pool are."""
+        """Make sure that the arrays hold the meshes of these numbers, as those of a complete pool do."""
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -271,7 +271,7 @@ def _packed_records(records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0
 
 
 def _moved(grids: Float64, ends: AnyArray) -> Float64:
-    """Return the grids of meshes whose arrays begin at ``ends``, shape (4,), of others."""
+    """Return the grids of meshes whose arrays follow others that end at ``ends``, shape (4,)."""
     moved = grids.copy()
     moved[:, _FIRSTS] += ends
     moved[:, 11] += ends[3]
@@ -365,7 +365,7 @@ def _write(stream: IO[bytes], parts: list[Parts]) -> None:
 
 
 def _found(path: Path) -> Parts | None:
-    """Map a file of the cache; None if it does not exist, or is damaged: then it is removed."""
+    """Map a file of the cache; None if it does not exist or is damaged; a damaged one is removed."""
     arrays: Parts = []
     try:
         with store.open_regular(path) as stream:

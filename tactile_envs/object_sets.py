@@ -1,4 +1,4 @@
-"""Objects of an environment: made on first use, of one's own, or published.
+"""Objects of an environment: made on first use, the user's own, or published.
 
 The default set is always the same. An environment of classes begins before it is made: it makes each object
 that an episode needs by itself, while a process in the background makes the set. Other tasks need facts about
@@ -47,8 +47,8 @@ def open_objects(
 ) -> Objects:
     """Open the objects of an environment with its settings, turned onto their broadest sides if these say so.
 
-    ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError: there
-    are none, or they do not fit.
+    ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError if
+    objects are missing, or do not fit.
     """
     # Single meshes are packed as they are, for upright sensors.
     is_plain = not (config.allow_sensor_rotation or config.smallest_dimension_up)

@@ -124,7 +124,7 @@ def _indices(numbers: Iterable[int]) -> ir.Constant:
 
 
 def _spread(builder: ir.IRBuilder, values: list[ir.Value], times: int) -> ir.Value:
-    """Put each number into so many lanes."""
+    """Repeat each number in ``times`` lanes."""
     lanes = ir.Constant(_vector(len(values)), ir.Undefined)
     for number, value in enumerate(values):
         lanes = builder.insert_element(lanes, value, ir.Constant(_INDEX, number))
@@ -133,7 +133,7 @@ def _spread(builder: ir.IRBuilder, values: list[ir.Value], times: int) -> ir.Val
 
 
 def _joined(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
-    """Put vectors of equal lengths one behind the other."""
+    """Concatenate vectors of equal lengths."""
     while len(parts) > 1:
         both = _indices(range(2 * parts[0].type.count))
         parts = [

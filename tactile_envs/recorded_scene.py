@@ -243,7 +243,7 @@ class RecordedImages:
 
 
 def window_size(touches: int, steps: int, probability: float) -> int:
-    """Return among how many of the next touches of a round each one is chosen.
+    """Return the number of the next touches of a round among which each one is chosen.
 
     The largest number for which an episode ends early with at most a probability, if each of the touches to
     choose from is equally likely. ``touches`` of a round are two more than ``steps`` at least.

@@ -39,7 +39,7 @@ class RecordedSources(NamedTuple):
 
     @classmethod
     def of(cls, assets: Place | None, touches: Place | None) -> Self:
-        """Return the sources that are meant, as :func:`tactile_envs.make_vector` takes them.
+        """Return the sources for options of :func:`tactile_envs.make_vector`.
 
         InputError for a folder of data sets that holds no touches.
         """
@@ -71,7 +71,7 @@ def touches_in(assets: Place) -> Path | None:
 
 
 def _sets_in(assets: Place) -> dict[str, Path]:
-    """Return the data sets in a folder of them, by name; none if it is not such a folder."""
+    """Return the data sets in a folder by name; empty if it is not a folder of data sets."""
     folder = store.expanded(fspath(assets))
     if not store.path_exists(folder):
         return {}

@@ -46,7 +46,7 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         seed : int, optional
             Seed of all random numbers.
         options : mapping, optional
-            ``datapoint_idx``, ``initial_object_pose``, ``initial_sensor_target_pose``, as of
+            ``datapoint_idx``, ``initial_object_pose``, ``initial_sensor_target_pose``, as for
             :meth:`TactileVectorEnv.reset` for one environment.
 
         Returns

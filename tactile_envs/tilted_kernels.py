@@ -52,7 +52,7 @@ def touch_tilted(
     ``plate`` is a pool of one mesh, the plate under the objects with its upper side at height 0; what lies
     more than ``far`` below the target of a sensor, metres, is not seen. ``axes`` (n, 3, 3) has the x, y and z
     axis of each sensor in its columns; ``sensors`` (n, 3), metres, are moved along z until the gel is pressed
-    in. The rest is as of :func:`tactile_envs.touch_kernels.touch`.
+    in. The rest is as for :func:`tactile_envs.touch_kernels.touch`.
     """
     greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     view, lying = np.empty((3, 4)), np.empty((3, 4))

@@ -182,7 +182,7 @@ def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vi
 
 @compiled
 def _prepare(heights: Float32, room: Room, view: View) -> None:
-    """Write of a batch of triangles which pixels they may cover, and the weights of their corners there.
+    """Write which pixels each triangle of a batch may cover, and the weights of its corners there.
 
     LLVM does several at once, because all have one number, and each result its own place in an array.
     """
@@ -285,7 +285,7 @@ def touch(
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
     ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, press depth and
-    thickness of the gel, and the least height of sensors, metres; ``motion`` is as of :func:`aim`; ``drift``
+    thickness of the gel, and the least height of sensors, metres; ``motion`` is as for :func:`aim`; ``drift``
     (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh of the
     pool each object is; ``lifts`` (n,) how much higher sensors are observed than they are, metres;
     ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
@@ -355,7 +355,7 @@ def leave(
 
 @compiled
 def highest_of(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the columns that ``greatest`` has room for."""
+    """Return the greatest height of the first columns, as many as ``greatest`` has room for."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
     for column in range(len(greatest)):
         greatest[column] = heights[0, column]
