@@ -10,15 +10,7 @@ from typing import Annotated
 
 import typer
 
-from cli import application, declared_options, output, runs
-from cli.options import (
-    ANY_SET,
-    Job,
-    Opening,
-    Work,
-    local_out_folder,
-    process_count,
-)
+from cli import application, declared_options, options, output, runs
 from tactile_toolkit import catalog, exchange, places, printing, store
 from tactile_toolkit.checked_fields import choice, real, switch, text
 from tactile_toolkit.errors import InputError
@@ -68,14 +60,14 @@ class ExportOptions:
 def export(
     *,
     kind: DatasetKind,
-    name: str = ANY_SET,
-    opening: Opening,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
     distances: Annotated[declared_options.Given, declared_options.OptionsOf(printing.PlateSpec)],
     material: Annotated[declared_options.Given, declared_options.OptionsOf(printing.Physics)],
-    out: Path = local_out_folder("prints"),
-    job: Job,
+    out: Path = options.local_out_folder("prints"),
+    job: options.Job,
     sink: output.Sink,
 ) -> None:
     """Write files for printers and simulators, or tables for other libraries.
@@ -146,7 +138,7 @@ def _refuse_for_plate(form: ExportOptions) -> None:
 
 
 def _export_calibration_plate(
-    sink: output.Sink, objects: list[printing.PrintObject], ending: str, out: str, job: Job
+    sink: output.Sink, objects: list[printing.PrintObject], ending: str, out: str, job: options.Job
 ) -> None:
     made = printing.export_calibration_plate(
         objects, out, ending, overwrite=job.overwrite, dry_run=job.dry_run
@@ -167,7 +159,7 @@ def _export_files(
     scale: float,
     physics: printing.Physics,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
     with sink.progress(_DOING[job.dry_run], "files") as update:
         made = printing.export_files(
@@ -176,7 +168,7 @@ def _export_files(
             physics=physics,
             overwrite=job.overwrite,
             dry_run=job.dry_run,
-            workers=process_count(job.workers),
+            workers=options.process_count(job.workers),
             on_progress=update,
         )
     sink.document({"out": out, **asdict(made)})
@@ -211,7 +203,7 @@ def _export_flat(
     choices: exchange.Choices,
     filters: JsonObject,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
     plan = exchange.plan_tables(kind, place, choices, filters, out)
     if job.dry_run:
@@ -222,7 +214,7 @@ def _export_flat(
         sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
         return
     make = partial(store.build, store.open_folder(out), plan, write_card=kind.write_card)
-    work = Work(job.workers, overwrite=job.overwrite)
+    work = options.Work(job.workers, overwrite=job.overwrite)
     runs.make_with_progress(sink, "writing", kind, make, work, out, runs.print_set)
 
 
@@ -233,7 +225,7 @@ def _export_plates(
     scale: float,
     bodies: printing.Physics | None,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
     with sink.progress("measuring", "objects") as update:
         layout = printing.arrange(objects, spec, scale, bodies, update)

@@ -9,10 +9,8 @@ from typing import Annotated
 import mnist3d
 from cli import checks, declared_options, options, output, picture_prints, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from mnist3d.digit_options import SOURCES, DigitPreviewSpec, SourceOptions
+from mnist3d import digit_options, published_splits, solid_spec
 from mnist3d.kind import KIND
-from mnist3d.published_splits import SPLITS, SplitSpec
-from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit import cards, catalog, places, run, store
 from tactile_toolkit.checked_fields import choice
 from tactile_toolkit.kind import DatasetKind, lazy
@@ -25,17 +23,17 @@ def generate(
     *,
     split: str | None = choice(
         None,
-        (*SPLITS, "all"),
+        (*published_splits.SPLITS, "all"),
         shown="all",
         help="Split to make. Without this option, the images of a folder are all in train.",
     ),
     out: str = options.out_folder("mnist3d-data"),
-    source: str = choice("synthetic", SOURCES, help="Where the images come from."),
-    images: Annotated[declared_options.Given, declared_options.OptionsOf(SourceOptions)],
-    division: SplitSpec,
+    source: str = choice("synthetic", digit_options.SOURCES, help="Where the images come from."),
+    images: Annotated[declared_options.Given, declared_options.OptionsOf(digit_options.SourceOptions)],
+    division: published_splits.SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
-    solid: SolidSpec,
+    solid: solid_spec.SolidSpec,
     words: cards.OwnerWords,
     making: options.Making,
     sink: output.Sink,
@@ -53,7 +51,7 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitMaking.of(spec, None if split is None else SPLITS)
+    making_of = mnist3d.DigitMaking.of(spec, None if split is None else published_splits.SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
         splits = tuple(making_of.items())
@@ -99,7 +97,7 @@ def _preview(
         "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
     ),
     opening: options.Opening,
-    spec: DigitPreviewSpec,
+    spec: digit_options.DigitPreviewSpec,
     pictures: previews.Pictures,
     sink: output.Sink,
 ) -> None:

@@ -9,20 +9,19 @@ from pathlib import Path
 import typer
 
 import realtouch
-from cli import galleries, nested_values, output, previews, runs, shared, touch_imports
-from cli.application import EXIT_FAILED, command, new_app, run
-from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
-from cli.touch_checks import check
-from cli.touch_conversions import (
-    ClipsToImages,
-    Depth,
-    Export,
-    Frames,
-    Resize,
-    Select,
-    add_conversion,
-    announce_fetching,
+from cli import (
+    application,
+    galleries,
+    nested_values,
+    options,
+    output,
+    previews,
+    runs,
+    shared,
+    touch_conversions,
+    touch_imports,
 )
+from cli.touch_checks import check
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, places, store
 from tactile_toolkit.checked_fields import switch, text
@@ -31,7 +30,7 @@ from tactile_toolkit.kind import lazy
 from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
-app = new_app(
+app = application.new_app(
     "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
 )
 
@@ -44,12 +43,12 @@ _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
 _ANSWERS = {True: "yes", False: "NO"}
 
 
-@command(app)
+@application.command(app)
 def load(
     *,
-    name: str = TOUCH_SET,
+    name: str = options.TOUCH_SET,
     split: str | None = catalog.ONE_SPLIT,
-    opening: Opening,
+    opening: options.Opening,
     check: bool = switch(True, help="Check every round and the headers of its images."),
     sink: output.Sink,
 ) -> None:
@@ -73,9 +72,13 @@ def load(
     sink.line(f"next in Python: realtouch.load({arguments}).touches()")
 
 
-@command(app)
+@application.command(app)
 def info(
-    *, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: Opening, sink: output.Sink
+    *,
+    name: str = options.TOUCH_SET,
+    split: str | None = catalog.SPLIT,
+    opening: options.Opening,
+    sink: output.Sink,
 ) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
@@ -91,7 +94,7 @@ def info(
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
             runs.print_set(sink, KIND, manifest, name)
             return
-    announce_fetching(sink, place, split)
+    touch_conversions.announce_fetching(sink, place, split)
     source = realtouch.Source.open(place, split)
     summaries = {
         each: realtouch.summarise(realtouch.dataset_of(shards)) for each, shards in source.shards.items()
@@ -111,14 +114,14 @@ def info(
             sink.line(f"  {line}")
 
 
-@command(app)
+@application.command(app)
 def verify(
     *,
-    name: str = TOUCH_SET,
+    name: str = options.TOUCH_SET,
     split: str | None = catalog.SPLIT,
-    opening: Opening,
+    opening: options.Opening,
     quick: bool = switch(False, help="Read only the headers of images; decode none."),
-    workers: int = WORKERS,
+    workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all errors.
@@ -147,14 +150,14 @@ def verify(
         )
 
 
-@command(app)
+@application.command(app)
 def reproduce(
     *,
-    name: str = TOUCH_SET,
-    opening: Opening,
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
     calibrate: Path | None = text(
         metavar="DIR",
-        read=local_place,
+        read=options.local_place,
         help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
     ),
     solids: str = text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
@@ -168,7 +171,7 @@ def reproduce(
     realtouch reproduce real-single-320x240 --calibrate twin-of-the-mini
     """
     place = opening.open(sink, name).require(KIND, "reproduce")
-    announce_fetching(sink, place, None)
+    touch_conversions.announce_fetching(sink, place, None)
     if calibrate is not None:
         _calibrate_published(sink, place, solids, calibrate)
         return
@@ -180,13 +183,13 @@ def reproduce(
     rows = [(each.what, each.paper, each.found, _ANSWERS[each.agrees]) for each in numbers]
     sink.table(("what", "paper", "data", "agrees"), rows)
     if not all(number.agrees for number in numbers):
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)
 
 
 def _verified(
     sink: output.Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
 ) -> realtouch.TouchVerification:
-    count = process_count(workers)
+    count = options.process_count(workers)
     with sink.progress("checking", "rounds") as update:
         return realtouch.verify(place, split, quick=quick, workers=count, on_progress=update)
 
@@ -227,18 +230,18 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
     sink.table((split, summary.kind), rows)
 
 
-_convert = partial(add_conversion, app)
-_convert("clips-to-images", ClipsToImages, lazy("realtouch:clips_to_images"))
-_convert("resize", Resize, lazy("realtouch:resize"))
-_convert("depth", Depth, lazy("realtouch:add_depth"))
-_convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
-_convert("select", Select, lazy("realtouch:select"))
-_convert("export", Export, lazy("realtouch:export"), nouns="rows")
-command(app, "import")(touch_imports.import_touches)
-command(app)(check)
+_convert = partial(touch_conversions.add_conversion, app)
+_convert("clips-to-images", touch_conversions.ClipsToImages, lazy("realtouch:clips_to_images"))
+_convert("resize", touch_conversions.Resize, lazy("realtouch:resize"))
+_convert("depth", touch_conversions.Depth, lazy("realtouch:add_depth"))
+_convert("frames", touch_conversions.Frames, lazy("realtouch:frames"), nouns="touches")
+_convert("select", touch_conversions.Select, lazy("realtouch:select"))
+_convert("export", touch_conversions.Export, lazy("realtouch:export"), nouns="rows")
+application.command(app, "import")(touch_imports.import_touches)
+application.command(app)(check)
 _left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
 shared.add_shared(
     app, KIND, {**_left_out, "preview": previews.preview_touches, "gallery": galleries.gallery_of_touches}
 )
 
-main = partial(run, app)
+main = partial(application.run, app)

@@ -10,13 +10,9 @@ from typing import Unpack
 import numpy as np
 import pyarrow as pa
 
-from mnist3d import solid, solid_spec
-from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
+from mnist3d import digit_rows, published_splits, solid, solid_spec
 from mnist3d.kind import KIND
-from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
-from mnist3d.sources.digit_source import DIGITS, DigitImage, DigitSource
-from mnist3d.sources.picture_folder import FolderSource
-from mnist3d.sources.source_choice import chosen_source
+from mnist3d.sources import digit_source, picture_folder, source_choice
 from mnist3d.splits import plan_splits
 from tactile_toolkit import generation, store
 from tactile_toolkit.array_types import Int64
@@ -59,9 +55,9 @@ class DigitSetSpec:
     on any machine.
     """
 
-    source: DigitSource
+    source: digit_source.DigitSource
     solid: solid_spec.SolidSpec = field(default_factory=solid_spec.SolidSpec)
-    split: SplitSpec = field(default_factory=SplitSpec)
+    split: published_splits.SplitSpec = field(default_factory=published_splits.SplitSpec)
     profile: PrintProfile = field(default_factory=PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)
     limit: int | None = integer(None, 1, optional=True)
@@ -92,39 +88,41 @@ class DigitMaking(generation.RowGenerator):
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
         """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
         is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
-        if is_asked_for or not isinstance(spec.source, FolderSource):
+        if is_asked_for or not isinstance(spec.source, picture_folder.FolderSource):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
     def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
-        usual: Mapping[str, int] = PUBLISHED_SIZES
-        splits: tuple[str, ...] = SPLITS
-        if isinstance(self.spec.source, FolderSource):
-            usual = OWN_SIZES
+        usual: Mapping[str, int] = published_splits.PUBLISHED_SIZES
+        splits: tuple[str, ...] = published_splits.SPLITS
+        if isinstance(self.spec.source, picture_folder.FolderSource):
+            usual = published_splits.OWN_SIZES
             named = dict(self.spec.split.sizes or usual)
-            splits = tuple(split for split in SPLITS if split in named)
+            splits = tuple(split for split in published_splits.SPLITS if split in named)
         plan = plan_splits(self.spec.source.catalog(), self.spec.split, usual)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
         return generation.StorageLayout(
-            PARQUET_STYLE,
+            digit_rows.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
             largest=128,  # 7 MB at 52.6 kB per mesh: a kill loses seconds of work
             wanted=16,
             sampled=8,
-            report_file=REPORT_FILE,
+            report_file=digit_rows.REPORT_FILE,
         )
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         names = self.spec.source.catalog().class_names
-        return stored_schema(names, has_files=isinstance(self.spec.source, FolderSource))
+        return digit_rows.stored_schema(
+            names, has_files=isinstance(self.spec.source, picture_folder.FolderSource)
+        )
 
-    def make(self, split: str, items: Int64) -> Iterator[DigitRow | store.Skipped]:
+    def make(self, split: str, items: Int64) -> Iterator[digit_rows.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:
@@ -132,13 +130,13 @@ class DigitMaking(generation.RowGenerator):
             except ItemError as error:
                 yield store.Skipped(digit_id, error.reason, error.message)
 
-    def report(self, shard: store.ShardName, rows: Sequence[DigitRow]) -> pa.Table:
+    def report(self, shard: store.ShardName, rows: Sequence[digit_rows.DigitRow]) -> pa.Table:
         """Return the printability report of the meshes."""
-        return report_table(shard, rows)
+        return digit_rows.report_table(shard, rows)
 
     def next_if_other(self) -> str:
         """Return how pictures are added to a data set."""
-        if not isinstance(self.spec.source, FolderSource):
+        if not isinstance(self.spec.source, picture_folder.FolderSource):
             return ""
         return _ADD_PICTURES
 
@@ -152,7 +150,7 @@ class DigitMaking(generation.RowGenerator):
         return _solid_of(self.spec.source.image(digit_id), self.spec)
 
 
-def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
+def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
@@ -167,7 +165,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
-    return DigitRow(
+    return digit_rows.DigitRow(
         id=digit.id,
         label=digit.label,
         vertices_m=mesh.vertices_m,
@@ -180,8 +178,8 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     )
 
 
-def _solid_of(digit: DigitImage, spec: DigitSetSpec) -> Mesh:
-    is_drawing = spec.source.catalog().class_names != DIGITS
+def _solid_of(digit: digit_source.DigitImage, spec: DigitSetSpec) -> Mesh:
+    is_drawing = spec.source.catalog().class_names != digit_source.DIGITS
     return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
 
@@ -227,6 +225,10 @@ def generate(
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how digits are made without any input: from the embedded synthetic source."""
-    spec = DigitSetSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
+    spec = DigitSetSpec(
+        source_choice.chosen_source("synthetic", {}, seed),
+        split=published_splits.SplitSpec(seed=seed),
+        per_class=per_class,
+    )
     making = DigitMaking(spec)
     return generation.Recipe(making, {"per-class": per_class, "seed": seed}, making.planned)

@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tactile_envs import env_specs, gym_types, mesh_pool, object_sets
-from tactile_envs.config import Config, EpisodeConfig, RecordedConfig, checked_counts, configured
+from tactile_envs import env_specs, mesh_pool, object_sets
+from tactile_envs.config import Config, RecordedConfig, checked_counts, configured
 from tactile_toolkit import errors, mesh
 from tactile_toolkit.wording import did_you_mean
 
 with errors.needs_extra("making environments", "ap-gym", "envs"):
-    from gymnasium.vector import AutoresetMode
-
     from tactile_envs import (
         base_depth,
         camera,
         environment,
+        make_options,
         mesh_scene,
         recorded_scene,
         recorded_sets,
@@ -32,56 +30,7 @@ with errors.needs_extra("making environments", "ap-gym", "envs"):
     )
 
 _OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MakeOptions:
-    """Options of :func:`make_vector`.
-
-    Parameters
-    ----------
-    num_envs : int
-        Number of environments.
-    assets : path or str, optional
-        Meshes: a folder of data sets (such as ``tactile-assets``, with ``mnist3d`` in it), one data set by
-        folder or name on the Hub, a folder of mesh files, or ``"published"`` for the published set. By
-        default they are made on first use in ``tactile-assets``; environments of classes begin meanwhile.
-        For ids with ``RealSnap``: the touched digits and, unless `touches` are given, the touches; a folder
-        of both (``mnist3d`` and ``real-single``) or a data set of touches, the published ones by default.
-    unit : "mm", "cm", "m" or "in", optional
-        Unit of mesh files that state none (STL, PLY, OBJ); millimetres by default.
-    config : mapping or Config, optional
-        Settings that differ from those of the id, or all of them; see :class:`tactile_envs.Config`.
-    render_mode : "rgb_array", optional
-        If given, ``render()`` returns pictures.
-    threads : int
-        Number of threads that share a step.
-    weights : path or str, optional
-        Weights for the sensor of CycleGAN environments, ``depth_to_touch.npz`` of ``tactile-sim train``; the
-        published ones by default.
-    touches : path or str, optional
-        Recorded touches for ids with ``RealSnap``: a data set by folder or name on the Hub, or
-        ``"published"``. Volumes need the touched digits; classes do not, but pictures show them if `assets`
-        are given.
-    autoreset_mode : gymnasium.vector.AutoresetMode or str
-        When the next episode begins; see :class:`tactile_envs.TactileVectorEnv`.
-    max_episode_steps : int, optional
-        The setting ``step_limit``, as gymnasium names it.
-    """
-
-    num_envs: int = 1
-    assets: str | PathLike[str] | None = None
-    unit: str | None = None
-    config: gym_types.Options | EpisodeConfig | None = None
-    render_mode: str | None = None
-    threads: int = 1
-    weights: str | Path | None = None
-    touches: str | PathLike[str] | None = None
-    autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP
-    max_episode_steps: int | None = None
-
-
-_NAMES = tuple(each.name for each in fields(MakeOptions))
+_NAMES = tuple(each.name for each in fields(make_options.MakeOptions))
 
 
 def make_one(name: str, **options: Any) -> single_environment.TactileEnv:
@@ -98,7 +47,7 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
     name : str
         Id, such as ``"TactileMNIST-Depth-train-v0"``.
     **options
-        Parameters of :class:`MakeOptions`, such as ``num_envs``, ``assets`` and ``config``.
+        Parameters of :class:`~tactile_envs.make_options.MakeOptions`, such as ``num_envs`` and ``config``.
 
     Returns
     -------
@@ -113,7 +62,7 @@ def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
         An option does not exist.
     """
     _require_known(options, _NAMES)
-    given = MakeOptions(**options)
+    given = make_options.MakeOptions(**options)
     spec = env_specs.env_specs()[name]
     settings = configured(spec.config, given.config)
     if given.max_episode_steps is not None:
@@ -148,7 +97,7 @@ def _require_known(options: Iterable[str], known: Sequence[str]) -> None:
 
 
 def _simulated(
-    spec: env_specs.EnvSpec, config: Config, given: MakeOptions
+    spec: env_specs.EnvSpec, config: Config, given: make_options.MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return objects in cells, and the task of an environment; InputError if they do not fit."""
     seen_by = camera.Camera(config, given.weights)
@@ -166,7 +115,7 @@ def _simulated(
 
 
 def _recorded(
-    spec: env_specs.EnvSpec, config: RecordedConfig, given: MakeOptions
+    spec: env_specs.EnvSpec, config: RecordedConfig, given: make_options.MakeOptions
 ) -> tuple[scene.TouchScene, tasks.Task]:
     """Return recorded touches in cells, and the task of an environment; InputError if digits are missing."""
     mesh.refuse_unit(given.unit, "recorded touches")
