@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from types import SimpleNamespace
+from functools import partial
 
 import gymnasium as gym
 import numpy as np
 import trimesh
 
-from env_assets.mesh_view import MeshRecord
+from env_assets.mesh_view import LazyMesh, MeshRecord
 from tactile_envs import (
     episode_kernels,
     gym_types,
@@ -46,9 +46,8 @@ class TiltedScene(mesh_scene.MeshScene):
         super().__init__(config, records, num_envs, threads, camera)
         widest_rad = config.longest_way(config.angular_velocity, config.angular_acceleration)
         self._limits = np.array([widest_rad, config.max_tilt_angle])
-        box = trimesh.creation.box((*config.cell_size, _PLATE_M))
-        plate = SimpleNamespace(id=0, label=0, vertices_m=box.vertices, faces=box.faces)
-        self._plate = mesh_pool.MeshPool.packed([plate], config.max_tilt_angle)
+        box = partial(trimesh.creation.box, (*config.cell_size, _PLATE_M))
+        self._plate = mesh_pool.MeshPool.packed([LazyMesh(0, 0, box)], config.max_tilt_angle)
         self._far_m = _PLATES_AWAY * max(config.cell_size)
         self.action_parts[_TURN] = gym.spaces.Box(-np.ones(3, np.float32), np.ones(3, np.float32))
         self.observation_parts[_TURNED] = gym.spaces.Box(-np.ones(6, np.float32), np.ones(6, np.float32))
