@@ -9,8 +9,7 @@ from typing import Protocol
 
 import typer
 
-from cli import application, output
-from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
+from cli import application, options, output
 from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
@@ -72,9 +71,9 @@ def verify(
     *,
     kind: DatasetKind,
     checks: Geometry | None,
-    folder: str = FOLDER,
+    folder: str = options.FOLDER,
     objects: Objects,
-    workers: int = WORKERS,
+    workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
     """Check every checksum, row count, schema and id of a data set folder.
@@ -86,7 +85,7 @@ def verify(
     place = store.open_folder(folder)
     manifest = places.open_place(folder).require(kind, "verify").manifest
     result = store.verify(
-        place, kind.schema_of(manifest), check_card=cards.check_card, workers=process_count(workers)
+        place, kind.schema_of(manifest), check_card=cards.check_card, workers=options.process_count(workers)
     )
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
@@ -95,7 +94,9 @@ def verify(
         counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         if objects.geometry and checks is not None:
-            check_objects(sink, checks, [folder], Opening(), objects.split, objects.limit, workers, document)
+            check_objects(
+                sink, checks, [folder], options.Opening(), objects.split, objects.limit, workers, document
+            )
         else:
             sink.document(document)
         return
@@ -117,15 +118,15 @@ def verify(
 def validate(
     *,
     checks: Geometry,
-    paths: list[str] = FOLDERS,
-    opening: Opening,
+    paths: list[str] = options.FOLDERS,
+    opening: options.Opening,
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
     unit: str | None = mesh.UNIT,
     nozzle_mm: float | None = real(
         None, above=0, optional=True, shown="0.4", help="Nozzle of the printer: walls need two lines of it."
     ),
-    workers: int = WORKERS,
+    workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
     """Check each object of data sets, or of mesh files, as it is read back from disk.
@@ -146,7 +147,7 @@ def check_objects(
     sink: output.Sink,
     geometry: Geometry,
     paths: Sequence[str],
-    opening: Opening,
+    opening: options.Opening,
     split: str | None,
     limit: int | None,
     workers: int,
@@ -161,7 +162,7 @@ def check_objects(
         split = None
     with sink.progress("checking", geometry.nouns) as update:
         opened = partial(opening.open, sink)
-        workers = process_count(workers)
+        workers = options.process_count(workers)
         results = geometry.check(paths, split, limit, workers, opened=opened, on_progress=update)
     documents: JsonValue = [result.to_dict() for result in results]
     if verified is not None:

@@ -11,13 +11,11 @@ import env_assets
 from cli import application, checks, contents, exports, merge_and_split, options, output, upkeep
 from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import mesh
-from tactile_toolkit.checked_fields import text
-from tactile_toolkit.kind import lazy
+from tactile_toolkit import checked_fields, kind, mesh
 from tactile_toolkit.wording import with_count
 
 # Imported when it is called: it registers the environments, and imports numpy.
-_environment_ids = lazy("tactile_envs:ids")
+_environment_ids = kind.lazy("tactile_envs:ids")
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
 app = application.new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
@@ -28,7 +26,7 @@ def wrench(
     *,
     spec: WrenchSpec,
     out: Path = options.local_out_folder("wrench-data"),
-    stl: Path | None = text(
+    stl: Path | None = checked_fields.text(
         metavar="FILE",
         read=options.local_place,
         help="Also write the mesh for a printer: .stl, .3mf, .ply, .obj, .glb.",

@@ -11,12 +11,10 @@ from typing import Annotated
 import typer
 
 from cli import application, declared_options, options, output, runs
-from tactile_toolkit import catalog, exchange, places, printing, store
-from tactile_toolkit.checked_fields import choice, real, switch, text
+from tactile_toolkit import catalog, checked_fields, exchange, places, printing, quantities, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
@@ -28,7 +26,7 @@ _DOING = {True: "checking", False: "writing"}
 class ExportOptions:
     """Format and scale of exported files, and the size of build plates."""
 
-    file_format: str | None = choice(
+    file_format: str | None = checked_fields.choice(
         None,
         ("stl", "3mf", "ply", "obj", "glb", *printing.MODELS, "flat"),
         optional=True,
@@ -37,20 +35,20 @@ class ExportOptions:
         help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
         "Parquet tables with a row for each object, its mesh as GLB.",
     )
-    scale: float = real(1.0, help="Factor for all lengths.")
-    base_mm: float | None = real(
+    scale: float = checked_fields.real(1.0, help="Factor for all lengths.")
+    base_mm: float | None = checked_fields.real(
         None,
         above=0,
         optional=True,
         help="Put the upper half of each object on a base plate of this thickness, which prints without "
         "support.",
     )
-    plate: str | None = text(
+    plate: str | None = checked_fields.text(
         metavar="256x256|prusa-mk4",
         complete=tuple(printing.BEDS_MM),
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
-    calibration_plate: bool = switch(
+    calibration_plate: bool = checked_fields.switch(
         False,
         help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
         "pressed for `tactile-sim calibrate`.",
@@ -185,7 +183,7 @@ def _export_files(
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))
-    size = bytes_text(sum(file.bytes for file in made.files))
+    size = quantities.bytes_text(sum(file.bytes for file in made.files))
     if job.dry_run:
         count = with_count(len(made.files), f"{ending} files")
         sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
@@ -241,7 +239,8 @@ def _export_plates(
     if made.removed:
         sink.info(f"{removed} plates of an earlier export: {', '.join(made.removed)}")
     rows = [
-        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
+        (plate.file, plate.objects, f"{plate.share:.0%}", quantities.bytes_text(plate.bytes))
+        for plate in made.files
     ]
     sink.table(("plate", "objects", "share of the plate", "size"), rows)
     kept = _kept(sum(plate.state == "kept" for plate in made.files))

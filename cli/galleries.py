@@ -5,24 +5,16 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from cli.options import (
-    ANY_SET,
-    TOUCH_SET,
-    Job,
-    Opening,
-    local_out_folder,
-    process_count,
-)
-from cli.output import Sink
+from cli import options, output
 from realtouch.kind import KIND
 from tactile_toolkit import catalog, checked_fields, gallery, quantities
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.wording import with_count
 
 
-def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
+def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options.Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    nouns, workers = page.nouns[1], process_count(job.workers)
+    nouns, workers = page.nouns[1], options.process_count(job.workers)
     if job.dry_run:
         path = gallery.site_folder(page, str(out), overwrite=job.overwrite)
         items, splits = with_count(page.size, nouns), dict(page.splits)
@@ -53,12 +45,12 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
 def gallery_of_meshes(
     *,
     kind: DatasetKind,
-    name: str = ANY_SET,
-    opening: Opening,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
     chosen: catalog.RowFilter,
-    out: Path = local_out_folder("gallery"),
-    job: Job,
-    sink: Sink,
+    out: Path = options.local_out_folder("gallery"),
+    job: options.Job,
+    sink: output.Sink,
 ) -> None:
     """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
 
@@ -72,13 +64,13 @@ def gallery_of_meshes(
 def gallery_of_touches(
     *,
     kind: DatasetKind,
-    name: str = TOUCH_SET,
-    opening: Opening,
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
     chosen: catalog.RowFilter,
     touches: int = checked_fields.integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
-    out: Path = local_out_folder("gallery"),
-    job: Job,
-    sink: Sink,
+    out: Path = options.local_out_folder("gallery"),
+    job: options.Job,
+    sink: output.Sink,
 ) -> None:
     """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
 

@@ -12,23 +12,20 @@ from typing import Annotated
 import tactile_sim
 from cli import declared_options, options, output, runs
 from tactile_sim import SENSOR_NOISE, PairsSpec, TrainConfig, learning_specs
-from tactile_toolkit import run
-from tactile_toolkit.catalog import INCOMPLETE
-from tactile_toolkit.checked_fields import choice, integer, switch, text
-from tactile_toolkit.kind import lazy
+from tactile_toolkit import catalog, checked_fields, kind, run
 from tactile_toolkit.wording import with_count
 
 # Imported when they are called: they import torch, which takes seconds and is an extra.
-_train = lazy("tactile_sim.learned.training:train")
-_evaluate = lazy("tactile_sim.learned.evaluation:evaluate")
+_train = kind.lazy("tactile_sim.learned.training:train")
+_evaluate = kind.lazy("tactile_sim.learned.evaluation:evaluate")
 
 
 def pairs(
     *,
     objects: str = options.argument("DIGITS", "Digits or other meshes."),
-    real: str = text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
-    split: str = text("train", metavar="NAME", help="Split of both data sets."),
-    allow_incomplete: bool = INCOMPLETE,
+    real: str = checked_fields.text(MISSING, metavar="TOUCHES", help="Real touches: name or folder."),
+    split: str = checked_fields.text("train", metavar="NAME", help="Split of both data sets."),
+    allow_incomplete: bool = catalog.INCOMPLETE,
     out: str = options.out_folder("pairs"),
     spec: PairsSpec,
     making: options.Making,
@@ -49,16 +46,22 @@ def train(
     *,
     pairs: str = options.argument("PAIRS", "Folder that `tactile-sim pairs` made."),
     out: Path = options.local_out_folder("weights"),
-    config: Path | None = text(
+    config: Path | None = checked_fields.text(
         metavar="FILE",
         read=options.local_place,
         help="TOML file with values of fields of `TrainConfig`, such as crop = 1.0; options override it.",
     ),
     given: Annotated[declared_options.Given, declared_options.OptionsOf(TrainConfig)],
-    device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
-    deterministic: bool = switch(False, help="Make every run give the same weights, on the CPU."),
-    resume: bool = switch(False, help="Continue the training in the folder; an error if there is none."),
-    compiled: bool = switch(False, name="--compile", help="Compile the generators first; for GPUs."),
+    device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
+    deterministic: bool = checked_fields.switch(
+        False, help="Make every run give the same weights, on the CPU."
+    ),
+    resume: bool = checked_fields.switch(
+        False, help="Continue the training in the folder; an error if there is none."
+    ),
+    compiled: bool = checked_fields.switch(
+        False, name="--compile", help="Compile the generators first; for GPUs."
+    ),
     sink: output.Sink,
 ) -> None:
     """Train a CycleGAN: one generator of touches from depth, one of depth from touches.
@@ -96,17 +99,17 @@ def evaluate(
     weights: Path = options.argument(
         "WEIGHTS", "Folder that `tactile-sim train` wrote.", read=options.local_place
     ),
-    pairs: str = text(MISSING, metavar="PAIRS", help="Pairs that the training did not use."),
+    pairs: str = checked_fields.text(MISSING, metavar="PAIRS", help="Pairs that the training did not use."),
     out: Path = options.local_out_folder("evaluation"),
-    count: int = integer(2000, 1, help="Maximum number of images."),
-    taxim: bool = switch(True, help="Compare with Taxim (extra sim)."),
-    sensor_noise: str = text(
+    count: int = checked_fields.integer(2000, 1, help="Maximum number of images."),
+    taxim: bool = checked_fields.switch(True, help="Compare with Taxim (extra sim)."),
+    sensor_noise: str = checked_fields.text(
         "none",
         metavar=SENSOR_NOISE,
         help="Sensor noise that is added to all generated images, as for `generate --sensor-noise`.",
     ),
-    seed: int = integer(0, help="Random seed."),
-    device: str = choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
+    seed: int = checked_fields.integer(0, help="Random seed."),
+    device: str = checked_fields.choice("auto", ("auto", "cpu", "cuda"), help="Where to compute."),
     sink: output.Sink,
 ) -> None:
     """Measure trained weights on touches that the training did not use: a table and a sheet of images.

@@ -6,12 +6,10 @@ from functools import partial
 
 from cli import output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
-from tactile_toolkit import catalog, exchange
-from tactile_toolkit.checked_fields import integer, switch, text
+from tactile_toolkit import catalog, checked_fields, exchange, parsed_text
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.wording import with_count
 
 
@@ -21,7 +19,7 @@ def _given(chosen: catalog.RowFilter) -> JsonDict:
 
 def _fractions(words: str) -> tuple[float, ...]:
     try:
-        shares = tuple(map(float, comma_separated(words)))
+        shares = tuple(map(float, parsed_text.comma_separated(words)))
     except ValueError:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
@@ -36,10 +34,10 @@ def merge(
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
-    renumber: bool = switch(
+    renumber: bool = checked_fields.switch(
         False, help="Give rows with a repeated id a new one; the first row with an id keeps it."
     ),
-    source_column: str | None = text(
+    source_column: str | None = checked_fields.text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
     ),
     out: str = out_folder("merged"),
@@ -71,13 +69,13 @@ def split(
     name: str = ANY_SET,
     opening: Opening,
     out: str = out_folder("parts"),
-    fractions: tuple[float, ...] = text(
+    fractions: tuple[float, ...] = checked_fields.text(
         (),
         metavar="0.8,0.2",
         read=_fractions,
         help="Fractions of the rows of each split, one for each part.",
     ),
-    seed: int = integer(0, help="Random seed for --fractions."),
+    seed: int = checked_fields.integer(0, help="Random seed for --fractions."),
     chosen: catalog.RowFilter,
     work: Work,
     sink: output.Sink,

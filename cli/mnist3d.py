@@ -11,8 +11,7 @@ from cli import checks, declared_options, options, output, picture_prints, previ
 from cli.application import command, new_app, run as run_app
 from mnist3d import digit_options, published_splits, solid_spec
 from mnist3d.kind import KIND
-from tactile_toolkit import cards, catalog, places, run, store
-from tactile_toolkit.checked_fields import choice
+from tactile_toolkit import cards, catalog, checked_fields, places, run, store
 from tactile_toolkit.kind import DatasetKind, lazy
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
@@ -21,14 +20,16 @@ app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to val
 @command(app, asks_hub=False)
 def generate(
     *,
-    split: str | None = choice(
+    split: str | None = checked_fields.choice(
         None,
         (*published_splits.SPLITS, "all"),
         shown="all",
         help="Split to make. Without this option, the images of a folder are all in train.",
     ),
     out: str = options.out_folder("mnist3d-data"),
-    source: str = choice("synthetic", digit_options.SOURCES, help="Where the images come from."),
+    source: str = checked_fields.choice(
+        "synthetic", digit_options.SOURCES, help="Where the images come from."
+    ),
     images: Annotated[declared_options.Given, declared_options.OptionsOf(digit_options.SourceOptions)],
     division: published_splits.SplitSpec,
     per_class: int | None = catalog.PER_CLASS,

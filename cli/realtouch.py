@@ -23,11 +23,8 @@ from cli import (
 )
 from cli.touch_checks import check
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit import catalog, checked_fields, kind, places, quantities, store
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
 app = application.new_app(
@@ -35,7 +32,7 @@ app = application.new_app(
 )
 
 
-_calibrate_published = lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
+_calibrate_published = kind.lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
 
 # How thoroughly `verify` checked images, by --quick.
 _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
@@ -49,7 +46,7 @@ def load(
     name: str = options.TOUCH_SET,
     split: str | None = catalog.ONE_SPLIT,
     opening: options.Opening,
-    check: bool = switch(True, help="Check every round and the headers of its images."),
+    check: bool = checked_fields.switch(True, help="Check every round and the headers of its images."),
     sink: output.Sink,
 ) -> None:
     """Download missing files, check the data set, and print a summary.
@@ -120,7 +117,7 @@ def verify(
     name: str = options.TOUCH_SET,
     split: str | None = catalog.SPLIT,
     opening: options.Opening,
-    quick: bool = switch(False, help="Read only the headers of images; decode none."),
+    quick: bool = checked_fields.switch(False, help="Read only the headers of images; decode none."),
     workers: int = options.WORKERS,
     sink: output.Sink,
 ) -> None:
@@ -155,12 +152,12 @@ def reproduce(
     *,
     name: str = options.TOUCH_SET,
     opening: options.Opening,
-    calibrate: Path | None = text(
+    calibrate: Path | None = checked_fields.text(
         metavar="DIR",
         read=options.local_place,
         help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
     ),
-    solids: str = text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
+    solids: str = checked_fields.text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
     sink: output.Sink,
 ) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
@@ -216,7 +213,7 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
     rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
+        ("touches", f"{summary.touches:,} ({quantities.least_to_most(summary.touches_per_round)} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
@@ -231,12 +228,12 @@ def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) ->
 
 
 _convert = partial(touch_conversions.add_conversion, app)
-_convert("clips-to-images", touch_conversions.ClipsToImages, lazy("realtouch:clips_to_images"))
-_convert("resize", touch_conversions.Resize, lazy("realtouch:resize"))
-_convert("depth", touch_conversions.Depth, lazy("realtouch:add_depth"))
-_convert("frames", touch_conversions.Frames, lazy("realtouch:frames"), nouns="touches")
-_convert("select", touch_conversions.Select, lazy("realtouch:select"))
-_convert("export", touch_conversions.Export, lazy("realtouch:export"), nouns="rows")
+_convert("clips-to-images", touch_conversions.ClipsToImages, kind.lazy("realtouch:clips_to_images"))
+_convert("resize", touch_conversions.Resize, kind.lazy("realtouch:resize"))
+_convert("depth", touch_conversions.Depth, kind.lazy("realtouch:add_depth"))
+_convert("frames", touch_conversions.Frames, kind.lazy("realtouch:frames"), nouns="touches")
+_convert("select", touch_conversions.Select, kind.lazy("realtouch:select"))
+_convert("export", touch_conversions.Export, kind.lazy("realtouch:export"), nouns="rows")
 application.command(app, "import")(touch_imports.import_touches)
 application.command(app)(check)
 _left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))

@@ -11,11 +11,9 @@ from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, mesh, places, run, store
-from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit import catalog, checked_fields, mesh, places, quantities, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import least_to_most
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -25,15 +23,15 @@ app = new_app(
 @command(app, asks_hub=False)
 def generate(
     *,
-    split: str = choice("all", ("train", "test", "all"), help="Split to make."),
+    split: str = checked_fields.choice("all", ("train", "test", "all"), help="Split to make."),
     out: str = options.out_folder("starstruck-data"),
-    scenes: tuple[tuple[str, int], ...] | None = text(
+    scenes: tuple[tuple[str, int], ...] | None = checked_fields.text(
         metavar="N|train=N,test=N",
         read=scene_counts,
         help="Scenes of each split instead of the published 3,000 and 300.",
     ),
     scene: SceneOptions,
-    seed: int = integer(0, help="Random seed."),
+    seed: int = checked_fields.integer(0, help="Random seed."),
     limit: int | None = catalog.LIMIT,
     making: options.Making,
     sink: output.Sink,
@@ -62,7 +60,7 @@ def _print_made(
 ) -> None:
     found = starstruck_gen.summarise(manifest)
     rows = [
-        (split, least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
+        (split, quantities.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
         for split, each in found.items()
     ]
     splits = [

@@ -10,8 +10,7 @@ import typer
 
 import realtouch
 from cli import application, options, output
-from realtouch.finding import MOST_NAMED
-from realtouch.touch_options import CheckLimits
+from realtouch import finding, touch_options
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
@@ -28,7 +27,7 @@ def check(
     name: str = options.TOUCH_SET,
     split: str | None = catalog.SPLIT,
     opening: options.Opening,
-    limits: CheckLimits,
+    limits: touch_options.CheckLimits,
     drawn: Path | None = text(
         name="--pictures",
         metavar="DIR",
@@ -95,7 +94,7 @@ def _report(
     for each in findings:
         sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
         named = ", ".join(each.touches)
-        if len(each.touches) == MOST_NAMED:
+        if len(each.touches) == finding.MOST_NAMED:
             named = f"{named}, ..."
         if each.count:
             sink.warn(f"  {with_count(each.count, 'touches')}: {named}")

@@ -11,12 +11,10 @@ import typer
 from cli import application, declared_options, output, runs
 from cli.options import TOUCH_SET, Opening, Work, out_folder
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit import catalog, checked_fields, places, store, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import contact_height_option, size_option
 
-_FRAME = choice(
+_FRAME = checked_fields.choice(
     "contact_end",
     ("contact_end", "contact_start", "peak", "best"),
     help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
@@ -49,8 +47,10 @@ class Resize(_Options):
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
 
-    size: tuple[int, int] = size_option(MISSING)
-    quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
+    size: tuple[int, int] = touch.size_option(MISSING)
+    quality: int = checked_fields.integer(
+        95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
+    )
 
     def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion; width and height are separate."""
@@ -67,8 +67,10 @@ class Depth(_Options):
     Example: realtouch depth recordings --sensor my-sensor --out depths
     """
 
-    sensor: str = text(MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote.")
-    fast: bool = switch(False, help="Read ten times as fast, with about twice the error.")
+    sensor: str = checked_fields.text(
+        MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote."
+    )
+    fast: bool = checked_fields.switch(False, help="Read ten times as fast, with about twice the error.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,14 +82,14 @@ class Frames(_Options):
     Example: realtouch frames real-seq --frame best --difference grey --out changes
     """
 
-    kind: str = choice(
+    kind: str = checked_fields.choice(
         "png",
         ("png", "jpeg"),
         name="--format",
         help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
     )
     frame: str = _FRAME
-    difference: str | None = choice(
+    difference: str | None = checked_fields.choice(
         None,
         ("grey", "absolute"),
         optional=True,
@@ -103,9 +105,9 @@ class Select(_Options):
     Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
     """
 
-    contact: bool = switch(False, help="Only touches in contact with an object.")
-    min_height_mm: float | None = contact_height_option()
-    recalibrate_z: bool = switch(
+    contact: bool = checked_fields.switch(False, help="Only touches in contact with an object.")
+    min_height_mm: float | None = touch.contact_height_option()
+    recalibrate_z: bool = checked_fields.switch(
         True,
         name="--recalibrate/--as-recorded",
         help="Take the deepest touch of each round as the height of the plate, if that is not known.",
@@ -139,7 +141,7 @@ class Export(_Options):
     Example: realtouch export real-seq --split train --format lerobot --out robots
     """
 
-    layout: str = choice(
+    layout: str = checked_fields.choice(
         MISSING,
         ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"),
         name="--format",

@@ -8,10 +8,8 @@ from functools import partial
 import realtouch
 from cli import declared_options, output, runs
 from cli.options import Making, argument, out_folder
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
+from realtouch import alignment_options, import_columns, touch_options
 from realtouch.kind import KIND
-from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, LEFT_OUT, STREAM_HEADER, STREAMS
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
@@ -38,19 +36,19 @@ def import_touches(
     source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
     file_format: str | None = choice(
         None,
-        IMPORT_LAYOUTS,
+        touch_options.IMPORT_LAYOUTS,
         optional=True,
         name="--format",
         help="Format of the source; by default it is recognised by its content.",
     ),
     out: str = out_folder(),
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
     mapped: list[str] | None = _MAPPED,
     table: str | None = text(
         metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
     ),
     streams: list[str] | None = _STREAMS,
-    alignment: Alignment,
+    alignment: alignment_options.Alignment,
     cut: str | None = text(
         metavar="frames|whole|contact|FILE",
         help="How a recording becomes touches: each picture, the whole, by contact, or as a table says.",
@@ -107,7 +105,7 @@ def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) 
     rows = [(name, *(touch.get(name, "") for touch in found.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
     if found.streams:
-        sink.table(STREAM_HEADER, found.streams)
+        sink.table(touch_options.STREAM_HEADER, found.streams)
     if found.left_out:
         sink.table(("left out because of", "touches", "the first"), found.left_out)
 
@@ -120,13 +118,13 @@ def _print_imported(
         sink.info(f"pictures: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
-    if STREAMS in manifest.spec:
-        sink.table(STREAM_HEADER, manifest.spec[STREAMS])
-    if LEFT_OUT in manifest.spec:
-        sink.info(f"not read: {', '.join(manifest.spec[LEFT_OUT])}")
+    if touch_options.STREAMS in manifest.spec:
+        sink.table(touch_options.STREAM_HEADER, manifest.spec[touch_options.STREAMS])
+    if touch_options.LEFT_OUT in manifest.spec:
+        sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
     runs.print_left_out(sink, manifest)
     counted = store.add_up(list(manifest.statistics().values()))
-    for note, count in counted.get(CLIPS, {}).items():
+    for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
     fields = counted.get(realtouch.NOT_IMPORTED, {})
     if fields:

@@ -12,9 +12,7 @@ import numpy as np
 from mnist3d import digit_dataset, digit_options, ink, solid
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.picture_files import ENDINGS, pages_of
-from mnist3d.sources.picture_levels import read_picture
-from mnist3d.sources.source_choice import source_again
+from mnist3d.sources import picture_files, picture_levels, source_choice
 from tactile_toolkit import catalog, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -52,7 +50,7 @@ def is_picture_or_mesh(name: str) -> bool:
     if store.is_remote(name):
         return False
     path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
 
 
 def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
@@ -78,13 +76,13 @@ def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.Pict
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
     """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
-    pages, drawings = pages_of(path), []
+    pages, drawings = picture_files.pages_of(path), []
     for number, page in enumerate(pages, 1):
         file, title = f"{stem}-steps.png", path.name
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(read_picture(path, page=page, whole=True))
+        pixels = ink.fit(picture_levels.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 
@@ -102,7 +100,7 @@ def _plan_steps(
     with catalog.specification_read(opened.name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_again(opened.made_by["source"], **given)
+        source = source_choice.source_again(opened.made_by["source"], **given)
         solid_spec = SolidSpec(**opened.made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:

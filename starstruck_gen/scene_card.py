@@ -10,10 +10,9 @@ from itertools import islice
 import numpy as np
 
 from starstruck_gen import acceptance, kind, placement, scene_drawing, scene_rows, scene_spec
-from tactile_toolkit import cards, pictures, store
+from tactile_toolkit import cards, pictures, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.shown_text import markdown_text
 from tactile_toolkit.wording import with_count
 
 _SCENES_SHOWN = 12
@@ -80,7 +79,7 @@ def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(map(markdown_text, spec.class_names)),
+        "classes": ", ".join(map(shown_text.markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",

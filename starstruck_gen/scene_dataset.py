@@ -6,10 +6,9 @@ import numpy as np
 
 from starstruck_gen import kind, placement, scene_drawing
 from starstruck_gen.scene import Scene
-from tactile_toolkit import mesh, pictures, places, read
+from tactile_toolkit import mesh, pictures, places, read, touch
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import with_count
 
 
@@ -86,7 +85,7 @@ class SceneRecord(mesh.SolidRecord):
 
     def _drawn(self, px_per_mm: float) -> UInt8:
         # A record does not know its specification; most scenes have the published cell.
-        return np.asarray(scene_drawing.draw_scene(self.placements, CELL_M, px_per_mm))
+        return np.asarray(scene_drawing.draw_scene(self.placements, touch.CELL_M, px_per_mm))
 
 
 class SceneMeshDataset(read.RecordDataset[SceneRecord]):

@@ -6,22 +6,20 @@ import numpy as np
 import pyarrow as pa
 
 from starstruck_gen import kind, prisms, scene_dataset, scene_drawing, scene_rows
-from tactile_toolkit import catalog, gallery, places
+from tactile_toolkit import catalog, gallery, places, rows, touch
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.mesh import MM_PER_M, Mesh, PrintReport
-from tactile_toolkit.rows import Column, columns, with_role
-from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import with_count
 
 _ROWS_PER_TASK = 32
 _OPAQUE_FROM = 150  # each object is at least this many levels darker than the plate
 
 _SHOWN = (
-    *with_role(scene_rows.SceneRow, "facet", "measure"),
-    Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
-    Column(pa.int64(), name="objects", role="measure", title="Objects"),
-    Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
-    *(columns(PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
+    *rows.with_role(scene_rows.SceneRow, "facet", "measure"),
+    rows.Column(pa.list_(pa.string()), name="shapes", role="facet", title="Shapes"),
+    rows.Column(pa.int64(), name="objects", role="measure", title="Objects"),
+    rows.Column(pa.int64(), name="positions", role="measure", title="Positions drawn"),
+    *(rows.columns(PrintReport)[name] for name in ("volume_mm3", "vertices", "faces")),
 )
 
 
@@ -91,7 +89,7 @@ def _thumbnail(record: scene_dataset.SceneRecord) -> bytes:
         return gallery.relief_thumbnail(record.vertices_m, record.faces)
     # Twice the distance of the farthest corner, and a margin.
     reach_m = 2.05 * np.abs(record.vertices_m[:, :2]).max(axis=0)
-    width_m, depth_m = (max(cell, float(side)) for cell, side in zip(CELL_M, reach_m, strict=True))
+    width_m, depth_m = (max(cell, float(side)) for cell, side in zip(touch.CELL_M, reach_m, strict=True))
     px_per_mm = gallery.THUMBNAIL_PX / (max(width_m, depth_m) * MM_PER_M)
     return gallery.thumbnail(
         np.asarray(scene_drawing.draw_scene(record.placements, (width_m, depth_m), px_per_mm)), _OPAQUE_FROM

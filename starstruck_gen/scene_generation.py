@@ -12,8 +12,7 @@ import pyarrow as pa
 
 from starstruck_gen import acceptance, rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
 from starstruck_gen.kind import KIND
-from tactile_toolkit import generation, store
-from tactile_toolkit.checked_fields import check_fields, integer, split_counts
+from tactile_toolkit import checked_fields, generation, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
@@ -70,12 +69,12 @@ class SceneSetSpec:
 
     scene: scene_spec.SceneSpec = field(default_factory=scene_spec.SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
-    seed: int = integer(0)
-    limit: int | None = integer(None, 1, optional=True)
+    seed: int = checked_fields.integer(0)
+    limit: int | None = checked_fields.integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the data set's specification")
-        scenes = split_counts(
+        checked_fields.check_fields(self, "the data set's specification")
+        scenes = checked_fields.split_counts(
             self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MOST_SCENES
         )
         object.__setattr__(self, "scenes", scenes)

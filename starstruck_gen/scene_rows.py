@@ -8,8 +8,7 @@ from functools import cache
 import pyarrow as pa
 
 from starstruck_gen import kind, placement, scene_seeds
-from tactile_toolkit import mesh, store
-from tactile_toolkit.rows import column, row
+from tactile_toolkit import mesh, rows, store
 
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=1_000,
@@ -38,22 +37,22 @@ _OBJECTS = (
 _SEED = "seed of the scene: with the specification and the star count it makes the scene again"
 
 
-@row
+@rows.row
 class SceneRow(mesh.MeshRow):
     """One scene."""
 
-    id: int = column(pa.int64(), "", _IDS)
-    label: int = column(pa.int64(), "", "the class, named by the number of stars")
-    star_count: int = column(pa.int64(), "", "number of stars", role="facet", title="Stars")
-    distractor_count: int = column(
+    id: int = rows.column(pa.int64(), "", _IDS)
+    label: int = rows.column(pa.int64(), "", "the class, named by the number of stars")
+    star_count: int = rows.column(pa.int64(), "", "number of stars", role="facet", title="Stars")
+    distractor_count: int = rows.column(
         pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
     )
-    placements: Sequence[placement.Placement] = column(
+    placements: Sequence[placement.Placement] = rows.column(
         _PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS
     )
-    seed: int = column(pa.int64(), "", _SEED)
-    attempts: Sequence[int] = column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
-    restarts: int = column(
+    seed: int = rows.column(pa.int64(), "", _SEED)
+    attempts: Sequence[int] = rows.column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
+    restarts: int = rows.column(
         pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
     )
 

@@ -9,11 +9,9 @@ from itertools import pairwise
 
 from starstruck_gen import prisms, shape_kinds
 from starstruck_gen.shapes import Shape
-from tactile_toolkit.builtin_values import is_integer, to_builtin
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real
+from tactile_toolkit import builtin_values, checked_fields, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.touch import CELL_M
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
@@ -67,21 +65,21 @@ class SceneSpec:
         A value cannot be used; the message names the field, what was found and what was expected.
     """
 
-    cell_m: tuple[float, float] = real(CELL_M, 0, _LARGEST_CELL_M, many=2)
-    padding_m: tuple[float, float] = real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
+    cell_m: tuple[float, float] = checked_fields.real(touch.CELL_M, 0, _LARGEST_CELL_M, many=2)
+    padding_m: tuple[float, float] = checked_fields.real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
     stars: tuple[int, ...] = (1, 2, 3)
     distractors: tuple[int, int] = (0, 5)
     star: Shape = _PUBLISHED_STAR
     distractor_shapes: tuple[Shape, ...] = _PUBLISHED_DISTRACTORS
     heights_m: tuple[float, ...] = (0.005,)
-    rotation_rad: float = real(math.tau, 0, math.tau)
-    collision: str = choice("circles", COLLISION_RULES)
-    clearance_m: float = real(0.0, 0, _LARGEST_CELL_M)
-    attempts: int = integer(100, 1)
-    restarts: int = integer(1_000)
+    rotation_rad: float = checked_fields.real(math.tau, 0, math.tau)
+    collision: str = checked_fields.choice("circles", COLLISION_RULES)
+    clearance_m: float = checked_fields.real(0.0, 0, _LARGEST_CELL_M)
+    attempts: int = checked_fields.integer(100, 1)
+    restarts: int = checked_fields.integer(1_000)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the scene specification")
+        checked_fields.check_fields(self, "the scene specification")
         # One type for each value, so that equal specifications have equal JSON.
         for name, kind in (
             ("stars", int),
@@ -89,12 +87,17 @@ class SceneSpec:
             ("distractor_shapes", int),
             ("heights_m", float),
         ):
-            value = to_builtin(getattr(self, name), kind)
+            value = builtin_values.to_builtin(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
-        fits = bool(stars) and is_integer(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
+        fits = (
+            bool(stars)
+            and builtin_values.is_integer(*stars)
+            and stars[0] >= 0
+            and all(a < b for a, b in pairwise(stars))
+        )
         self._require("stars", fits, "integers from 0, each larger than the one before")
-        fits = len(self.distractors) == 2 and is_integer(*self.distractors)
+        fits = len(self.distractors) == 2 and builtin_values.is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS

@@ -18,9 +18,8 @@ from starstruck_gen import (
     scene_seeds,
     scene_spec,
 )
-from tactile_toolkit import mesh, read
+from tactile_toolkit import checked_fields, mesh, read
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.rows import table_of
 
 DEFAULT_SIZE = 300_000
@@ -191,8 +190,8 @@ class SceneDataset(scene_dataset.SceneMeshDataset):
         seed: int = 0,
     ) -> None:
         spec = spec or scene_spec.SceneSpec()
-        size = checked_integer(size, "size", 0, scene_seeds.MOST_SCENES)
-        seed = checked_integer(seed, "seed")
+        size = checked_fields.checked_integer(size, "size", 0, scene_seeds.MOST_SCENES)
+        seed = checked_fields.checked_integer(seed, "seed")
         scene_seeds.scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(
             read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names

@@ -21,9 +21,8 @@ from env_assets import (
     meshes_at,
     require_fitting_meshes,
 )
+from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
-from tactile_envs.env_specs import EnvSpec
-from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.quantities import duration_text
@@ -43,7 +42,7 @@ _BEGUN: set[tuple[str, str, str]] = set()
 
 
 def open_objects(
-    spec: EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
+    spec: env_specs.EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
 ) -> Objects:
     """Open the objects of an environment with its settings, turned onto their broadest sides if these say so.
 
@@ -64,7 +63,7 @@ def open_objects(
         records = replace(MeshView.of(records), flat=True)
     require_fitting_meshes(MeshView.of(records), kind, where, config.cell_size)
     may_begin = may_begin and len(records) > _MANY
-    if may_begin and isinstance(records, RecordDataset) and not MeshPool.is_kept(records):
+    if may_begin and isinstance(records, RecordDataset) and not mesh_pool.MeshPool.is_kept(records):
         return _packed_meanwhile(records)
     return records
 
@@ -75,7 +74,7 @@ def _packed_meanwhile(records: AnyRecords) -> mesh_view.PlannedView:
     if key not in _BEGUN:
         _BEGUN.add(key)
         _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
-        run.start_background(MeshPool.of, records)
+        run.start_background(mesh_pool.MeshPool.of, records)
     return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
@@ -84,7 +83,7 @@ def _same(records: AnyRecords) -> AnyRecords:
 
 
 def _records(
-    spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None, *, may_begin: bool
+    spec: env_specs.EnvSpec, assets: str | PathLike[str] | None, unit: str | None, *, may_begin: bool
 ) -> Objects:
     name, split = spec.assets, spec.split
     if assets is None or assets == PUBLISHED:
@@ -155,4 +154,4 @@ def _say(text: str) -> None:
 def _make_set(provider: AssetProvider, name: str, split: str) -> None:
     """Make a set, and pack its meshes for the environments that wait for it."""
     if not provider.is_being_made(name):
-        MeshPool.of(provider.meshes(name, split))
+        mesh_pool.MeshPool.of(provider.meshes(name, split))

@@ -10,28 +10,31 @@ import pyarrow as pa
 
 from env_assets.wrench import shape, wrench_spec
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import cards, generation, pictures, store
+from tactile_toolkit import cards, generation, pictures, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
-from tactile_toolkit.rows import column, meanings, row
 
 # Side of a pixel of the picture: the default wrench of 157.5 mm is 790 pixels long.
 _PITCH_M = 0.0002
 
 
-@row
+@rows.row
 class WrenchRow(MeshRow):
     """One wrench; columns in mm and degrees are lengths of its specification."""
 
-    id: int = column(pa.int64(), "", "0")
-    label: int = column(pa.int64(), "", "the one class")
-    volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
-    opening_mm: float = column(pa.float64(), "mm", "width across flats of the nut that the first jaw takes")
-    second_opening_mm: float = column(pa.float64(), "mm", "the same of the second jaw")
-    length_mm: float = column(pa.float64(), "mm", "between the outermost points of the circles of both ends")
-    thickness_mm: float = column(pa.float64(), "mm", "height")
-    jaw_angle_deg: float = column(pa.float64(), "degrees", "between handle and jaws")
+    id: int = rows.column(pa.int64(), "", "0")
+    label: int = rows.column(pa.int64(), "", "the one class")
+    volume_m3: float = rows.column(pa.float64(), "m³", "enclosed volume")
+    opening_mm: float = rows.column(
+        pa.float64(), "mm", "width across flats of the nut that the first jaw takes"
+    )
+    second_opening_mm: float = rows.column(pa.float64(), "mm", "the same of the second jaw")
+    length_mm: float = rows.column(
+        pa.float64(), "mm", "between the outermost points of the circles of both ends"
+    )
+    thickness_mm: float = rows.column(pa.float64(), "mm", "height")
+    jaw_angle_deg: float = rows.column(pa.float64(), "degrees", "between handle and jaws")
 
 
 def wrench_schema(_manifest: object = None) -> pa.Schema:
@@ -133,7 +136,7 @@ def wrench_facts(spec: wrench_spec.WrenchSpec, report: PrintReport) -> JsonDict:
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
-    columns, title = meanings(WrenchRow), "Open-end wrench"
+    columns, title = rows.meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):
         terms = {
             "licence_text": "MIT, as the toolkit.",
