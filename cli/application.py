@@ -142,9 +142,7 @@ def run(app: typer.Typer) -> None:
         os.set_inheritable(handle, True)
     os.close(handle)
     output = Output(sys.stdout)
-    # They behave as streams of text, as far as anything is printed.
-    streams = (redirect_stdout(output), redirect_stderr(Output(sys.stderr)))
-    with streams[0], streams[1]:
+    with redirect_stdout(output), redirect_stderr(Output(sys.stderr)):
         try:
             _dispatch(app)
         except (MemoryError, ImportError, OSError) as error:

@@ -134,7 +134,7 @@ def download_mnist(root: str) -> None:
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
         return
     with needs_extra("Downloading MNIST", "torchvision", "torch"):
-        from torchvision.datasets import MNIST
+        from torchvision.datasets import MNIST  # an extra, which takes seconds to import
     try:
         # torchvision writes to stdout, which belongs to the results of a command.
         with redirect_stdout(sys.stderr):
