@@ -98,12 +98,9 @@ def _print_made(
     runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows)
 
 
-for _command in (
-    touch_rendering.render,
-    learned_sensors.pairs,
-    learned_sensors.train,
-    learned_sensors.evaluate,
-):
+command(app)(touch_rendering.render)
+command(app)(learned_sensors.pairs)
+for _command in (learned_sensors.train, learned_sensors.evaluate, calibration.calibrate, sensor_twins.check):
     command(app)(_command)
 command(app)(calibration.calibrate)
 command(app)(sensor_twins.check)
