@@ -102,8 +102,6 @@ command(app)(touch_rendering.render)
 command(app)(learned_sensors.pairs)
 for _command in (learned_sensors.train, learned_sensors.evaluate, calibration.calibrate, sensor_twins.check):
     command(app)(_command)
-command(app)(calibration.calibrate)
-command(app)(sensor_twins.check)
 shared.add_shared(
     app,
     KIND,
