@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Literal
 
-from mnist3d.ink import bridges, cleaning, photographs, refusals
+from mnist3d.ink.bridges import join_bodies
+from mnist3d.ink.cleaning import clean
 from mnist3d.ink.grey_levels import (
     PAPER_SHARE,
     SMALL_PX,
@@ -14,6 +15,8 @@ from mnist3d.ink.grey_levels import (
     otsu_threshold,
     require_paper_around,
 )
+from mnist3d.ink.photographs import even_out, is_clean
+from mnist3d.ink.refusals import refuse
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import AnyArray, Bool, UInt8
 from tactile_toolkit.errors import InputError
@@ -61,8 +64,8 @@ def ink_levels(
     levels = as_levels(pixels)
     if ink == "auto" and threshold is not None:
         ink = "dark"
-    elif ink == "auto" and not photographs.is_clean(levels):
-        levels, ink = photographs.even_out(levels, whole=whole), "dark"
+    elif ink == "auto" and not is_clean(levels):
+        levels, ink = even_out(levels, whole=whole), "dark"
     return dark_on_light(levels, ink)
 
 
@@ -71,7 +74,7 @@ def require_large(levels: UInt8, spec: SolidSpec) -> None:
     if max(levels.shape) < SMALL_PX:
         height_px, width_px = levels.shape
         size_mm = max(height_px, width_px) * spec.pixel_pitch_mm
-        refusals.refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
+        refuse("too-small", width_px, height_px, size_mm, SMALL_PX)
 
 
 def cleaned_ink(levels: UInt8, spec: SolidSpec, threshold: float | None = None) -> Bool:
@@ -79,11 +82,9 @@ def cleaned_ink(levels: UInt8, spec: SolidSpec, threshold: float | None = None) 
 
     ``spec.threshold`` is used if it is given, then ``threshold``, then Otsu's.
     """
-    mask = cleaning.clean(
-        ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec
-    )
+    mask = clean(ink_of_levels(levels, threshold if spec.threshold is None else spec.threshold), spec)
     if spec.join_bodies:
-        mask = bridges.join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
+        mask = join_bodies(mask, spec.bridge_width_mm / spec.pixel_pitch_mm)
     return mask
 
 
@@ -96,13 +97,13 @@ def ink_of_levels(levels: UInt8, threshold: float | None = None) -> Bool:
     darkest = int(levels.min())
     if threshold is None:
         if darkest == levels.max():
-            refusals.refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
+            refuse("no-ink" if darkest > 127 else "all-ink", darkest, sentence="one-level")
         threshold = otsu_threshold(levels)
     mask = levels <= threshold
     if not mask.any():
-        refusals.refuse("no-ink")
+        refuse("no-ink")
     paper = float(1 - margin(mask).mean())
     if mask.all() or paper <= 1 - PAPER_SHARE:
-        refusals.refuse("all-ink", 1 - paper, PAPER_SHARE)
+        refuse("all-ink", 1 - paper, PAPER_SHARE)
     require_paper_around(mask)
     return mask

@@ -12,8 +12,9 @@ import math
 import numpy as np
 from scipy import ndimage
 
-from mnist3d import compiled_loops, solid_spec
+from mnist3d.compiled_loops import runs_of
 from mnist3d.ink.refusals import refuse
+from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit import mesh
 from tactile_toolkit.array_types import Bool, Int64
 
@@ -23,7 +24,7 @@ CONTACT_PX = 3
 _CORNERS_CONNECT = np.ones((3, 3), dtype=bool)
 
 
-def clean(mask: Bool, spec: solid_spec.SolidSpec) -> Bool:
+def clean(mask: Bool, spec: SolidSpec) -> Bool:
     """Remove specks and pinholes, and repair corner contacts, so that 4- and 8-connectivity agree.
 
     Specks that touch a stroke by a few pixels are removed, too: they would become fins that no printer makes.
@@ -78,7 +79,7 @@ def _without_small(mask: Bool, min_px: float, *, first_stays: bool = False) -> B
 
 def _pieces(mask: Bool) -> tuple[Int64, Int64]:
     """Return the runs of marked pixels, (row, begin, end) each, and for each the first run of its piece."""
-    runs, touching = compiled_loops.runs_of(mask)
+    runs, touching = runs_of(mask)
     return runs, mesh.connected(touching[:, 0], touching[:, 1], len(runs))
 
 

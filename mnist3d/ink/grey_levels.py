@@ -18,7 +18,7 @@ PAPER_SHARE = 0.75
 """Least share of the margin of an image that is paper; the margin is 1/50 of the shorter side wide."""
 
 MOST_INK = 0.5
-"""Ink that covers more of an image than this share surrounds its page, and is not a digit."""
+"""Ink that covers more of an image than this share surrounds its page, and is no digit."""
 
 MOST_BORDER = 0.05
 """Ink that touches more of the border of an image than this share is cut off, or not ink at all."""

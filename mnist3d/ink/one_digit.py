@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy import ndimage
 
-from mnist3d.ink import reflectance, refusals
+from mnist3d.ink.reflectance import Ink
+from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
 
 _RIM, _SPECK, _DOT = 0.05, 0.02, 0.005
@@ -26,7 +27,7 @@ NEAR_PX = 2
 """Width of the grey edges of ink, pixels."""
 
 
-def find_one_digit(mask: Bool, inside: Bool, found: reflectance.Ink) -> Bool:
+def find_one_digit(mask: Bool, inside: Bool, found: Ink) -> Bool:
     """Return the ink of the one digit.
 
     Raises ItemError ``no-ink``, ``several-digits``, ``cut-off`` or ``not-a-digit``.
@@ -37,7 +38,7 @@ def find_one_digit(mask: Bool, inside: Bool, found: reflectance.Ink) -> Bool:
     # Ink along the rim only is the border of a scan.
     possible &= pieces.farthest > _RIM * max(mask.shape)
     if not possible.any():
-        refusals.refuse("no-ink", sentence="empty-page")
+        refuse("no-ink", sentence="empty-page")
     main = int(np.where(possible, np.bincount(piece)[1:], 0).argmax())
     stroke = float(np.percentile(depth[labels == main + 1], 90))
     possible &= pieces.spans >= _PART * pieces.spans[main]
@@ -47,17 +48,17 @@ def find_one_digit(mask: Bool, inside: Bool, found: reflectance.Ink) -> Bool:
     groups = ndimage.maximum(ndimage.label(away <= _GAP / 2 * spans[main])[0][mask], piece, numbers)
     digits = np.unique(groups[possible & (spans >= _OTHER * spans[main])])
     if len(digits) > 1:
-        refusals.refuse("several-digits", len(digits))
+        refuse("several-digits", len(digits))
     digit = np.isin(labels, numbers[possible & (groups == groups[main])])
     if pieces.from_rim[digit].min() <= NEAR_PX:
-        refusals.refuse("cut-off")
+        refuse("cut-off")
     _check(digit, float(depth[digit].max()), inside)
     if np.percentile(pieces.slopes[digit & pieces.edges], 10) < _SOFT:
-        refusals.refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
+        refuse("not-a-digit", "ink with partly blurred edges", "sharp edges, as of a pen")
     return digit
 
 
-def find_drawing(mask: Bool, inside: Bool, found: reflectance.Ink) -> Bool:
+def find_drawing(mask: Bool, inside: Bool, found: Ink) -> Bool:
     """Return all ink with sharp edges, except the border of a scan and specks.
 
     Raises ItemError ``no-ink``, or ``cut-off`` if ink reaches the edge of the page.
@@ -68,10 +69,10 @@ def find_drawing(mask: Bool, inside: Bool, found: reflectance.Ink) -> Bool:
     nearest = ndimage.minimum(pieces.from_rim[mask], pieces.piece, pieces.numbers)
     kept &= (pieces.farthest > _RIM * max(mask.shape)) | (nearest > NEAR_PX)
     if not kept.any():
-        refusals.refuse("no-ink", sentence="empty-page")
+        refuse("no-ink", sentence="empty-page")
     drawing = np.isin(pieces.labels, pieces.numbers[kept])
     if pieces.from_rim[drawing].min() <= NEAR_PX:
-        refusals.refuse("cut-off", sentence="drawing-cut-off")
+        refuse("cut-off", sentence="drawing-cut-off")
     return drawing
 
 
@@ -94,11 +95,11 @@ class _Pieces(NamedTuple):
     edges: Bool
 
     @classmethod
-    def of(cls, mask: Bool, inside: Bool, found: reflectance.Ink) -> _Pieces:
+    def of(cls, mask: Bool, inside: Bool, found: Ink) -> _Pieces:
         """Find the pieces; ItemError ``no-ink`` if there are none."""
         labels, count = ndimage.label(mask, np.ones((3, 3)))
         if not count:
-            refusals.refuse("no-ink", sentence="empty-page")
+            refuse("no-ink", sentence="empty-page")
         numbers, piece = np.arange(1, count + 1), labels[mask]
         depth = np.asarray(ndimage.distance_transform_edt(mask))
         from_rim = ndimage.distance_transform_cdt(np.pad(inside, 1))[1:-1, 1:-1]
@@ -124,4 +125,4 @@ def _check(digit: Bool, depth_px: float, inside: Bool) -> None:
         (thick <= _BLOB, f"ink as thick as {thick:.0%} of its length", f"at most {_BLOB:.0%}"),
     ):
         if not fits:
-            refusals.refuse("not-a-digit", what, expected)
+            refuse("not-a-digit", what, expected)
