@@ -8,7 +8,8 @@ import numpy as np
 
 from tactile_envs.config import Config
 from tactile_envs.toucher import SensorReadings
-from tactile_sim import make_optics, pressing
+from tactile_sim import make_optics
+from tactile_sim.pressing import depth_image
 from tactile_toolkit.array_types import Float32, Floating, Int64
 
 OPTICS = {"depth": "depth", "taxim": "taxim", "cycle_gan": "cyclegan"}
@@ -55,7 +56,7 @@ class Camera:
         """Show depth maps (k, h, w), metres, wherever a touch presses the gel in less than they do."""
         self._behind = bases_m
         if not self.sees_depth:
-            self._behind = pressing.depth_image(bases_m.astype(np.float64), self.sensor)
+            self._behind = depth_image(bases_m.astype(np.float64), self.sensor)
 
     @property
     def bases(self) -> int:

@@ -7,7 +7,9 @@ import numpy as np
 from tactile_envs.config import Config
 from tactile_envs.motion import Motion
 from tactile_envs.toucher import SensorReadings
-from tactile_sim import Sensor, elastic_press, pressing
+from tactile_sim import Sensor
+from tactile_sim.elastic_press import WholeGel, loads_of
+from tactile_sim.pressing import depth_image
 from tactile_toolkit.array_types import Float32, Float64
 
 
@@ -31,11 +33,9 @@ class ElasticGel:
         depth_m = None
         if config.press_force is None:
             depth_m = sensor.gel_m - sensor.press_m
-        loads = elastic_press.loads_of(
-            config.elastic_gel, 1, sensor, config.press_force, depth_m, (0.0, 0.0), 0.0
-        )
+        loads = loads_of(config.elastic_gel, 1, sensor, config.press_force, depth_m, (0.0, 0.0), 0.0)
         assert loads is not None, "the gel of these settings is elastic"
-        self._shown, self._load, self._whole = sensor, loads[0], elastic_press.WholeGel.of(sensor)
+        self._shown, self._load, self._whole = sensor, loads[0], WholeGel.of(sensor)
         self.sensor = self._whole.sensor
 
     def press(
@@ -55,7 +55,7 @@ class ElasticGel:
             sensors[row] += (stop_m - self._shown.press_m) * axes[row, :, 2]
         share = (sensors - motion.low_m) / (motion.high_m - motion.low_m) * 2.0 - 1.0
         readings = SensorReadings(
-            pressing.depth_image(depths_m, self._shown),
+            depth_image(depths_m, self._shown),
             depths_m.astype(np.float32),
             np.clip(share, -1.0, 1.0).astype(np.float32),
             np.zeros(count, np.bool_),  # the plate alone has no image of its own
