@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -122,7 +122,7 @@ class DigitMaking(generation.RowGenerator):
             names, has_files=isinstance(self.spec.source, picture_folder.FolderSource)
         )
 
-    def make(self, split: str, items: Int64) -> Iterator[digit_rows.DigitRow | store.Skipped]:
+    def make(self, split: str, items: Any) -> Iterator[digit_rows.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:

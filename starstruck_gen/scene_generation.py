@@ -6,7 +6,7 @@ import os
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
-from typing import Unpack
+from typing import Any, Unpack
 
 import pyarrow as pa
 
@@ -122,7 +122,7 @@ class SceneMaking(generation.RowGenerator):
         """Return the Arrow schema of a shard."""
         return scene_rows.scene_schema(self.spec.scene.class_names)
 
-    def make(self, split: str, items: range) -> list[scene_rows.SceneRow]:
+    def make(self, split: str, items: Any) -> list[scene_rows.SceneRow]:
         """Return the rows of some scenes; SamplingExhausted if a scene cannot be made."""
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))

@@ -87,7 +87,7 @@ class RowGenerator(ABC):
         """Return the Arrow schema of the shards of a split."""
 
     @abstractmethod
-    def make(self, split: str, items: Any) -> Iterable[Any | store.Skipped]:
+    def make(self, split: str, items: Sequence[Any]) -> Iterable[Any | store.Skipped]:
         """Yield the row of each item, or the reason for none; touches no file of the data set."""
 
     def report(self, shard: store.ShardName, rows: Sequence[Any]) -> pa.Table | None:
