@@ -14,12 +14,11 @@ from mnist3d import digit_rows, published_splits, solid, solid_spec
 from mnist3d.kind import KIND
 from mnist3d.sources import digit_source, picture_folder, source_choice
 from mnist3d.splits import plan_splits
-from tactile_toolkit import generation, store
+from tactile_toolkit import generation, mesh, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.mesh import Mesh, PrintProfile, inspect
 
 # Time for a digit and its report on one core (AMD EPYC).
 _ROW_S = 0.016
@@ -58,7 +57,7 @@ class DigitSetSpec:
     source: digit_source.DigitSource
     solid: solid_spec.SolidSpec = field(default_factory=solid_spec.SolidSpec)
     split: published_splits.SplitSpec = field(default_factory=published_splits.SplitSpec)
-    profile: PrintProfile = field(default_factory=PrintProfile)
+    profile: mesh.PrintProfile = field(default_factory=mesh.PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)
     limit: int | None = integer(None, 1, optional=True)
 
@@ -146,7 +145,7 @@ class DigitMaking(generation.RowGenerator):
         labels = catalog.labels[np.searchsorted(catalog.ids, ids)]
         return generation.PlannedMeshes(ids, labels, self._solid, _ROW_S)
 
-    def _solid(self, digit_id: int) -> Mesh:
+    def _solid(self, digit_id: int) -> mesh.Mesh:
         return _solid_of(self.spec.source.image(digit_id), self.spec)
 
 
@@ -158,18 +157,18 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
     """
     digit, where = spec.source.image(digit_id), f"digit {digit_id} of source {spec.source.name!r}"
     try:
-        mesh = _solid_of(digit, spec)
+        made = _solid_of(digit, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{where}: {error.message}") from error
-    report = inspect(mesh, spec.profile)
+    report = mesh.inspect(made, spec.profile)
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
     return digit_rows.DigitRow(
         id=digit.id,
         label=digit.label,
-        vertices_m=mesh.vertices_m,
-        faces=mesh.faces,
+        vertices_m=made.vertices_m,
+        faces=made.faces,
         writer=digit.writer,
         volume_m3=report.volume_mm3 * 1e-9,
         source=spec.source.name,
@@ -178,7 +177,7 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
     )
 
 
-def _solid_of(digit: digit_source.DigitImage, spec: DigitSetSpec) -> Mesh:
+def _solid_of(digit: digit_source.DigitImage, spec: DigitSetSpec) -> mesh.Mesh:
     is_drawing = spec.source.catalog().class_names != digit_source.DIGITS
     return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
