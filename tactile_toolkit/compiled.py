@@ -13,6 +13,7 @@ from importlib import import_module
 from typing import Any, TypeVar
 
 import numba
+import numba.extending
 from numba.core.compiler_lock import global_compiler_lock
 
 from tactile_toolkit import kernel_cache, store
@@ -44,6 +45,12 @@ def compiled(function: F) -> F:
         return function
     kernel.compile = _CompileOnce(kernel)
     return kernel  # type: ignore[no-any-return]
+
+
+def part(function: F) -> F:
+    """Compile into the kernels that call it; called from Python, it is plain Python."""
+    options = {**_SETTINGS, "no_cpython_wrapper": True}
+    return numba.extending.register_jitable(**options)(function)  # type: ignore[no-any-return]
 
 
 def planned(types: str) -> Callable[[F], F]:

@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numba
 from numba.core import caching
-from numba.core.dispatcher import Dispatcher
 
 if TYPE_CHECKING:
     # numba has no types.
@@ -92,7 +91,7 @@ def _files_digest(module: str) -> bytes:
             continue
         found.add(name)
         owners = {_owner(value) for value in vars(sys.modules[name]).values()}
-        if any(owner.startswith("numba") for owner in owners) or _has_kernels(sys.modules[name]):
+        if _COMPILER in owners or any(owner.startswith("numba") for owner in owners):
             packages = (name.partition(".")[0], _COMPILER.partition(".")[0])
             waiting += [owner for owner in owners if owner.partition(".")[0] in packages]
     digest = hashlib.sha256()
@@ -101,10 +100,6 @@ def _files_digest(module: str) -> bytes:
         with contextlib.suppress(OSError):  # a module in an archive
             digest.update(name.encode() + b"\n" + Path(file or "").read_bytes())
     return digest.digest()
-
-
-def _has_kernels(module: ModuleType) -> bool:
-    return any(isinstance(value, Dispatcher) for value in vars(module).values())
 
 
 def _owner(value: object) -> str:
