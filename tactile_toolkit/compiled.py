@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 
 import numba
 import numba.extending
+from numba.core import sigutils
 from numba.core.compiler_lock import global_compiler_lock
 
 from tactile_toolkit import kernel_cache, store
@@ -78,7 +79,8 @@ def prepare(*modules: str) -> None:
         import_module(module)
         for kernel, types in _planned.get(module, ()):
             with contextlib.suppress(BusyError):
-                kernel.compile(types, patience_s=0.0)
+                # The cache knows a kernel by its types, not by how they are written.
+                kernel.compile(tuple(sigutils.normalize_signature(types)[0]), patience_s=0.0)
 
 
 class _CompileOnce:

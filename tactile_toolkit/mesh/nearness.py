@@ -454,9 +454,7 @@ def _between_edges(
 
 
 @part
-def _cosine_in(
-    points: Float64, faces: Int64, inward: Float64, twin: Int64, half: int, way: Vector
-) -> float:
+def _cosine_in(points: Float64, faces: Int64, inward: Float64, twin: Int64, half: int, way: Vector) -> float:
     """Return the cosine between a direction at an edge and the inward normal; 1 at a notch."""
     start = corner_of(points, faces, half // 3, half % 3)
     along = normalized(sub(corner_of(points, faces, half // 3, (half + 1) % 3), start))

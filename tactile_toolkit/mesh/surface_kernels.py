@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.compiled import compiled, part, planned
+from tactile_toolkit.compiled import part, planned
 from tactile_toolkit.mesh.vectors import Vector, corner_of, cross, dot, normalized, row_of, sub
 
 
@@ -23,9 +23,7 @@ def halves(points: Float64, faces: Int64, level: float) -> tuple[bool, Int64, In
 
 
 @planned("(float64[:,::1], int64[:,::1], float64, int64[::1], int64[:,::1])")
-def _halves(
-    points: Float64, faces: Int64, level: float, odd: Int64, edges: Int64
-) -> tuple[bool, int, int]:
+def _halves(points: Float64, faces: Int64, level: float, odd: Int64, edges: Int64) -> tuple[bool, int, int]:
     reaches, odds, count = False, 0, 0
     for face in range(len(faces)):
         a, b, c = (
@@ -63,7 +61,7 @@ def passages(
     return is_certain, doubtful[count - 1 if is_certain else 0 : count]
 
 
-@compiled
+@planned("(float64[:,::1], int64[:,::1], float64[:,::1], int64[:,::1], float64, float64[:,::1])")
 def _passages(
     points: Float64, triangles: Int64, normal: Float64, pairs: Int64, tolerance: float, doubtful: Float64
 ) -> tuple[bool, int]:

@@ -102,13 +102,16 @@ def test_a_planned_kernel_that_another_process_compiles_is_left_to_it(first_is_b
     assert time.monotonic() - begun_s < 60  # which is how long a lock is waited for
 
 
-def test_planned_kernels_are_ready_and_make_no_second_version(tmp_path: Path) -> None:
+def test_planned_kernels_are_ready_and_are_those_of_the_first_call(tmp_path: Path) -> None:
     write_kernels(tmp_path, 1)
     code = """
         from tactile_toolkit import compiled
         compiled.prepare("made_up_kernels.caller")
         from made_up_kernels import caller
-        assert len(caller.first.signatures) == 1
-        print(caller.first(3), caller.second(3), len(caller.first.signatures + caller.second.signatures))
+        print(caller.first.signatures, caller.first(3), len(caller.first.signatures))
         """
-    assert printed(tmp_path, code) == "8 2 2"
+    assert printed(tmp_path, code) == "[(int64,)] 8 1"
+    called = (
+        "from made_up_kernels.caller import second; print(second(3), sum(second.stats.cache_hits.values()))"
+    )
+    assert printed(tmp_path, called) == "2 1"
