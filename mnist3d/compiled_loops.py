@@ -69,8 +69,8 @@ def _distances(
     paper: Int16,
     inked: Int16,
     far: int,
-    inside_px: float,
-    outside_px: float,
+    inside_px: np.float32,
+    outside_px: np.float32,
     least: Int16,
     found: Float32,
 ) -> None:
@@ -262,7 +262,7 @@ def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, we
 def _move(
     vertices: Float32,
     flat: Int64,
-    share: float,
+    share: np.float32,
     ends: Int64,
     filled: Int64,
     beside: Int32,

@@ -50,8 +50,8 @@ def compiled(function: F) -> F:
 
 def part(function: F) -> F:
     """Compile into the kernels that call it; called from Python, it is plain Python."""
-    options = {**_SETTINGS, "no_cpython_wrapper": True}
-    return numba.extending.register_jitable(**options)(function)  # type: ignore[no-any-return]
+    register: Any = numba.extending.register_jitable
+    return register(**_SETTINGS, no_cpython_wrapper=True)(function)  # type: ignore[no-any-return]
 
 
 def planned(types: str) -> Callable[[F], F]:
@@ -75,12 +75,13 @@ def prepare(*modules: str) -> None:
 
     Workers that begin side by side so divide the kernels among them. Each later takes those of the others.
     """
+    parsed: Any = sigutils.normalize_signature
     for module in modules:
         import_module(module)
         for kernel, types in _planned.get(module, ()):
             with contextlib.suppress(BusyError):
                 # The cache knows a kernel by its types, not by how they are written.
-                kernel.compile(tuple(sigutils.normalize_signature(types)[0]), patience_s=0.0)
+                kernel.compile(tuple(parsed(types)[0]), patience_s=0.0)
 
 
 class _CompileOnce:
@@ -91,7 +92,7 @@ class _CompileOnce:
         self._lock = f"{kernel.__module__}.{kernel.__name__}"
 
     def __call__(self, types: Any, patience_s: float | None = None) -> Any:
-        """Return the compiled function for types of arguments; BusyError only after a ``patience_s`` given."""
+        """Return the compiled function for types; BusyError only after a ``patience_s`` that is given."""
         known = self._kernel.overloads.get(types)
         if known is not None:
             return known.entry_point

@@ -52,15 +52,15 @@ class _AllFiles(_Locator):
         return super().get_source_stamp(), self.files_digest
 
 
-class ChosenFolder(_AllFiles, caching.UserProvidedCacheLocator):  # type: ignore[misc]
+class ChosenFolder(_AllFiles, caching.UserProvidedCacheLocator):
     """The folder that ``NUMBA_CACHE_DIR`` names."""
 
 
-class BesideTheCode(_AllFiles, caching.InTreeCacheLocator):  # type: ignore[misc]
+class BesideTheCode(_AllFiles, caching.InTreeCacheLocator):
     """``__pycache__`` beside the file, where it can be written."""
 
 
-class UsersFolder(_AllFiles, caching.UserWideCacheLocator):  # type: ignore[misc]
+class UsersFolder(_AllFiles, caching.UserWideCacheLocator):
     """The user's cache folder."""
 
 
@@ -70,12 +70,13 @@ _LOCATORS = ",".join(f"{__name__}.{each.__name__}" for each in (ChosenFolder, Be
 @contextlib.contextmanager
 def all_files_watched() -> Iterator[None]:
     """Let numba use the locators of this file for functions that are declared meanwhile."""
-    before = numba.config.CACHE_LOCATOR_CLASSES
-    numba.config.CACHE_LOCATOR_CLASSES = before or _LOCATORS
+    settings: Any = numba.config
+    before = settings.CACHE_LOCATOR_CLASSES
+    settings.CACHE_LOCATOR_CLASSES = before or _LOCATORS
     try:
         yield
     finally:
-        numba.config.CACHE_LOCATOR_CLASSES = before
+        settings.CACHE_LOCATOR_CLASSES = before
 
 
 @lru_cache

@@ -42,7 +42,7 @@ def _find_largest(
             reach = _apart(points, point, blocks, block)
             if reach > blocks[block, 2]:
                 blocks[block, 2] = reach
-    sharpest = np.int64(0)
+    sharpest = count - count  # not the literal 0, for which numba compiles another version
     for point in range(count):
         # The contact of the disc before is close to that of this one, so nearly all blocks are pruned.
         before, contact = _bend(points, inward, point, sharpest)[0], np.float32(0)

@@ -100,7 +100,7 @@ def _passage(
     inside = np.inf
     for side in range(3):
         corner = triangles[target, side]
-        if corner == start or corner == end:  # noqa: PLR1714 - numba compiles no membership for it
+        if corner in (start, end):
             return 0, p
         here = row_of(points, corner)
         along = sub(corner_of(points, triangles, target, (side + 1) % 3), here)
@@ -118,7 +118,7 @@ def _is_fold(points: Float64, triangles: Int64, one: int, other: int, k: int, to
     apex, far = corner_of(points, triangles, one, (k + 2) % 3), p
     for place in range(3):
         corner = triangles[other, place]
-        if corner == start or corner == end:  # noqa: PLR1714
+        if corner in (start, end):
             shared += 1
         else:
             far = row_of(points, corner)
