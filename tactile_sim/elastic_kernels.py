@@ -207,13 +207,15 @@ def shear(
     at their limit.
     """
     keep_apart()
-    places = np.nonzero(bound > 0.0)[0]
-    count = len(places)
-    pairs = (2, count)
+    # Element by element, here and below: numba takes seconds to compile what works on whole arrays.
+    count = 0
+    for limit in bound:
+        count += limit > 0.0
+    places, pairs = np.empty(count, np.int64), (2, count)
     kind = np.float32
     state = _Shear(
         places,
-        bound[places],
+        np.empty(count, kind),
         np.empty(pairs, kind),
         np.empty(pairs, kind),
         np.empty(pairs, kind),
@@ -225,16 +227,22 @@ def shear(
         np.empty(pairs, kind),
         np.zeros(count, np.bool_),
     )
+    number = 0
+    for at in range(len(bound)):
+        if bound[at] > 0.0:
+            places[number], state.bound[number] = at, bound[at]
+            number += 1
     for number in range(count):
         at = places[number]
         for axis in range(2):
             state.wanted[axis, number], state.q[axis, number] = wanted[axis, at], q[axis, at]
     largest = 0.0
     for number in range(count):
-        _project(state.q, state.bound, number, False)
+        _project(state.q, state.bound, number, state.slips[number])
         x, y = state.wanted[0, number], state.wanted[1, number]
         largest = max(largest, x * x + y * y)
-    q[:] = 0.0
+    for at in range(len(bound)):
+        q[0, at] = q[1, at] = 0.0
     bend, old, step, since, is_stale = np.empty_like(q), 1.0, 0, 0, True
     while True:
         if is_stale:
@@ -256,7 +264,8 @@ def shear(
         if is_stale:
             for number in range(count):
                 _project(state.q, state.bound, number, state.slips[number])
-    slips[:] = False
+    for at in range(len(bound)):
+        slips[at] = False
     _put(state.q, q, state.places)
     for number in range(count):
         slips[places[number]] = state.slips[number]
@@ -389,15 +398,15 @@ def solve(
     one, two = (1, size), (2, size)
     p, u, lifted, before = np.zeros(one, kind), np.empty(one, kind), np.zeros(one, kind), np.zeros(one, kind)
     q, side, wanted = np.zeros(two, kind), np.empty(two, kind), np.empty(two, kind)
-    bound, slips = np.zeros(size, kind), np.zeros(size, np.bool_)
+    bound, slips, lowered = np.zeros(size, kind), np.zeros(size, np.bool_), np.empty(one, kind)
     _first_guess(p[0], below[0], target, is_force, start)
     steps, depth, error = 0, 0.0, 0.0
     for number in range(_MOST_PASSES):
         looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
         press_tolerance, shear_tolerance = looseness * tolerance[0], looseness * tolerance[1]
-        depth, error, count = press(
-            p, u, below + lifted, target, is_force, layer, work, width, press_tolerance
-        )
+        for place in range(size):
+            lowered[0, place] = below[0, place] + lifted[0, place]
+        depth, error, count = press(p, u, lowered, target, is_force, layer, work, width, press_tolerance)
         steps += count
         respond(p, side, layer, work, width)
         if friction == 0.0:
@@ -409,7 +418,8 @@ def solve(
             wanted[0, place] = motion[0] - motion[2] * y - side[0, place]
             wanted[1, place] = motion[1] + motion[2] * x - side[1, place]
         steps += shear(q, bound, wanted, slips, layer, work, width, shear_tolerance)
-        before[:] = lifted
+        for place in range(size):
+            before[0, place] = lifted[0, place]
         respond(q, lifted, layer, work, width)
         change = 0.0
         for place in range(size):
