@@ -189,6 +189,23 @@ class _Shear(NamedTuple):
 
 
 @compiled
+def _in_contact(bound: Float32) -> tuple[Int64, Float32]:
+    """Return the places where there is a bound, and the bounds.
+
+    Element by element, as all else here: numba takes seconds to compile what works on whole arrays.
+    """
+    count = 0
+    for limit in bound:
+        count += limit > 0.0
+    places, bounds, number = np.empty(count, np.int64), np.empty(count, np.float32), 0
+    for at in range(len(bound)):
+        if bound[at] > 0.0:
+            places[number], bounds[number] = at, bound[at]
+            number += 1
+    return places, bounds
+
+
+@compiled
 def shear(
     q: Float32,
     bound: Float32,
@@ -207,15 +224,12 @@ def shear(
     at their limit.
     """
     keep_apart()
-    # Element by element, here and below: numba takes seconds to compile what works on whole arrays.
-    count = 0
-    for limit in bound:
-        count += limit > 0.0
-    places, pairs = np.empty(count, np.int64), (2, count)
-    kind = np.float32
+    places, bounds = _in_contact(bound)
+    count = len(places)
+    pairs, kind = (2, count), np.float32
     state = _Shear(
         places,
-        np.empty(count, kind),
+        bounds,
         np.empty(pairs, kind),
         np.empty(pairs, kind),
         np.empty(pairs, kind),
@@ -227,11 +241,6 @@ def shear(
         np.empty(pairs, kind),
         np.zeros(count, np.bool_),
     )
-    number = 0
-    for at in range(len(bound)):
-        if bound[at] > 0.0:
-            places[number], state.bound[number] = at, bound[at]
-            number += 1
     for number in range(count):
         at = places[number]
         for axis in range(2):
@@ -242,7 +251,7 @@ def shear(
         x, y = state.wanted[0, number], state.wanted[1, number]
         largest = max(largest, x * x + y * y)
     for at in range(len(bound)):
-        q[0, at] = q[1, at] = 0.0
+        q[0, at], q[1, at], slips[at] = 0.0, 0.0, False
     bend, old, step, since, is_stale = np.empty_like(q), 1.0, 0, 0, True
     while True:
         if is_stale:
@@ -264,8 +273,6 @@ def shear(
         if is_stale:
             for number in range(count):
                 _project(state.q, state.bound, number, state.slips[number])
-    for at in range(len(bound)):
-        slips[at] = False
     _put(state.q, q, state.places)
     for number in range(count):
         slips[places[number]] = state.slips[number]
