@@ -145,12 +145,14 @@ def blurred(
     because exponentials differ between processors. A node one pixel from the next is not blurred.
     """
     found, weights = np.zeros((len(nodes), values.shape[1])), np.empty((2, len(values)))
-    _blurred(values.astype(np.float64, copy=False), nodes, sigma_per_pitch, bell_reach, grain, weights, found)
+    _blur_axis(
+        values.astype(np.float64, copy=False), nodes, sigma_per_pitch, bell_reach, grain, weights, found
+    )
     return found
 
 
 @planned("(float64[:,::1], float64[::1], float64, float64, float64, float64[:,::1], float64[:,::1])")
-def _blurred(
+def _blur_axis(
     values: Float64,
     nodes: Float64,
     sigma_per_pitch: float,
@@ -233,7 +235,7 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> F
     _find_neighbours(faces, ends, filled, beside, weights)
     for share in shares:
         moved = np.empty_like(vertices)
-        _move(vertices, flat, share, ends, filled, beside, weights, moved)
+        _pull(vertices, flat, share, ends, filled, beside, weights, moved)
         vertices = moved
     return vertices
 
@@ -259,7 +261,7 @@ def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, we
 @planned(
     "(float32[:,::1], int64[::1], float32, int64[::1], int64[::1], int32[::1], float32[::1], float32[:,::1])"
 )
-def _move(
+def _pull(
     vertices: Float32,
     flat: Int64,
     share: np.float32,

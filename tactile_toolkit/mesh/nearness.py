@@ -121,14 +121,14 @@ def _along_a_curve(points: Float64) -> Int64:
     low = np.array([axis.min() for axis in points.T])
     span = max(*(axis.max() - least for axis, least in zip(points.T, low, strict=True)), 1e-300)
     numbered = np.arange(len(points))
-    _number(np.ascontiguousarray(points), low, 1023.0 / span, numbered)
+    _write_codes(np.ascontiguousarray(points), low, 1023.0 / span, numbered)
     # Sorted together with their numbers: equal places stay in order, and numpy sorts integers fast.
     numbered.sort()
     return numbered
 
 
 @planned("(float64[:,::1], float64[::1], float64, int64[::1])")
-def _number(points: Float64, low: Float64, scale: float, numbered: Int64) -> None:
+def _write_codes(points: Float64, low: Float64, scale: float, numbered: Int64) -> None:
     """Write the Morton code of each point, ten bits for each axis, above its number in the lower bits."""
     for point in range(len(points)):
         for axis in range(3):
