@@ -82,6 +82,12 @@ class DigitMaking(generation.RowGenerator):
 
     spec: DigitSetSpec
     kind = KIND
+    kernels = (
+        "tactile_toolkit.mesh.nearness",
+        "tactile_toolkit.mesh.surface_kernels",
+        "mnist3d.compiled_loops",
+        "tactile_toolkit.mesh.section_kernels",
+    )
 
     @classmethod
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
