@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +29,7 @@ from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
-SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
+SIZE, TOUCHES, FRAMES = (64, 48), 6, (14, 16)
 Rows = dict[str, list[dict[str, Any]]]
 Truth = list[RoundTruth]
 
@@ -36,6 +38,11 @@ def recorded(
     seed: int = 0, rounds: int = 6, size: tuple[int, int] = SIZE, touches: int = TOUCHES
 ) -> list[RoundTruth]:
     """Make rounds as a camera sees them: with noise, so that no two pictures are equal."""
+    return deepcopy(_recorded(seed, rounds, size, touches))
+
+
+@cache
+def _recorded(seed: int, rounds: int, size: tuple[int, int], touches: int) -> list[RoundTruth]:
     numbers = range(20 * seed, 20 * seed + rounds)
     return [factories.make_round(number, touches, size, FRAMES, noise=1.0) for number in numbers]
 
