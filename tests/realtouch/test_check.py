@@ -29,7 +29,7 @@ from tests.real_input import SHARED, needs_shared
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout, RoundTruth
 
-SIZE, TOUCHES, FRAMES = (64, 48), 6, (14, 16)
+SIZE, TOUCHES, FRAMES = (64, 48), 6, (20, 24)
 Rows = dict[str, list[dict[str, Any]]]
 Truth = list[RoundTruth]
 

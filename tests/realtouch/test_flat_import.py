@@ -137,7 +137,7 @@ def test_what_unpacks_to_more_than_a_machine_holds_is_refused(
 ) -> None:
     """A text that is stored once and stands in each of many rows; numbers that take next to no space."""
     monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", "4")
-    count = 20_000
+    count = 100_000
     image = pa.DictionaryArray.from_arrays(pa.array([0] * count, pa.int32()), pa.array([JPEGS[0]])).cast(
         pa.binary()
     )
