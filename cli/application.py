@@ -13,21 +13,16 @@ import typer
 from typer.core import TyperCommand
 
 from cli.declared_options import DEBUG_VARIABLE, Debug, Version, with_options
-from cli.streams import _Output
-from tactile_toolkit import store
-from tactile_toolkit.errors import (
-    InputError,
-    SpecMismatchError,
-    ToolkitError,
-    require_public,
-)
-from tactile_toolkit.shown_text import printable
+from cli.streams import Output
+from tactile_toolkit import shown_text, store
+from tactile_toolkit.errors import InputError, SpecMismatchError, ToolkitError, require_public
+from tactile_toolkit.json_types import JsonValue
 
 EXIT_FAILED = 1
 EXIT_INTERRUPTED = 130
 
 # Line length of the help on wide terminals.
-_SETTINGS: dict[str, Any] = {"max_content_width": 100, "help_option_names": ["--help", "-h"]}
+_SETTINGS: dict[str, JsonValue] = {"max_content_width": 100, "help_option_names": ["--help", "-h"]}
 # Headings of the help, by type of parameter.
 _PANELS = {"argument": "Arguments", "option": "Options"}
 
@@ -66,7 +61,7 @@ class _Command(TyperCommand):
                 error.message = error.message.removeprefix("Value error, ")
                 raise
 
-    def invoke(self, ctx: Any) -> Any:
+    def invoke(self, ctx: Any) -> object:
         with self._errors_reported():
             return super().invoke(ctx)
 
@@ -100,7 +95,7 @@ class _Command(TyperCommand):
                 message, code = f"{str(error.filename)!r}: {reason}", InputError.exit_code
             else:
                 raise
-            sys.stderr.write(f"error: {printable(message)}\n")
+            sys.stderr.write(f"error: {shown_text.printable(message)}\n")
             raise typer.Exit(code) from error
         except KeyboardInterrupt as error:
             default = "interrupted; finished work is kept, and the same command continues from there"
@@ -118,7 +113,7 @@ class _Command(TyperCommand):
 
 
 def command(
-    app: typer.Typer, name: str | None = None, *, asks_hub: bool = False, **known: Any
+    app: typer.Typer, name: str | None = None, *, asks_hub: bool = False, **known: object
 ) -> Callable[[F], F]:
     """Return a decorator that adds a function as a command, by its own name or another one.
 
@@ -143,14 +138,13 @@ def command(
 
 def run(app: typer.Typer) -> None:
     """Run a command line, and end the process."""
-    # If a standard stream is closed, the next file that is opened would get its number, and the text that
-    # libraries print.
+    # If a standard stream is closed, the next file that is opened would get its number, and with it the text
+    # that libraries print.
     while (handle := os.open(os.devnull, os.O_RDWR)) <= 2:
         os.set_inheritable(handle, True)
     os.close(handle)
-    output: Any = _Output(sys.stdout)
-    info: Any = _Output(sys.stderr)
-    with redirect_stdout(output), redirect_stderr(info):
+    output = Output(sys.stdout)
+    with redirect_stdout(output), redirect_stderr(Output(sys.stderr)):
         try:
             _dispatch(app)
         except (MemoryError, ImportError, OSError) as error:

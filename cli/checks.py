@@ -5,19 +5,43 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Protocol
 
 import typer
 
-from cli.application import EXIT_FAILED
-from cli.options import FOLDER, FOLDERS, WORKERS, Opening, process_count
-from cli.output import Sink
+from cli import application, options, output
 from tactile_toolkit import cards, catalog, mesh, places, run, store
 from tactile_toolkit.checked_fields import real, switch
 from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit.json_types import JsonDict, JsonValue
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
+
+
+class Checked(Protocol):
+    """What was found in a data set or a file."""
+
+    @property
+    def checked(self) -> int:
+        """Number of checked objects."""
+
+    @property
+    def failed(self) -> int:
+        """Number of objects that are not valid."""
+
+    @property
+    def unreadable(self) -> Sequence[str]:
+        """Reasons why files or rows could not be read."""
+
+    def to_dict(self) -> JsonDict:
+        """Return JSON values."""
+
+    def table(self) -> tuple[Sequence[str], Sequence[Sequence[object]], str]:
+        """Return header, rows and title of a table."""
+
+    def advice(self) -> Sequence[str]:
+        """Return what to do about warnings, a line each."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,12 +49,11 @@ class Geometry:
     """How the objects of a kind are checked.
 
     ``check`` takes names, a split or None, a limit or None and a number of processes, and the keywords
-    ``opened``, a function that opens a name, and ``on_progress``. It returns results with ``checked``,
-    ``failed``, ``unreadable``, ``to_dict()``, ``table()`` and ``advice()``.
+    ``opened``, a function that opens a name, and ``on_progress``.
     """
 
     nouns: str
-    check: Callable[..., Sequence[Any]]
+    check: Callable[..., Sequence[Checked]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +71,10 @@ def verify(
     *,
     kind: DatasetKind,
     checks: Geometry | None,
-    folder: str = FOLDER,
+    folder: str = options.FOLDER,
     objects: Objects,
-    workers: int = WORKERS,
-    sink: Sink,
+    workers: int = options.WORKERS,
+    sink: output.Sink,
 ) -> None:
     """Check every checksum, row count, schema and id of a data set folder.
 
@@ -62,7 +85,7 @@ def verify(
     place = store.open_folder(folder)
     manifest = places.open_place(folder).require(kind, "verify").manifest
     result = store.verify(
-        place, kind.schema_of(manifest), check_card=cards.check_card, workers=process_count(workers)
+        place, kind.schema_of(manifest), check_card=cards.check_card, workers=options.process_count(workers)
     )
     findings = [{"file": finding.file, "problem": finding.problem} for finding in result.findings]
     counts_of = {"files": result.files, "rows": result.rows}
@@ -71,7 +94,9 @@ def verify(
         counts = f"{with_count(result.files, 'files')}, {with_count(result.rows, 'rows')}"
         sink.line(f"{folder}: {counts}, {bytes_text(result.bytes)}: all as in {result.reference}")
         if objects.geometry and checks is not None:
-            check_objects(sink, checks, [folder], Opening(), objects.split, objects.limit, workers, document)
+            check_objects(
+                sink, checks, [folder], options.Opening(), objects.split, objects.limit, workers, document
+            )
         else:
             sink.document(document)
         return
@@ -93,16 +118,16 @@ def verify(
 def validate(
     *,
     checks: Geometry,
-    paths: list[str] = FOLDERS,
-    opening: Opening,
+    paths: list[str] = options.FOLDERS,
+    opening: options.Opening,
     split: str | None = catalog.SPLIT,
     limit: int | None = catalog.LIMIT,
     unit: str | None = mesh.UNIT,
     nozzle_mm: float | None = real(
         None, above=0, optional=True, shown="0.4", help="Nozzle of the printer: walls need two lines of it."
     ),
-    workers: int = WORKERS,
-    sink: Sink,
+    workers: int = options.WORKERS,
+    sink: output.Sink,
 ) -> None:
     """Check each object of data sets, or of mesh files, as it is read back from disk.
 
@@ -119,14 +144,14 @@ def validate(
 
 
 def check_objects(
-    sink: Sink,
+    sink: output.Sink,
     geometry: Geometry,
     paths: Sequence[str],
-    opening: Opening,
+    opening: options.Opening,
     split: str | None,
     limit: int | None,
     workers: int,
-    verified: dict[str, Any] | None = None,
+    verified: JsonDict | None = None,
 ) -> None:
     """Check objects as they are read back from disk.
 
@@ -137,9 +162,9 @@ def check_objects(
         split = None
     with sink.progress("checking", geometry.nouns) as update:
         opened = partial(opening.open, sink)
-        workers = process_count(workers)
+        workers = options.process_count(workers)
         results = geometry.check(paths, split, limit, workers, opened=opened, on_progress=update)
-    documents: Any = [result.to_dict() for result in results]
+    documents: JsonValue = [result.to_dict() for result in results]
     if verified is not None:
         documents = {**verified, "geometry": documents}
     sink.document(documents)
@@ -153,4 +178,4 @@ def check_objects(
     failed = sum(result.failed for result in results)
     sink.line(f"{checked - failed:,} of {checked:,} {geometry.nouns} are valid")
     if failed:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)

@@ -3,25 +3,25 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
-from cli.nested_values import brief, flat_lines, stored_value
-from cli.options import ANY_SET, Opening, argument, local_place
-from cli.output import Sink
-from cli.runs import PrintMade, print_set
-from tactile_toolkit import catalog, hub, places, read, store
-from tactile_toolkit.checked_fields import integer
+from cli import nested_values, options, output, runs
+from tactile_toolkit import catalog, checked_fields, hub, places, quantities, read, store
 from tactile_toolkit.errors import InputError, ToolkitError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind, is_copy
-from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
-ROW = integer(0, help="Row of the split, counted from 0.")
+ROW = checked_fields.integer(0, help="Row of the split, counted from 0.")
 _STATES = {True: "finished", False: "unfinished"}
 
 
 def info(
-    *, kind: DatasetKind, print_made: PrintMade, name: str = ANY_SET, opening: Opening, sink: Sink
+    *,
+    kind: DatasetKind,
+    print_made: runs.PrintMade,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
+    sink: output.Sink,
 ) -> None:
     """Show what a data set holds and how it was made.
 
@@ -33,15 +33,15 @@ def info(
         _print_without_manifest(sink, place, kind)
         return
     if folder is None or is_copy(manifest):
-        print_set(sink, kind, manifest, name)
+        runs.print_set(sink, kind, manifest, name)
         return
     print_made(sink, kind, manifest, folder.address(), None)
     sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; source and spec:")
-    for line in flat_lines(manifest.spec):
+    for line in nested_values.flat_lines(manifest.spec):
         sink.line(f"  {line}")
 
 
-def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) -> None:
+def _print_without_manifest(sink: output.Sink, place: places.Place, kind: DatasetKind) -> None:
     """Print the content of the splits of a data set without a manifest, and its repository."""
     repository: store.DownloadRecord | hub.HubRepository | None = place.repository
     if place.folder is not None:
@@ -56,7 +56,7 @@ def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) 
         counts = {"split": split, "rows": len(dataset), "shards": len(paths), "bytes": size}
         entries.append({**counts, "per_class": per_class})
         classes = ", ".join(f"{name}: {count:,}" for name, count in per_class.items())
-        rows.append((split, len(dataset), len(paths), bytes_text(size), classes))
+        rows.append((split, len(dataset), len(paths), quantities.bytes_text(size), classes))
     source: dict[str, str | None] = {"repository": None, "commit": None}
     origin = "no manifest"
     if repository:
@@ -69,11 +69,11 @@ def _print_without_manifest(sink: Sink, place: places.Place, kind: DatasetKind) 
 
 def show(
     *,
-    name: str = ANY_SET,
+    name: str = options.ANY_SET,
     row: int = ROW,
     split: str | None = catalog.SPLIT,
-    opening: Opening,
-    sink: Sink,
+    opening: options.Opening,
+    sink: output.Sink,
 ) -> None:
     """Show a row of a data set: each column, its type and its value, or the number of its values.
 
@@ -90,13 +90,15 @@ def show(
         )
     group, index = rows.locate(row)
     stored = group.table.slice(index, 1)
-    values = {name: brief(stored_value(stored[name][0])) for name in stored.column_names}
+    values = {
+        name: nested_values.brief(nested_values.stored_value(stored[name][0])) for name in stored.column_names
+    }
     sink.document({"data_set": name, "split": chosen, "row": row, "values": values})
     sink.line(f"{name}: row {row:,} of the {with_count(len(rows), 'rows')} in {chosen}")
     lines = []
     for field in stored.schema:
         type_text = str(field.type).replace("element: ", "").replace("fixed_size_list", "list")
-        for line in flat_lines({field.name: values[field.name]}):
+        for line in nested_values.flat_lines({field.name: values[field.name]}):
             column, _, value = line.partition(" = ")
             lines.append((column, type_text, value))
     sink.table(("column", "type", "value"), lines)
@@ -105,8 +107,10 @@ def show(
 def list_sets(
     *,
     kind: DatasetKind,
-    folder: str | None = argument("DIR", "Folder of data sets; the published ones by default.", default=None),
-    sink: Sink,
+    folder: str | None = options.argument(
+        "DIR", "Folder of data sets; the published ones by default.", default=None
+    ),
+    sink: output.Sink,
 ) -> None:
     """List the published data sets and which of them are on this machine, or the data sets in a folder.
 
@@ -115,14 +119,14 @@ def list_sets(
     if folder is None:
         print_sets(sink, kind)
         return
-    found = _sets_in(local_place(folder))
+    found = _sets_in(options.local_place(folder))
     sink.document(found)
-    rows = [list({**each, "bytes": bytes_text(each["bytes"])}.values()) for each in found]
+    rows = [list({**each, "bytes": quantities.bytes_text(each["bytes"])}.values()) for each in found]
     sink.table(("name", "kind", "splits", "rows", "Parquet", "state"), rows)
     sink.line(f"{with_count(len(found), 'data sets')} in {folder}")
 
 
-def _sets_in(folder: Path) -> list[dict[str, Any]]:
+def _sets_in(folder: Path) -> list[JsonDict]:
     """Return the data sets in a folder, and the folder itself if it is one, as JSON values.
 
     ``state`` is finished, unfinished or the message of an error. Only manifests are read. Raises InputError
@@ -151,18 +155,18 @@ def _sets_in(folder: Path) -> list[dict[str, Any]]:
     return found
 
 
-def print_sets(sink: Sink, kind: DatasetKind) -> None:
+def print_sets(sink: output.Sink, kind: DatasetKind) -> None:
     """Print the published data sets: content, licence, size, and which splits are on this machine."""
     documents, rows = [], []
     for known, (on_hub, local) in zip(kind.published, places.hub_states(kind.published), strict=True):
         licence, size, there = known.licence, None, "?"
         if on_hub is not None:
             licence, size = licence or on_hub.licence, on_hub.size_bytes
-            there = bytes_text(size)
+            there = quantities.bytes_text(size)
         splits, local_bytes, here = list[str](), 0, "-"
         if local is not None and local.size_bytes:
             splits, local_bytes = list(places.splits_by_name(local.remote, known.repo_id)), local.size_bytes
-            here = f"{bytes_text(local_bytes)} ({', '.join(splits)})"
+            here = f"{quantities.bytes_text(local_bytes)} ({', '.join(splits)})"
         names = {"name": known.name, "repository": known.repo_id, "content": known.content}
         facts = {"licence": licence, "hub_bytes": size, "local_bytes": local_bytes, "local_splits": splits}
         documents.append({**names, "citation": known.citation, **facts})

@@ -10,7 +10,7 @@ from dataclasses import MISSING, Field, dataclass, fields, is_dataclass, replace
 from enum import StrEnum
 from functools import wraps
 from pathlib import Path
-from typing import Annotated, Any, Literal, get_args, get_type_hints
+from typing import Annotated, Any, Literal, TypeAlias, get_args, get_type_hints
 
 import typer
 
@@ -21,12 +21,16 @@ DEBUG_VARIABLE = "TACTILE_TOOLKIT_DEBUG"
 """Environment variable; if it is set, errors show their traceback."""
 
 
+Given: TypeAlias = dict[str, Any]
+"""The options that a user gave, by the name of their field."""
+
+
 @dataclass(frozen=True, slots=True)
 class OptionsOf:
-    """Marks a parameter as the options of a specification; the command gets a dict of the given ones.
+    """Marks a parameter as the options of a specification; the command gets those that were given.
 
-    ``Annotated[dict[str, Any], OptionsOf(WrenchSpec)]`` is for specifications whose defaults follow from
-    other fields, and for commands that must know which options were given.
+    ``Annotated[Given, OptionsOf(WrenchSpec)]`` is for specifications whose defaults follow from other fields,
+    and for commands that must know which options were given.
     """
 
     spec: type

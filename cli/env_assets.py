@@ -6,41 +6,34 @@ from collections.abc import Mapping
 from dataclasses import asdict, fields
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import env_assets
-from cli.application import command, new_app, run
-from cli.checks import Objects, verify
-from cli.contents import show
-from cli.exports import export
-from cli.merge_and_split import merge, split
-from cli.options import DRY_RUN, OVERWRITE, argument, local_out_folder, local_place
-from cli.output import Sink
-from cli.upkeep import cache
+from cli import application, checks, contents, exports, merge_and_split, options, output, upkeep
 from env_assets import WrenchSpec
 from env_assets.wrench.kind import KIND
-from tactile_toolkit import mesh
-from tactile_toolkit.checked_fields import text
+from tactile_toolkit import checked_fields, kind, mesh
 from tactile_toolkit.wording import with_count
 
+# Imported when it is called: it registers the environments, and imports numpy.
+_environment_ids = kind.lazy("tactile_envs:ids")
 _WRITTEN = {False: "written to {}", True: "would be written to {}; nothing was written"}
 
-app = new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
+app = application.new_app("env-assets", "Assets of environments: the wrench, and the list of environments.")
 
 
-@command(app)
+@application.command(app)
 def wrench(
     *,
     spec: WrenchSpec,
-    out: Path = local_out_folder("wrench-data"),
-    stl: Path | None = text(
+    out: Path = options.local_out_folder("wrench-data"),
+    stl: Path | None = checked_fields.text(
         metavar="FILE",
-        read=local_place,
+        read=options.local_place,
         help="Also write the mesh for a printer: .stl, .3mf, .ply, .obj, .glb.",
     ),
-    overwrite: bool = OVERWRITE,
-    dry_run: bool = DRY_RUN,
-    sink: Sink,
+    overwrite: bool = options.OVERWRITE,
+    dry_run: bool = options.DRY_RUN,
+    sink: output.Sink,
 ) -> None:
     """Make a printable open-end wrench, as a data set of one row.
 
@@ -66,24 +59,21 @@ def wrench(
     sink.line(_WRITTEN[dry_run].format(files))
 
 
-@command(app, name="list")
+@application.command(app, name="list")
 def list_environments(
     *,
-    words: list[str] | None = argument(
+    words: list[str] | None = options.argument(
         "WORD...", "Only ids with all of these words, such as ABCVolume DR.", several=True, default=None
     ),
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """List the ids of environments, and what each of them is.
 
     Example: env-assets list Minecraft
     """
-    # Imported here: it registers the environments, and imports numpy.
-    import tactile_envs
-
-    found = tactile_envs.ids(*words or ())
+    found = _environment_ids(*words or ())
     sink.document([asdict(each) for each in found])
-    names = [field.name for field in fields(tactile_envs.EnvId)]
+    names = [field.name for field in fields(found[0])]
     sink.table(names, [[_shown(getattr(each, name)) for name in names] for each in found])
     sink.line(f"{with_count(len(found), 'environments')}; `tactile_envs:ID` is the name for gymnasium.make")
     for assets in dict.fromkeys(each.assets for each in found):
@@ -91,14 +81,21 @@ def list_environments(
             sink.line(f"{assets}: give `assets`, a folder of meshes; {env_assets.THIRD_PARTY_ASSETS[assets]}")
 
 
-def _shown(value: Any) -> Any:
+def _shown(value: object) -> object:
     """Return parts of an observation or an action with their shapes as text, other values as they are."""
     if not isinstance(value, Mapping):
         return value
     return " ".join(f"{name}{list(shape)}" for name, shape in value.items())
 
 
-for _shared in (export, verify, merge, split, show, cache):
-    command(app, kind=KIND, checks=None, objects=Objects())(_shared)
+for _shared in (
+    exports.export,
+    checks.verify,
+    merge_and_split.merge,
+    merge_and_split.split,
+    contents.show,
+    upkeep.cache,
+):
+    application.command(app, kind=KIND, checks=None, objects=checks.Objects())(_shared)
 
-main = partial(run, app)
+main = partial(application.run, app)

@@ -2,31 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
-from cli.application import EXIT_FAILED
-from cli.declared_options import OptionsOf
-from cli.options import (
-    ANY_SET,
-    Job,
-    Opening,
-    Work,
-    local_out_folder,
-    process_count,
-)
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
-from tactile_toolkit import catalog, exchange, places, printing, store
-from tactile_toolkit.checked_fields import choice, real, switch, text
+from cli import application, declared_options, options, output, runs
+from tactile_toolkit import catalog, checked_fields, exchange, places, printing, quantities, store
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 _ROWS_SHOWN = 20
@@ -38,7 +26,7 @@ _DOING = {True: "checking", False: "writing"}
 class ExportOptions:
     """Format and scale of exported files, and the size of build plates."""
 
-    file_format: str | None = choice(
+    file_format: str | None = checked_fields.choice(
         None,
         ("stl", "3mf", "ply", "obj", "glb", *printing.MODELS, "flat"),
         optional=True,
@@ -47,20 +35,20 @@ class ExportOptions:
         help="Format of the files, in mm (glb, mjcf, urdf, usd: in m); plates are 3mf or mjcf. flat: "
         "Parquet tables with a row for each object, its mesh as GLB.",
     )
-    scale: float = real(1.0, help="Factor for all lengths.")
-    base_mm: float | None = real(
+    scale: float = checked_fields.real(1.0, help="Factor for all lengths.")
+    base_mm: float | None = checked_fields.real(
         None,
         above=0,
         optional=True,
         help="Put the upper half of each object on a base plate of this thickness, which prints without "
         "support.",
     )
-    plate: str | None = text(
+    plate: str | None = checked_fields.text(
         metavar="256x256|prusa-mk4",
         complete=tuple(printing.BEDS_MM),
         help="Pack the objects on build plates of this size, in mm, or of this printer.",
     )
-    calibration_plate: bool = switch(
+    calibration_plate: bool = checked_fields.switch(
         False,
         help="Write one plate with a ball, a cone, a ridge, steps and two objects, onto which a sensor is "
         "pressed for `tactile-sim calibrate`.",
@@ -70,15 +58,15 @@ class ExportOptions:
 def export(
     *,
     kind: DatasetKind,
-    name: str = ANY_SET,
-    opening: Opening,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
     form: ExportOptions,
     chosen: catalog.RowFilter,
-    distances: Annotated[dict[str, Any], OptionsOf(printing.PlateSpec)],
-    material: Annotated[dict[str, Any], OptionsOf(printing.Physics)],
-    out: Path = local_out_folder("prints"),
-    job: Job,
-    sink: Sink,
+    distances: Annotated[declared_options.Given, declared_options.OptionsOf(printing.PlateSpec)],
+    material: Annotated[declared_options.Given, declared_options.OptionsOf(printing.Physics)],
+    out: Path = options.local_out_folder("prints"),
+    job: options.Job,
+    sink: output.Sink,
 ) -> None:
     """Write files for printers and simulators, or tables for other libraries.
 
@@ -148,7 +136,7 @@ def _refuse_for_plate(form: ExportOptions) -> None:
 
 
 def _export_calibration_plate(
-    sink: Sink, objects: list[printing.PrintObject], ending: str, out: str, job: Job
+    sink: output.Sink, objects: list[printing.PrintObject], ending: str, out: str, job: options.Job
 ) -> None:
     made = printing.export_calibration_plate(
         objects, out, ending, overwrite=job.overwrite, dry_run=job.dry_run
@@ -163,21 +151,22 @@ def _export_calibration_plate(
 
 
 def _export_files(
-    sink: Sink,
+    sink: output.Sink,
     objects: list[printing.PrintObject],
     ending: str,
     scale: float,
     physics: printing.Physics,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
-    how: dict[str, Any] = {"scale": scale, "physics": physics, "overwrite": job.overwrite}
     with sink.progress(_DOING[job.dry_run], "files") as update:
         made = printing.export_files(
             *(objects, out, ending),
-            **how,
+            scale=scale,
+            physics=physics,
+            overwrite=job.overwrite,
             dry_run=job.dry_run,
-            workers=process_count(job.workers),
+            workers=options.process_count(job.workers),
             on_progress=update,
         )
     sink.document({"out": out, **asdict(made)})
@@ -194,7 +183,7 @@ def _export_files(
         ]
         sink.table(("file", "size mm", "volume mm³", "bytes", ""), rows)
     kept = _kept(sum(file.state == "kept" for file in made.files))
-    size = bytes_text(sum(file.bytes for file in made.files))
+    size = quantities.bytes_text(sum(file.bytes for file in made.files))
     if job.dry_run:
         count = with_count(len(made.files), f"{ending} files")
         sink.line(f"would write {count} to {out} ({size}){kept}; nothing was written")
@@ -206,13 +195,13 @@ def _export_files(
 
 
 def _export_flat(
-    sink: Sink,
+    sink: output.Sink,
     kind: DatasetKind,
     place: places.Place,
-    choices: Any,
-    filters: Mapping[str, Any],
+    choices: exchange.Choices,
+    filters: JsonObject,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
     plan = exchange.plan_tables(kind, place, choices, filters, out)
     if job.dry_run:
@@ -223,18 +212,18 @@ def _export_flat(
         sink.line(f"would write {with_count(rows, kind.nouns)} to {out}; nothing was written")
         return
     make = partial(store.build, store.open_folder(out), plan, write_card=kind.write_card)
-    work = Work(job.workers, overwrite=job.overwrite)
-    make_with_progress(sink, "writing", kind, make, work, out, print_set)
+    work = options.Work(job.workers, overwrite=job.overwrite)
+    runs.make_with_progress(sink, "writing", kind, make, work, out, runs.print_set)
 
 
 def _export_plates(
-    sink: Sink,
+    sink: output.Sink,
     objects: list[printing.PrintObject],
     spec: printing.PlateSpec,
     scale: float,
     bodies: printing.Physics | None,
     out: str,
-    job: Job,
+    job: options.Job,
 ) -> None:
     with sink.progress("measuring", "objects") as update:
         layout = printing.arrange(objects, spec, scale, bodies, update)
@@ -250,7 +239,8 @@ def _export_plates(
     if made.removed:
         sink.info(f"{removed} plates of an earlier export: {', '.join(made.removed)}")
     rows = [
-        (plate.file, plate.objects, f"{plate.share:.0%}", bytes_text(plate.bytes)) for plate in made.files
+        (plate.file, plate.objects, f"{plate.share:.0%}", quantities.bytes_text(plate.bytes))
+        for plate in made.files
     ]
     sink.table(("plate", "objects", "share of the plate", "size"), rows)
     kept = _kept(sum(plate.state == "kept" for plate in made.files))
@@ -259,12 +249,12 @@ def _export_plates(
     _report_failures(sink, made.failed)
 
 
-def _report_failures(sink: Sink, failures: Iterable[printing.FailedExport]) -> None:
+def _report_failures(sink: output.Sink, failures: Iterable[printing.FailedExport]) -> None:
     """Name the objects that could not be written; if there are any, exit as after a failed validation."""
     for failure in failures:
         sink.warn(f"failed: {failure.name}: {failure.detail}")
     if failures:
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)
 
 
 def _kept(count: int) -> str:

@@ -5,26 +5,16 @@ from __future__ import annotations
 import time
 from pathlib import Path
 
-from cli.options import (
-    ANY_SET,
-    TOUCH_SET,
-    Job,
-    Opening,
-    local_out_folder,
-    process_count,
-)
-from cli.output import Sink
+from cli import options, output
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, gallery
-from tactile_toolkit.checked_fields import integer
+from tactile_toolkit import catalog, checked_fields, gallery, quantities
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text, duration_text
 from tactile_toolkit.wording import with_count
 
 
-def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
+def _make_page(sink: output.Sink, page: gallery.Gallery, out: Path, job: options.Job) -> None:
     """Make a gallery with progress and print what was made, or only what would be made."""
-    nouns, workers = page.nouns[1], process_count(job.workers)
+    nouns, workers = page.nouns[1], options.process_count(job.workers)
     if job.dry_run:
         path = gallery.site_folder(page, str(out), overwrite=job.overwrite)
         items, splits = with_count(page.size, nouns), dict(page.splits)
@@ -40,27 +30,27 @@ def _make_page(sink: Sink, page: gallery.Gallery, out: Path, job: Job) -> None:
         with sink.progress("making the gallery", nouns) as update:
             site = gallery.build_site(page, str(out), workers, overwrite=job.overwrite, on_progress=update)
     except KeyboardInterrupt as error:
-        # The default message says that finished work is kept, but half a gallery would be of no use.
+        # The default message says that finished work is kept; half a gallery is not.
         raise KeyboardInterrupt(f"interrupted; {out} is unchanged") from error
     index = str(Path(site.path) / gallery.PAGE_FILE)
     made = {"items": site.items, "files": site.files, "bytes": site.bytes, "splits": site.splits}
     sink.document({"page": index, **made})
     sink.table(("split", nouns), list(site.splits.items()))
-    took = duration_text(time.monotonic() - start_s)
+    took = quantities.duration_text(time.monotonic() - start_s)
     items, files = with_count(site.items, nouns), with_count(site.files, "files")
-    sink.line(f"made {out} in {took}: {items}, {files}, {bytes_text(site.bytes)}")
+    sink.line(f"made {out} in {took}: {items}, {files}, {quantities.bytes_text(site.bytes)}")
     sink.line(f"next: open {index} in a browser")
 
 
 def gallery_of_meshes(
     *,
     kind: DatasetKind,
-    name: str = ANY_SET,
-    opening: Opening,
+    name: str = options.ANY_SET,
+    opening: options.Opening,
     chosen: catalog.RowFilter,
-    out: Path = local_out_folder("gallery"),
-    job: Job,
-    sink: Sink,
+    out: Path = options.local_out_folder("gallery"),
+    job: options.Job,
+    sink: output.Sink,
 ) -> None:
     """Make a page of thumbnails, filters and 3D views that opens without a network or a server.
 
@@ -74,13 +64,13 @@ def gallery_of_meshes(
 def gallery_of_touches(
     *,
     kind: DatasetKind,
-    name: str = TOUCH_SET,
-    opening: Opening,
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
     chosen: catalog.RowFilter,
-    touches: int = integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
-    out: Path = local_out_folder("gallery"),
-    job: Job,
-    sink: Sink,
+    touches: int = checked_fields.integer(64, 1, help="Maximum number of touches of a round, evenly spaced."),
+    out: Path = options.local_out_folder("gallery"),
+    job: options.Job,
+    sink: output.Sink,
 ) -> None:
     """Make a page of rounds: touches as a grid, clips frame by frame; no network or server is needed.
 

@@ -11,29 +11,29 @@ import typer
 
 from cli.options import FOLDER, WORKERS, argument, parse_address, process_count
 from cli.output import Sink
-from tactile_toolkit import catalog, exchange, places
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit import catalog, checked_fields, exchange, places
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.quantities import BYTES, bytes_text
 from tactile_toolkit.wording import with_count
 
 REPOSITORY = argument("USER/NAME", "Repository of the Hub.")
-SENDS_NOTHING = switch(False, help="Print what would be sent; send nothing.")
-SENDS_UNASKED = switch(False, name="--yes -y", help="Send without asking.")
+SENDS_NOTHING = checked_fields.switch(False, help="Print what would be sent; send nothing.")
+SENDS_UNASKED = checked_fields.switch(False, name="--yes -y", help="Send without asking.")
 PUBLISHED = argument("NAME", "Short name of a published set, or USER/NAME on the Hub.")
-SPLITS = text(metavar="SPLIT", several=True, help="Only this split; may be repeated.")
-FETCHED_TO = text(
+SPLITS = checked_fields.text(metavar="SPLIT", several=True, help="Only this split; may be repeated.")
+FETCHED_TO = checked_fields.text(
     name="--out -o",
     metavar="DIR",
     read=parse_address,
     help="Folder to write; the Hub's own cache by default.",
 )
-FETCHES_NOTHING = switch(False, help="Print what would be fetched; fetch nothing.")
-FETCHES_UNASKED = switch(False, name="--yes -y", help="Do not ask before a large download.")
+FETCHES_NOTHING = checked_fields.switch(False, help="Print what would be fetched; fetch nothing.")
+FETCHES_UNASKED = checked_fields.switch(False, name="--yes -y", help="Do not ask before a large download.")
 _LARGE_BYTES = 1_000_000_000
 # Number of files that are named if a list is longer.
 _FILES_SHOWN = 8
+_disable_progress_bars = lazy("huggingface_hub.utils.tqdm:disable_progress_bars")  # takes 0.2 s to import
 _VISIBLE = {True: "private", False: "public"}
 
 
@@ -134,11 +134,9 @@ def download(
 
 def quiet_client(*, is_all: bool) -> None:
     """Silence the log of the Hub's client, and with ``is_all`` its progress bars, too."""
-    from huggingface_hub.utils.tqdm import disable_progress_bars
-
     logging.getLogger("huggingface_hub").setLevel(logging.ERROR)
     if is_all:
-        disable_progress_bars()  # it draws them even if stderr is not a terminal
+        _disable_progress_bars()  # it draws them even if stderr is not a terminal
 
 
 def _require_consent(question: str, refused: str, next_step: str) -> None:
@@ -161,7 +159,7 @@ def _listed(paths: Sequence[str]) -> str:
 def _print_upload_plan(sink: Sink, prepared: exchange.PreparedUpload) -> None:
     plan, held, where = prepared.plan, prepared.held, _where(prepared)
     for paths, words in (
-        (prepared.left_out, "left out, as they are no part of the data set: {}"),
+        (prepared.left_out, "left out, not part of the data set: {}"),
         (plan.kept, "kept on the Hub, though not in the folder: {} (--delete removes these)"),
     ):
         if paths:

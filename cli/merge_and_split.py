@@ -3,22 +3,23 @@
 from __future__ import annotations
 
 from functools import partial
-from typing import Any
 
+from cli import output, runs
 from cli.options import ANY_SET, Opening, Work, argument, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
-from tactile_toolkit import catalog, exchange
-from tactile_toolkit.checked_fields import integer, switch, text
+from tactile_toolkit import catalog, checked_fields, exchange, parsed_text
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.parsed_text import comma_separated
 from tactile_toolkit.wording import with_count
+
+
+def _given(chosen: catalog.RowFilter) -> JsonDict:
+    return {each: value for each, value in chosen.given().items() if value is not None}
 
 
 def _fractions(words: str) -> tuple[float, ...]:
     try:
-        shares = tuple(map(float, comma_separated(words)))
+        shares = tuple(map(float, parsed_text.comma_separated(words)))
     except ValueError:
         shares = ()
     if not shares or not all(0 < share <= 1 for share in shares) or sum(shares) > 1 + 1e-9:
@@ -33,25 +34,25 @@ def merge(
     kind: DatasetKind,
     names: list[str] = argument("DIR...", "Data sets of one kind.", several=True),
     opening: Opening,
-    renumber: bool = switch(
-        False, help="Give rows whose id occurs before a new one; the first row with an id keeps it."
+    renumber: bool = checked_fields.switch(
+        False, help="Give rows with a repeated id a new one; the first row with an id keeps it."
     ),
-    source_column: str | None = text(
+    source_column: str | None = checked_fields.text(
         metavar="NAME", read=str, help="Add a column with the name of the data set that each row is from."
     ),
     out: str = out_folder("merged"),
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Merge data sets into one; shards are copied unchanged if no id changes and no column is added.
 
-    Columns and classes must be the same. What rows say of other data sets, such as object_id, is not changed.
+    Columns and classes must be the same. References to other data sets, such as object_id, are not changed.
 
     Examples: merge DIR OTHER --out both;  merge DIR OTHER --renumber --source-column source --out both
     """
     places = [opening.open(sink, name) for name in names]
     make = partial(exchange.merge_sets, kind, places, out, renumber=renumber, source_column=source_column)
-    manifest = make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    manifest = runs.make_with_progress(sink, "copying", kind, make, work, out, runs.print_set)
     if manifest is None:
         return
     for entry in manifest.spec["options"].get("renumbered", ()):
@@ -68,16 +69,16 @@ def split(
     name: str = ANY_SET,
     opening: Opening,
     out: str = out_folder("parts"),
-    fractions: tuple[float, ...] = text(
+    fractions: tuple[float, ...] = checked_fields.text(
         (),
         metavar="0.8,0.2",
         read=_fractions,
         help="Fractions of the rows of each split, one for each part.",
     ),
-    seed: int = integer(0, help="Random seed for --fractions."),
+    seed: int = checked_fields.integer(0, help="Random seed for --fractions."),
     chosen: catalog.RowFilter,
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Divide a data set into several of the same kind: OUT/part-1, OUT/part-2 and so on.
 
@@ -86,7 +87,7 @@ def split(
 
     Examples: split DIR --fractions 0.8,0.2 --out parts;  split DIR --ids 3,17,40-60 --out parts
     """
-    given = {each: value for each, value in chosen.given().items() if value is not None}
+    given = _given(chosen)
     if given and fractions:
         raise InputError(
             "--fractions was given with --ids or other filters; expected only one of them",
@@ -94,12 +95,12 @@ def split(
         )
     if not given and not fractions:
         raise InputError("expected --fractions, or filters such as --ids", next="add --fractions 0.8,0.2")
-    options: dict[str, Any] = given or {"fractions": fractions, "seed": seed}
+    options = given or {"fractions": fractions, "seed": seed}
     source = opening.open(sink, name)
     for number, rows in enumerate(exchange.divide(kind, source, fractions, seed, given), 1):
         place = f"{out.rstrip('/')}/part-{number}"
         make = partial(exchange.write_part, kind, source, rows, {**options, "part": number}, place)
-        make_with_progress(sink, "copying", kind, make, work, place, print_set)
+        runs.make_with_progress(sink, "copying", kind, make, work, place, runs.print_set)
 
 
 def select(
@@ -110,15 +111,15 @@ def select(
     chosen: catalog.RowFilter,
     out: str = out_folder("selected"),
     work: Work,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Write selected rows of a data set as a data set of the same kind.
 
     Example: select DIR --labels 3,5 --per-class 10 --out some
     """
-    given = {each: value for each, value in chosen.given().items() if value is not None}
+    given = _given(chosen)
     if not given:
         raise InputError("expected filters such as --ids", next="add --ids, --labels, --per-class or --limit")
     source = opening.open(sink, name)
     make = partial(exchange.select_rows, kind, source, given, out)
-    make_with_progress(sink, "copying", kind, make, work, out, print_set)
+    runs.make_with_progress(sink, "copying", kind, make, work, out, runs.print_set)

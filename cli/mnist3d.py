@@ -4,24 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import partial
-from typing import Annotated, Any
+from typing import Annotated
 
 import mnist3d
+from cli import checks, declared_options, options, output, picture_prints, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from cli.checks import Geometry
-from cli.declared_options import OptionsOf
-from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink
-from cli.picture_prints import solidify
-from cli.previews import Pictures
-from cli.runs import generate_set, print_left_out, print_set
-from cli.shared import add_shared
-from mnist3d.digit_options import SOURCES, DigitPreviewSpec, SourceOptions
+from mnist3d import digit_options, published_splits, solid_spec
 from mnist3d.kind import KIND
-from mnist3d.published_splits import SPLITS, SplitSpec
-from mnist3d.solid_spec import SolidSpec
-from tactile_toolkit import cards, catalog, mesh, places, run, store
-from tactile_toolkit.checked_fields import choice
+from tactile_toolkit import cards, catalog, checked_fields, mesh, places, run, store
 from tactile_toolkit.kind import DatasetKind, lazy
 
 app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to validated data sets of meshes.")
@@ -30,22 +20,24 @@ app = new_app("mnist3d", "Printable 3D digits: from images of handwriting to val
 @command(app)
 def generate(
     *,
-    split: str | None = choice(
+    split: str | None = checked_fields.choice(
         None,
-        (*SPLITS, "all"),
+        (*published_splits.SPLITS, "all"),
         shown="all",
         help="Split to make. Without this option, the images of a folder are all in train.",
     ),
-    out: str = out_folder("mnist3d-data"),
-    source: str = choice("synthetic", SOURCES, help="Where the images come from."),
-    images: Annotated[dict[str, Any], OptionsOf(SourceOptions)],
-    division: SplitSpec,
+    out: str = options.out_folder("mnist3d-data"),
+    source: str = checked_fields.choice(
+        "synthetic", digit_options.SOURCES, help="Where the images come from."
+    ),
+    images: Annotated[declared_options.Given, declared_options.OptionsOf(digit_options.SourceOptions)],
+    division: published_splits.SplitSpec,
     per_class: int | None = catalog.PER_CLASS,
     limit: int | None = catalog.LIMIT,
-    solid: SolidSpec,
+    solid: solid_spec.SolidSpec,
     words: cards.OwnerWords,
-    making: Making,
-    sink: Sink,
+    making: options.Making,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of printable 3D digits.
 
@@ -60,7 +52,7 @@ def generate(
         per_class=per_class,
         limit=limit,
     )
-    making_of = mnist3d.DigitMaking.of(spec, None if split is None else SPLITS)
+    making_of = mnist3d.DigitMaking.of(spec, None if split is None else published_splits.SPLITS)
     splits: Sequence[str] | None = None
     if split == "all":
         splits = tuple(making_of.items())
@@ -68,12 +60,12 @@ def generate(
         splits = (split,)
     # Before the first digit, also for a forecast, which measures how long a worker takes.
     run.prepare_batch_process()
-    generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
+    runs.generate_set(sink, "making digits", making_of, out, splits, making, _print_made)
     if words.given() and not making.dry_run:
         _state_owner(sink, out, words)
 
 
-def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
+def _state_owner(sink: output.Sink, out: str, words: cards.OwnerWords) -> None:
     """Write words of the owner into the card of a finished data set."""
     folder = store.open_folder(out)
     manifest = store.read_manifest(folder)
@@ -84,7 +76,7 @@ def _state_owner(sink: Sink, out: str, words: cards.OwnerWords) -> None:
 
 
 def _print_made(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     # The report that the figures come from is written at the end of a run.
     summaries = []
@@ -93,24 +85,24 @@ def _print_made(
     splits = [summary.to_dict() for summary in summaries] or manifest.split_table()
     skipped = manifest.skipped_reasons()
     facts = cards.facts_table(summaries, mnist3d.SUMMED_UP)
-    print_left_out(sink, manifest)
-    print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
+    runs.print_left_out(sink, manifest)
+    runs.print_set(sink, kind, manifest, out, elapsed_s, *facts, splits=splits, skipped=skipped)
     for line in mesh.print_advice(word for each in summaries for word in each.facets["warnings"]):
         sink.line(line)
 
 
-_CHECKS = Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
+_CHECKS = checks.Geometry("meshes", lazy("mnist3d.digit_checks:validate_paths"))
 
 
 def _preview(
     *,
-    path: str = argument(
+    path: str = options.argument(
         "DIR|FILE", "Data set folder, Parquet file, STL/3MF/PLY/OBJ/GLB file, or a picture of a digit."
     ),
-    opening: Opening,
-    spec: DigitPreviewSpec,
-    pictures: Pictures,
-    sink: Sink,
+    opening: options.Opening,
+    spec: digit_options.DigitPreviewSpec,
+    pictures: previews.Pictures,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of digits as PNG, without a screen: a sheet of each split, or steps from ink to mesh.
 
@@ -122,7 +114,7 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(name, spec))
 
 
-command(app)(solidify)
-add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
+command(app)(picture_prints.solidify)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 from tactile_toolkit.json_types import JsonValue
@@ -41,7 +42,12 @@ def stored_value(scalar: pa.Scalar) -> object:
     try:
         return scalar.as_py()
     except ValueError:
-        return str(scalar)
+        # Its text needs pandas, which no command imports.
+        if isinstance(scalar, Mapping):
+            return {name: stored_value(each) for name, each in scalar.items()}
+        if isinstance(scalar, Iterable):
+            return list(map(stored_value, scalar))
+        return scalar.cast("string").as_py()
 
 
 def brief(value: object) -> JsonValue:

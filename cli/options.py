@@ -7,10 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from cli.output import Sink
-from tactile_toolkit import catalog, places, run, store
+from tactile_toolkit import catalog, places, run, store, system
 from tactile_toolkit.checked_fields import integer, switch, text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.system import usable_cores
 
 JOB = "Job options"
 """Panel of the help for options that decide how the work is done, not what is made."""
@@ -141,7 +140,7 @@ class Making(Work):
 
 def process_count(workers: int) -> int:
     """Return the number of processes for ``--workers``; 0 means one per processor core."""
-    return workers or usable_cores()
+    return workers or system.usable_cores()
 
 
 @dataclass(frozen=True, slots=True)

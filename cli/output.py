@@ -11,12 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from itertools import zip_longest
-from typing import Any
 
-from tactile_toolkit.checked_fields import switch
+from tactile_toolkit import checked_fields, redaction, shown_text
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.progress import shown_progress
-from tactile_toolkit.redaction import redact
-from tactile_toolkit.shown_text import printable, printable_json
 
 _GAP = "  "
 _ANSWERS = {True: "yes", False: "-"}
@@ -31,18 +29,20 @@ class Sink:
     ``--json`` prints one document on stdout and no tables, ``--quiet`` neither progress nor tables.
     """
 
-    as_json: bool = switch(False, name="--json", help="Print one JSON document on stdout.")
-    quiet: bool = switch(False, name="--quiet -q", help="Print neither progress nor tables, only errors.")
+    as_json: bool = checked_fields.switch(False, name="--json", help="Print one JSON document on stdout.")
+    quiet: bool = checked_fields.switch(
+        False, name="--quiet -q", help="Print neither progress nor tables, only errors."
+    )
 
-    def document(self, content: Any) -> None:
+    def document(self, content: JsonValue) -> None:
         """Print the JSON document of the command, if ``--json`` was given."""
         if self.as_json:
-            sys.stdout.write(_encodable(printable_json(content)) + "\n")
+            sys.stdout.write(_encodable(shown_text.printable_json(content)) + "\n")
 
     def line(self, text: str = "") -> None:
         """Print a line of the result."""
         if not (self.as_json or self.quiet):
-            sys.stdout.write(printable(text, keep="\n") + "\n")
+            sys.stdout.write(shown_text.printable(text, keep="\n") + "\n")
 
     def info(self, text: str) -> None:
         """Print a message on stderr, unless ``--quiet`` was given."""
@@ -51,8 +51,8 @@ class Sink:
 
     def warn(self, text: str) -> None:
         """Print a message on stderr even with ``--quiet``, such as the name of a damaged file."""
-        # It may quote a source, with an address that somebody else wrote there.
-        sys.stderr.write(redact(printable(text, keep="\n")) + "\n")
+        # It may quote a source, and with it an address that holds a secret.
+        sys.stderr.write(redaction.redact(shown_text.printable(text, keep="\n")) + "\n")
 
     def table(self, header: Sequence[str], rows: Sequence[Sequence[object]], title: str = "") -> None:
         """Print a table of the result."""
@@ -61,7 +61,7 @@ class Sink:
         if not rows:
             return
         is_number = [isinstance(cell, (int, float)) and not isinstance(cell, bool) for cell in rows[0]]
-        cells = [[printable(_cell(cell)).rstrip() for cell in row] for row in rows]
+        cells = [[shown_text.printable(_cell(cell)).rstrip() for cell in row] for row in rows]
         # In a file or pipe, a table keeps its columns, however wide it is.
         width = sys.maxsize
         if sys.stdout.isatty():

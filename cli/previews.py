@@ -5,36 +5,28 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
-from cli.options import (
-    DRY_RUN,
-    TOUCH_SET,
-    Opening,
-    local_place,
-)
-from cli.output import Sink
+from cli import options, output
 from realtouch.kind import KIND
 from realtouch.touch_options import TouchPreviewSpec
-from tactile_toolkit import pictures, store
-from tactile_toolkit.checked_fields import text
+from tactile_toolkit import checked_fields, pictures, quantities, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text
 
 
 @dataclass(frozen=True, slots=True)
 class Pictures:
     """Options for the files of pictures."""
 
-    out: Path | None = text(
+    out: Path | None = checked_fields.text(
         name="--out -o",
         metavar="DIR|FILE.png",
-        read=local_place,
+        read=options.local_place,
         shown="previews",
         help="Folder to write, or the file of a single picture; pictures of the same name are replaced.",
     )
-    dry_run: bool = DRY_RUN
+    dry_run: bool = options.DRY_RUN
 
-    def write(self, sink: Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
+    def write(self, sink: output.Sink, plan: pictures.PicturePlan, usual: str = "previews") -> None:
         """Draw planned pictures and print where they are, or print only what would be drawn."""
         folder, drawn = self.out or Path(usual), plan.pictures
         if folder.suffix.lower() == ".png":
@@ -55,18 +47,18 @@ class Pictures:
             written = pictures.write_pictures(store.open_folder(str(folder.absolute())), drawn, update)
         sink.document({"folder": str(folder), "pictures": [asdict(made) for made in written], **left_out})
         for made in written:
-            size = f"{made.width:,} x {made.height:,} pixels, {bytes_text(made.bytes)}"
+            size = f"{made.width:,} x {made.height:,} pixels, {quantities.bytes_text(made.bytes)}"
             sink.line(f"{folder / made.file}: {made.what} ({size})")
 
 
 def preview_touches(
     *,
     kind: DatasetKind,
-    name: str = TOUCH_SET,
-    opening: Opening,
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
     spec: TouchPreviewSpec,
     pictures: Pictures,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of touches as PNG, without a screen; a grid alone goes to touches.png.
 

@@ -5,45 +5,34 @@ from __future__ import annotations
 from dataclasses import asdict, replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import typer
 
 import realtouch
-from cli.application import EXIT_FAILED, command, new_app, run
-from cli.galleries import gallery_of_touches
-from cli.nested_values import flat_lines
-from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
-from cli.output import Sink
-from cli.previews import preview_touches
-from cli.runs import print_set
-from cli.shared import add_shared
-from cli.touch_checks import check
-from cli.touch_conversions import (
-    ClipsToImages,
-    Depth,
-    Export,
-    Frames,
-    Resize,
-    Select,
-    add_conversion,
-    announce_fetching,
+from cli import (
+    application,
+    galleries,
+    nested_values,
+    options,
+    output,
+    previews,
+    runs,
+    shared,
+    touch_conversions,
+    touch_imports,
 )
-from cli.touch_imports import import_touches
+from cli.touch_checks import check
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import switch, text
+from tactile_toolkit import catalog, checked_fields, kind, places, quantities, store
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.quantities import least_to_most
 from tactile_toolkit.wording import with_count
 
-app = new_app(
+app = application.new_app(
     "realtouch", "Real touches: load, check, import, filter and convert recordings of tactile sensors."
 )
 
 
-_calibrate_published = lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
+_calibrate_published = kind.lazy("cli.touch_calibration:calibrate_published")  # which imports numpy
 
 # How thoroughly `verify` checked images, by --quick.
 _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
@@ -51,14 +40,14 @@ _DEPTHS = {True: "every header was read", False: "every picture was decoded"}
 _ANSWERS = {True: "yes", False: "NO"}
 
 
-@command(app)
+@application.command(app)
 def load(
     *,
-    name: str = TOUCH_SET,
+    name: str = options.TOUCH_SET,
     split: str | None = catalog.ONE_SPLIT,
-    opening: Opening,
-    check: bool = switch(True, help="Check every round and the headers of its images."),
-    sink: Sink,
+    opening: options.Opening,
+    check: bool = checked_fields.switch(True, help="Check every round and the headers of its images."),
+    sink: output.Sink,
 ) -> None:
     """Download missing files, check the data set, and print a summary.
 
@@ -80,8 +69,14 @@ def load(
     sink.line(f"next in Python: realtouch.load({arguments}).touches()")
 
 
-@command(app)
-def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: Opening, sink: Sink) -> None:
+@application.command(app)
+def info(
+    *,
+    name: str = options.TOUCH_SET,
+    split: str | None = catalog.SPLIT,
+    opening: options.Opening,
+    sink: output.Sink,
+) -> None:
     """Show what each split of a data set holds and, if this toolkit made it, how.
 
     Example: realtouch info touches-64x64
@@ -94,9 +89,9 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
             manifest.spec.get("operation"), str, f"{name}/{store.MANIFEST_FILE}", "spec.operation"
         )
         if not manifest.complete or operation in ("frames", "export", "merge", "split"):
-            print_set(sink, KIND, manifest, name)
+            runs.print_set(sink, KIND, manifest, name)
             return
-    announce_fetching(sink, place, split)
+    touch_conversions.announce_fetching(sink, place, split)
     source = realtouch.Source.open(place, split)
     summaries = {
         each: realtouch.summarise(realtouch.dataset_of(shards)) for each, shards in source.shards.items()
@@ -112,19 +107,19 @@ def info(*, name: str = TOUCH_SET, split: str | None = catalog.SPLIT, opening: O
         _print_summary(sink, each, summary)
     if manifest is not None:
         sink.line(f"made by tactile-toolkit {manifest.toolkit_version}; {operation} with")
-        for line in flat_lines(manifest.spec.get("options")):
+        for line in nested_values.flat_lines(manifest.spec.get("options")):
             sink.line(f"  {line}")
 
 
-@command(app)
+@application.command(app)
 def verify(
     *,
-    name: str = TOUCH_SET,
+    name: str = options.TOUCH_SET,
     split: str | None = catalog.SPLIT,
-    opening: Opening,
-    quick: bool = switch(False, help="Read only the headers of images; decode none."),
-    workers: int = WORKERS,
-    sink: Sink,
+    opening: options.Opening,
+    quick: bool = checked_fields.switch(False, help="Read only the headers of images; decode none."),
+    workers: int = options.WORKERS,
+    sink: output.Sink,
 ) -> None:
     """Check every file, round, touch and frame, and list all errors.
 
@@ -152,18 +147,18 @@ def verify(
         )
 
 
-@command(app)
+@application.command(app)
 def reproduce(
     *,
-    name: str = TOUCH_SET,
-    opening: Opening,
-    calibrate: Path | None = text(
+    name: str = options.TOUCH_SET,
+    opening: options.Opening,
+    calibrate: Path | None = checked_fields.text(
         metavar="DIR",
-        read=local_place,
+        read=options.local_place,
         help="Make the twin of the sensor instead, from touches of printed digits; write it and its figures.",
     ),
-    solids: str = text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
-    sink: Sink,
+    solids: str = checked_fields.text("mnist3d", metavar="SET", help="The printed digits, for --calibrate."),
+    sink: output.Sink,
 ) -> None:
     """Measure what the Tactile MNIST paper states about the real touches.
 
@@ -173,7 +168,7 @@ def reproduce(
     realtouch reproduce real-single-320x240 --calibrate twin-of-the-mini
     """
     place = opening.open(sink, name).require(KIND, "reproduce")
-    announce_fetching(sink, place, None)
+    touch_conversions.announce_fetching(sink, place, None)
     if calibrate is not None:
         _calibrate_published(sink, place, solids, calibrate)
         return
@@ -185,19 +180,19 @@ def reproduce(
     rows = [(each.what, each.paper, each.found, _ANSWERS[each.agrees]) for each in numbers]
     sink.table(("what", "paper", "data", "agrees"), rows)
     if not all(number.agrees for number in numbers):
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)
 
 
 def _verified(
-    sink: Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
+    sink: output.Sink, place: places.Place, split: str | None, workers: int = 0, *, quick: bool
 ) -> realtouch.TouchVerification:
-    count = process_count(workers)
+    count = options.process_count(workers)
     with sink.progress("checking", "rounds") as update:
         return realtouch.verify(place, split, quick=quick, workers=count, on_progress=update)
 
 
 def _require_intact(
-    sink: Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
+    sink: output.Sink, result: realtouch.TouchVerification, name: str, *, unfinished: bool = False
 ) -> None:
     """Name all damage on stderr; IntegrityError if there is any."""
     for finding in result.findings:
@@ -209,16 +204,16 @@ def _require_intact(
         raise IntegrityError(f"{with_count(len(result.findings), 'problems')} in {name!r}", next=next_step)
 
 
-def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
+def _print_summary(sink: output.Sink, split: str, summary: realtouch.Summary) -> None:
     """Print the figures of one split."""
     width, height = summary.image_size
     contact = f"not counted ({summary.contact_rule})"
     if summary.contact_share is not None:
         contact = f"{summary.contact_share:.1%} ({summary.contact_rule})"
     gels = ", ".join(f"{gel}: {with_count(n, 'rounds')}" for gel, n in summary.gel_ids.items())
-    rows: list[tuple[str, Any]] = [
+    rows: list[tuple[str, object]] = [
         ("rounds", f"{summary.rounds:,}"),
-        ("touches", f"{summary.touches:,} ({least_to_most(summary.touches_per_round)} per round)"),
+        ("touches", f"{summary.touches:,} ({quantities.least_to_most(summary.touches_per_round)} per round)"),
         ("objects", f"{summary.objects:,}" if summary.objects else "unknown"),
         ("with contact", contact),
         ("labels", ", ".join(f"{name}: {count}" for name, count in summary.labels.items()) or "none"),
@@ -232,16 +227,18 @@ def _print_summary(sink: Sink, split: str, summary: realtouch.Summary) -> None:
     sink.table((split, summary.kind), rows)
 
 
-_convert = partial(add_conversion, app)
-_convert("clips-to-images", ClipsToImages, lazy("realtouch:clips_to_images"))
-_convert("resize", Resize, lazy("realtouch:resize"))
-_convert("depth", Depth, lazy("realtouch:add_depth"))
-_convert("frames", Frames, lazy("realtouch:frames"), nouns="touches")
-_convert("select", Select, lazy("realtouch:select"))
-_convert("export", Export, lazy("realtouch:export"), nouns="rows")
-command(app, "import")(import_touches)
-command(app)(check)
-_own: dict[str, Any] = {"preview": preview_touches, "gallery": gallery_of_touches}
-add_shared(app, KIND, {**_own, **dict.fromkeys(("info", "verify", "validate", "export", "select"))})
+_convert = partial(touch_conversions.add_conversion, app)
+_convert("clips-to-images", touch_conversions.ClipsToImages, kind.lazy("realtouch:clips_to_images"))
+_convert("resize", touch_conversions.Resize, kind.lazy("realtouch:resize"))
+_convert("depth", touch_conversions.Depth, kind.lazy("realtouch:add_depth"))
+_convert("frames", touch_conversions.Frames, kind.lazy("realtouch:frames"), nouns="touches")
+_convert("select", touch_conversions.Select, kind.lazy("realtouch:select"))
+_convert("export", touch_conversions.Export, kind.lazy("realtouch:export"), nouns="rows")
+application.command(app, "import")(touch_imports.import_touches)
+application.command(app)(check)
+_left_out = dict.fromkeys(("info", "verify", "validate", "export", "select"))
+shared.add_shared(
+    app, KIND, {**_left_out, "preview": previews.preview_touches, "gallery": galleries.gallery_of_touches}
+)
 
-main = partial(run, app)
+main = partial(application.run, app)

@@ -7,19 +7,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from cli.options import Making, Work, process_count
-from cli.output import Sink
-from tactile_toolkit import store
-from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text, duration_text
-from tactile_toolkit.shown_text import printable
+from cli import options, output
+from tactile_toolkit import quantities, shown_text, store
+from tactile_toolkit.json_types import JsonValue
+from tactile_toolkit.kind import DatasetKind, lazy
 from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from tactile_toolkit.generation import Forecast, RowGenerator
 
+# Imported when they are called: they import Arrow and numpy, which `--help` does not need.
+_forecast = lazy("tactile_toolkit.generation:forecast")
+_generate = lazy("tactile_toolkit.generation:generate")
 _LEFT_OUT_SHOWN = 20
 
 PrintMade = Callable[..., None]
@@ -30,24 +31,21 @@ Takes a sink, a kind, a manifest, the folder, and the duration of the run in sec
 
 
 def generate_set(
-    sink: Sink,
+    sink: output.Sink,
     what: str,
     rows: RowGenerator,
     out: str,
     splits: Sequence[str] | None,
-    making: Making,
+    making: options.Making,
     print_made: PrintMade,
     require: Callable[[], None] = lambda: None,
 ) -> None:
     """Make a data set of a kind, or forecast it, and print a summary and the next step."""
-    # Imported here: it imports Arrow and numpy, which `--help` does not need.
-    from tactile_toolkit.generation import forecast, generate
-
     if making.dry_run:
-        view = forecast(rows, out, splits, require=require, **making.run_keywords())
+        view = _forecast(rows, out, splits, require=require, **making.run_keywords())
         _print_forecast(sink, rows.kind, view, out, making)
         return
-    make = partial(generate, rows, out, splits, require=require)
+    make = partial(_generate, rows, out, splits, require=require)
     manifest = make_with_progress(sink, what, rows.kind, make, making, out, print_made)
     if manifest is None:
         return
@@ -59,11 +57,11 @@ def generate_set(
 
 
 def make_with_progress(
-    sink: Sink,
+    sink: output.Sink,
     what: str,
     kind: DatasetKind,
     make: Callable[..., store.Manifest],
-    work: Work,
+    work: options.Work,
     out: str,
     print_made: PrintMade,
     unit: str | None = None,
@@ -93,7 +91,7 @@ def make_with_progress(
     elapsed_s = time.monotonic() - start_s
     made = "nothing was left to make"
     if rows or skipped:
-        made = f"made {with_count(rows, kind.nouns)} in {duration_text(elapsed_s)}"
+        made = f"made {with_count(rows, kind.nouns)} in {quantities.duration_text(elapsed_s)}"
     if skipped:
         made += f", left out {with_count(skipped, unit or kind.nouns)}"
     if work.part is not None:
@@ -109,7 +107,9 @@ def make_with_progress(
     return manifest
 
 
-def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, making: Making) -> None:
+def _print_forecast(
+    sink: output.Sink, kind: DatasetKind, view: Forecast, out: str, making: options.Making
+) -> None:
     sink.document(asdict(view))
     header = ("split", kind.nouns, "shards", "finished already")
     sink.table(header, [tuple(entry.values()) for entry in view.splits])
@@ -122,14 +122,14 @@ def _print_forecast(sink: Sink, kind: DatasetKind, view: Forecast, out: str, mak
         part = f" (part {making.part})"
     sink.line(
         f"would make {with_count(view.rows_to_make, kind.nouns)}{part} in {out}: about "
-        f"{bytes_text(view.bytes)} of Parquet, about {duration_text(view.seconds)} with "
-        f"{with_count(process_count(making.workers), 'workers')} (measured on "
+        f"{quantities.bytes_text(view.bytes)} of Parquet, about {quantities.duration_text(view.seconds)} "
+        f"with {with_count(options.process_count(making.workers), 'workers')} (measured on "
         f"{with_count(view.sampled, kind.nouns)}); nothing was written"
     )
 
 
 def print_set(
-    sink: Sink,
+    sink: output.Sink,
     kind: DatasetKind,
     manifest: store.Manifest,
     out: str,
@@ -137,7 +137,7 @@ def print_set(
     header: Sequence[str] = (),
     rows: Sequence[Sequence[object]] = (),
     left_out: str = "",
-    **further: Any,
+    **further: JsonValue,
 ) -> None:
     """Print the content of a folder and, if its run is not finished, the next step.
 
@@ -169,7 +169,13 @@ def print_set(
             activity, next_step = "download", f"download {record.repo_id} there again; it continues"
         sink.line(f"{out}: unfinished, the {activity} is under way or was interrupted; next: {next_step}")
     counts = [
-        (name, e["rows"], f"{e['shards']:,} of {planned[name]:,}", bytes_text(e["bytes"]), e["skipped"])
+        (
+            name,
+            e["rows"],
+            f"{e['shards']:,} of {planned[name]:,}",
+            quantities.bytes_text(e["bytes"]),
+            e["skipped"],
+        )
         for name, e in table.items()
     ]
     sink.table(("split", kind.nouns, "shards", "Parquet", "left out"), counts)
@@ -180,13 +186,11 @@ def print_set(
         sink.line(f"left out {items}: {reason} (each is named in {out}/manifest.json)")
 
 
-def print_left_out(sink: Sink, manifest: store.Manifest) -> None:
+def print_left_out(sink: output.Sink, manifest: store.Manifest) -> None:
     """Print the first files and items of the source that were left out, with the reasons."""
     skipped = (f"{item.message} ({item.reason})" for record in manifest.shards for item in record.skipped)
-    source: Any = manifest.spec.get("source")
-    files: dict[str, str] = {}
-    if isinstance(source, dict):
-        files = source.get("left_out") or files
+    source = manifest.spec.get("source")
+    files = source.get("left_out", {}) if isinstance(source, dict) else {}
     named = (f"{name} ({reason})" for name, reason in files.items())
     for line in islice(chain(named, skipped), _LEFT_OUT_SHOWN):
-        sink.info(printable(f"left out: {line}"))
+        sink.info(shown_text.printable(f"left out: {line}"))

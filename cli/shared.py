@@ -2,49 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
 
 import typer
 
-from cli.application import command
-from cli.checks import validate, verify
-from cli.contents import info, list_sets, show
-from cli.exports import export
-from cli.galleries import gallery_of_meshes
-from cli.hub import download, upload
-from cli.merge_and_split import merge, select, split
-from cli.upkeep import cache, card
+from cli import application, checks, contents, exports, galleries, hub, merge_and_split, upkeep
 from tactile_toolkit.kind import DatasetKind
 
-_COMMANDS: dict[str, Any] = {
-    "info": info,
-    "verify": verify,
-    "validate": validate,
-    "show": show,
+Command = Callable[..., None]
+
+_COMMANDS: dict[str, Command | None] = {
+    "info": contents.info,
+    "verify": checks.verify,
+    "validate": checks.validate,
+    "show": contents.show,
     "preview": None,
-    "card": card,
-    "upload": upload,
-    "download": download,
-    "list": list_sets,
-    "merge": merge,
-    "split": split,
-    "select": select,
-    "cache": cache,
-    "gallery": gallery_of_meshes,
-    "export": export,
+    "card": upkeep.card,
+    "upload": hub.upload,
+    "download": hub.download,
+    "list": contents.list_sets,
+    "merge": merge_and_split.merge,
+    "split": merge_and_split.split,
+    "select": merge_and_split.select,
+    "cache": upkeep.cache,
+    "gallery": galleries.gallery_of_meshes,
+    "export": exports.export,
 }
 
 _ASK_HUB = ("list",)
 """Commands that ask the Hub without opening one of its names."""
 
 
-def add_shared(app: typer.Typer, kind: DatasetKind, others: Mapping[str, Any], **known: Any) -> None:
+def add_shared(
+    app: typer.Typer, kind: DatasetKind, others: Mapping[str, Command | None], **known: object
+) -> None:
     """Add the shared commands to the application of a kind.
 
     ``others`` are the kind's own commands by name, in place of those here; None leaves one out. ``known`` are
-    arguments of the commands that are no options.
+    arguments of the commands that are not options.
     """
     for name, function in {**_COMMANDS, **others}.items():
         if function is not None:
-            command(app, name, asks_hub=name in _ASK_HUB, kind=kind, **known)(function)
+            application.command(app, name, asks_hub=name in _ASK_HUB, kind=kind, **known)(function)

@@ -5,23 +5,15 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import starstruck_gen
+from cli import checks, options, output, previews, runs, shared
 from cli.application import command, new_app, run as run_app
-from cli.checks import Geometry
-from cli.options import Making, Opening, argument, out_folder
-from cli.output import Sink
-from cli.previews import Pictures
-from cli.runs import generate_set, print_set
-from cli.shared import add_shared
 from starstruck_gen.kind import KIND
 from starstruck_gen.scene_options import SceneOptions, ScenePreviewSpec, scene_counts
-from tactile_toolkit import catalog, mesh, places, run, store
-from tactile_toolkit.checked_fields import choice, integer, text
+from tactile_toolkit import catalog, checked_fields, mesh, places, quantities, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import least_to_most
 
 app = new_app(
     "starstruck", "Starstruck: scenes of stars among other objects, as validated data sets of meshes."
@@ -31,18 +23,18 @@ app = new_app(
 @command(app)
 def generate(
     *,
-    split: str = choice("all", ("train", "test", "all"), help="Split to make."),
-    out: str = out_folder("starstruck-data"),
-    scenes: Any = text(
+    split: str = checked_fields.choice("all", ("train", "test", "all"), help="Split to make."),
+    out: str = options.out_folder("starstruck-data"),
+    scenes: tuple[tuple[str, int], ...] | None = checked_fields.text(
         metavar="N|train=N,test=N",
         read=scene_counts,
         help="Scenes of each split instead of the published 3,000 and 300.",
     ),
     scene: SceneOptions,
-    seed: int = integer(0, help="Random seed."),
+    seed: int = checked_fields.integer(0, help="Random seed."),
     limit: int | None = catalog.LIMIT,
-    making: Making,
-    sink: Sink,
+    making: options.Making,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of scenes.
 
@@ -60,15 +52,15 @@ def generate(
     with sink.progress("trying the fullest scene", "failed layouts") as on_failure:
         require = partial(starstruck_gen.require_feasible, spec.scene, spec.seed, on_failure)
         rows = starstruck_gen.SceneMaking(spec)
-        generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
+        runs.generate_set(sink, "making scenes", rows, out, splits, making, _print_made, require)
 
 
 def _print_made(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, elapsed_s: float | None
 ) -> None:
     found = starstruck_gen.summarise(manifest)
     rows = [
-        (split, least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
+        (split, quantities.least_to_most(each.classes), f"{each.accepted:.1%}", each.restarts)
         for split, each in found.items()
     ]
     splits = [
@@ -76,12 +68,15 @@ def _print_made(
         for split, counts in manifest.split_table().items()
     ]
     header = ("split", "per class", "accepted", "started over")
-    print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
+    runs.print_set(sink, kind, manifest, out, elapsed_s, header, rows, splits=splits)
 
 
 def _check(
     paths: Sequence[str],
-    *options: Any,
+    split: str | None,
+    limit: int | None,
+    workers: int,
+    *,
     opened: Callable[[str], places.Place],
     unit: str | None = None,
     profile: mesh.PrintProfile | None = None,
@@ -92,19 +87,22 @@ def _check(
         raise InputError(
             "--nozzle-mm applies to objects that are printed, not to scenes", next="leave it out"
         )
-    return [starstruck_gen.validate_folder(opened(path), *options, on_progress=on_progress) for path in paths]
+    return [
+        starstruck_gen.validate_folder(opened(path), split, limit, workers, on_progress=on_progress)
+        for path in paths
+    ]
 
 
-_CHECKS = Geometry("scenes", _check)
+_CHECKS = checks.Geometry("scenes", _check)
 
 
 def _preview(
     *,
-    path: str = argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
-    opening: Opening,
+    path: str = options.argument("DIR|FILE", "Data set folder, or Parquet file of scenes."),
+    opening: options.Opening,
     spec: ScenePreviewSpec,
-    pictures: Pictures,
-    sink: Sink,
+    pictures: previews.Pictures,
+    sink: output.Sink,
 ) -> None:
     """Write pictures of scenes as PNG, without a screen: a sheet of each split.
 
@@ -113,6 +111,6 @@ def _preview(
     pictures.write(sink, KIND.plan_previews(opening.open(sink, path), spec))
 
 
-add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
+shared.add_shared(app, KIND, {"preview": _preview}, print_made=_print_made, checks=_CHECKS)
 
 main = partial(run_app, app)

@@ -1,12 +1,11 @@
 """The entry point of each command, which imports nothing first, so that Ctrl-C during imports is quiet."""
 
 from functools import partial
+from importlib import import_module
 
 
 def _run(name: str) -> None:
     try:
-        from importlib import import_module
-
         import_module(f"cli.{name}").main()
     except KeyboardInterrupt:
         raise SystemExit(130) from None  # as `cli.application.EXIT_INTERRUPTED`

@@ -7,15 +7,15 @@ import os
 import sys
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import IO, TypeVar
 
-from tactile_toolkit.errors import (
-    StorageError,
-)
+from tactile_toolkit.errors import StorageError
+
+T = TypeVar("T")
 
 # 128 plus the number of SIGPIPE, as shells report it for `cat` or `grep` if the reader has ended.
 _EXIT_CLOSED_PIPE = 141
-# What stands for characters that an encoding lacks, such as the code page of a console; others are escaped.
+# Replacements of characters that an encoding lacks, such as the code page of a console; others are escaped.
 _IN_ASCII = str.maketrans(
     {"─": "-", "━": "#", "…": "...", "µ": "u", "\N{MULTIPLICATION SIGN}": "x", "²": "^2", "³": "^3"}
     | {"°": " deg", "±": "+-", "→": "->", "\N{EN DASH}": "-", "\N{EM DASH}": "-", "\N{MINUS SIGN}": "-"}
@@ -33,29 +33,31 @@ def _in_ascii(error: UnicodeError) -> tuple[str | bytes, int]:
 codecs.register_error("tactile_toolkit.ascii", _in_ascii)
 
 
-class _Output:
+class Output:
     """A standard stream that ends the command if it cannot be written; a closed pipe ends it quietly.
 
     Errors are caught here because click would use another exit code, and because the same errors of a file
     or of a connection to the Hub mean something else.
     """
 
-    def __init__(self, stream: Any) -> None:
+    def __init__(self, stream: IO[str] | None) -> None:
         # Python's stream is None if the caller closed it.
         self._stream = stream or os.fdopen(os.open(os.devnull, os.O_WRONLY), "w", encoding="utf-8")
         if hasattr(self._stream, "reconfigure"):  # not of streams that take text in memory
             self._stream.reconfigure(errors="tactile_toolkit.ascii")
 
-    def __getattr__(self, name: str) -> Any:
+    def __getattr__(self, name: str) -> object:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        return int(self._end_on_error(self._stream.write, text))
+        """Write text."""
+        return self._end_on_error(self._stream.write, text)
 
     def flush(self) -> None:
+        """Write what is buffered."""
         self._end_on_error(self._stream.flush)
 
-    def _end_on_error(self, act: Callable[..., Any], *arguments: str) -> Any:
+    def _end_on_error(self, act: Callable[..., T], *arguments: str) -> T:
         try:
             return act(*arguments)
         except OSError as error:

@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 from importlib import import_module
 
-from tactile_toolkit import __version__
+from tactile_toolkit import __version__, shown_text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import did_you_mean
 
 _COMMANDS = {
@@ -34,7 +33,9 @@ def main() -> None:
             import_module(f"cli.{command.replace('-', '_')}").main()
             return
     hint = did_you_mean(word, list(_COMMANDS))
-    sys.stderr.write(f"error: there is no command {printable(word)!r}{hint}; next: see tactile --help\n")
+    sys.stderr.write(
+        f"error: there is no command {shown_text.printable(word)!r}{hint}; next: see tactile --help\n"
+    )
     raise SystemExit(InputError.exit_code)
 
 

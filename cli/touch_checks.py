@@ -9,11 +9,8 @@ from pathlib import Path
 import typer
 
 import realtouch
-from cli.application import EXIT_FAILED
-from cli.options import TOUCH_SET, WORKERS, Opening, local_place, process_count
-from cli.output import Sink
-from realtouch.finding import MOST_NAMED
-from realtouch.touch_options import CheckLimits
+from cli import application, options, output
+from realtouch import finding, touch_options
 from tactile_toolkit import catalog, pictures, store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.errors import InputError
@@ -27,12 +24,15 @@ _OXT_FINDINGS: Callable[[store.DataFolder, str], list[realtouch.RecordingFinding
 
 def check(
     *,
-    name: str = TOUCH_SET,
+    name: str = options.TOUCH_SET,
     split: str | None = catalog.SPLIT,
-    opening: Opening,
-    limits: CheckLimits,
+    opening: options.Opening,
+    limits: touch_options.CheckLimits,
     drawn: Path | None = text(
-        name="--pictures", metavar="DIR", read=local_place, help="Write a picture of each finding there."
+        name="--pictures",
+        metavar="DIR",
+        read=options.local_place,
+        help="Write a picture of each finding there.",
     ),
     layout: str | None = choice(
         None,
@@ -42,8 +42,8 @@ def check(
         shown="a set of touches",
         help="Check a folder or zip of another format against its contract.",
     ),
-    workers: int = WORKERS,
-    sink: Sink,
+    workers: int = options.WORKERS,
+    sink: output.Sink,
 ) -> None:
     """Find frozen frames, exchanged channels, duplicates and other faults of recordings.
 
@@ -55,12 +55,12 @@ def check(
     if layout is not None:
         if split is not None or drawn is not None:
             raise InputError("--split and --pictures are for sets of touches, not for --format oxt")
-        _report(sink, name, _oxt_findings(local_place(name)), {})
+        _report(sink, name, _oxt_findings(options.local_place(name)), {})
         return
     place = opening.open(sink, name)
     with sink.progress("checking", "rounds") as update:
         result = realtouch.check(
-            place, split, limits=limits, workers=process_count(workers), on_progress=update
+            place, split, limits=limits, workers=options.process_count(workers), on_progress=update
         )
     made: list[str] = []
     if drawn is not None and result.findings:
@@ -87,19 +87,19 @@ def _oxt_findings(path: Path) -> Sequence[realtouch.RecordingFinding]:
 
 
 def _report(
-    sink: Sink, name: str, findings: Sequence[realtouch.RecordingFinding], counts: Mapping[str, object]
+    sink: output.Sink, name: str, findings: Sequence[realtouch.RecordingFinding], counts: Mapping[str, object]
 ) -> None:
     """Print findings; exit code 1 if there are any."""
     sink.document({"name": name, "ok": not findings, **counts, "findings": list(map(asdict, findings))})
     for each in findings:
         sink.warn(f"{each.rule} in {each.where}: {each.found}; expected {each.expected}")
         named = ", ".join(each.touches)
-        if len(each.touches) == MOST_NAMED:
+        if len(each.touches) == finding.MOST_NAMED:
             named = f"{named}, ..."
         if each.count:
             sink.warn(f"  {with_count(each.count, 'touches')}: {named}")
         sink.warn(f"  next: {each.next}")
     if findings:
         sink.line(f"{with_count(len(findings), 'findings')} in {name}")
-        raise typer.Exit(EXIT_FAILED)
+        raise typer.Exit(application.EXIT_FAILED)
     sink.line(f"{name}: nothing was found")

@@ -5,35 +5,29 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import MISSING, dataclass, fields, replace
 from functools import partial
-from typing import Any
 
 import typer
 
-from cli.application import command
+from cli import application, declared_options, output, runs
 from cli.options import TOUCH_SET, Opening, Work, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_set
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, places, store
-from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit import catalog, checked_fields, places, store, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import contact_height_option, size_option
 
-_FRAME = choice(
+_FRAME = checked_fields.choice(
     "contact_end",
     ("contact_end", "contact_start", "peak", "best"),
     help="Frame of a clip: end or start of the contact, the deepest press, or the highest contact score.",
 )
 
 
+@dataclass(frozen=True, slots=True)
 class _Options:
     """Options of a conversion."""
 
-    __slots__ = ()
-
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion."""
-        return {each.name: getattr(self, each.name) for each in fields(self)}  # type: ignore[arg-type]
+        return {each.name: getattr(self, each.name) for each in fields(self)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +47,12 @@ class Resize(_Options):
     Example: realtouch resize real-single-320x240 --size 64x64 --out small
     """
 
-    size: tuple[int, int] = size_option(MISSING)
-    quality: int = integer(95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100.")
+    size: tuple[int, int] = touch.size_option(MISSING)
+    quality: int = checked_fields.integer(
+        95, 1, 100, help="JPEG quality of images that are encoded again, 1 to 100."
+    )
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion; width and height are separate."""
         width, height = self.size
         return {"width": width, "height": height, "quality": self.quality}
@@ -71,8 +67,10 @@ class Depth(_Options):
     Example: realtouch depth recordings --sensor my-sensor --out depths
     """
 
-    sensor: str = text(MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote.")
-    fast: bool = switch(False, help="Read ten times as fast, with about twice the error.")
+    sensor: str = checked_fields.text(
+        MISSING, metavar="MODEL", help="Folder that `tactile-sim calibrate` wrote."
+    )
+    fast: bool = checked_fields.switch(False, help="Read ten times as fast, with about twice the error.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,14 +82,14 @@ class Frames(_Options):
     Example: realtouch frames real-seq --frame best --difference grey --out changes
     """
 
-    kind: str = choice(
+    kind: str = checked_fields.choice(
         "png",
         ("png", "jpeg"),
         name="--format",
         help="png: exact pixels; jpeg: the stored JPEGs, unchanged.",
     )
     frame: str = _FRAME
-    difference: str | None = choice(
+    difference: str | None = checked_fields.choice(
         None,
         ("grey", "absolute"),
         optional=True,
@@ -107,18 +105,18 @@ class Select(_Options):
     Example: realtouch select real-single-64x64 --contact --labels 3,5 --out touched
     """
 
-    contact: bool = switch(False, help="Only touches in contact with an object.")
-    min_height_mm: float | None = contact_height_option()
-    recalibrate_z: bool = switch(
+    contact: bool = checked_fields.switch(False, help="Only touches in contact with an object.")
+    min_height_mm: float | None = touch.contact_height_option()
+    recalibrate_z: bool = checked_fields.switch(
         True,
         name="--recalibrate/--as-recorded",
         help="Take the deepest touch of each round as the height of the plate, if that is not known.",
     )
-    ids: tuple[Any, ...] | None = catalog.IDS
+    ids: catalog.IdChoice | None = catalog.IDS
     labels: tuple[str, ...] | None = catalog.LABELS
     per_class: int | None = catalog.PER_CLASS
 
-    def arguments(self) -> dict[str, Any]:
+    def arguments(self) -> declared_options.Given:
         """Return the arguments of the conversion; InputError for options that would have no effect."""
         if not self.contact and (self.min_height_mm is not None or not self.recalibrate_z):
             raise InputError("--min-height-mm and --as-recorded need --contact", next="add --contact")
@@ -143,7 +141,7 @@ class Export(_Options):
     Example: realtouch export real-seq --split train --format lerobot --out robots
     """
 
-    layout: str = choice(
+    layout: str = checked_fields.choice(
         MISSING,
         ("flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"),
         name="--format",
@@ -172,24 +170,24 @@ def add_conversion(
         source: str = TOUCH_SET,
         opening: Opening,
         out: str = out_folder(),
-        options: Any,
+        options: _Options,
         split: str | None = catalog.SPLIT,
         limit: int | None = catalog.LIMIT,
         work: Work,
-        sink: Sink,
+        sink: output.Sink,
     ) -> None:
         opened = opening.open(sink, source).require(KIND, name)
         make = partial(function, opened, out, **options.arguments(), split=split, limit=limit)
         announce_fetching(sink, opened, split)
         kind = replace(KIND, nouns=nouns)
-        make_with_progress(sink, "converting", kind, make, work, out, print_set, KIND.nouns)
+        runs.make_with_progress(sink, "converting", kind, make, work, out, runs.print_set, KIND.nouns)
 
     convert.__doc__ = options_of.__doc__
     convert.__annotations__["options"] = options_of
-    command(app, name)(convert)
+    application.command(app, name)(convert)
 
 
-def announce_fetching(sink: Sink, place: places.Place, split: str | None) -> None:
+def announce_fetching(sink: output.Sink, place: places.Place, split: str | None) -> None:
     """Print which splits will be fetched from the Hub, as published data sets have many gigabytes."""
     if place.repository is None:
         return

@@ -4,16 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 from functools import partial
-from typing import Any
 
 import realtouch
+from cli import declared_options, output, runs
 from cli.options import Making, argument, out_folder
-from cli.output import Sink
-from cli.runs import make_with_progress, print_left_out, print_set
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
+from realtouch import alignment_options, import_columns, touch_options
 from realtouch.kind import KIND
-from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, LEFT_OUT, STREAM_HEADER, STREAMS
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind
@@ -40,19 +36,19 @@ def import_touches(
     source: str = argument("SOURCE", "Folder or file of videos, images, episodes or arrays."),
     file_format: str | None = choice(
         None,
-        IMPORT_LAYOUTS,
+        touch_options.IMPORT_LAYOUTS,
         optional=True,
         name="--format",
         help="Format of the source; by default it is recognised by its content.",
     ),
     out: str = out_folder(),
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
     mapped: list[str] | None = _MAPPED,
     table: str | None = text(
         metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
     ),
     streams: list[str] | None = _STREAMS,
-    alignment: Alignment,
+    alignment: alignment_options.Alignment,
     cut: str | None = text(
         metavar="frames|whole|contact|FILE",
         help="How a recording becomes touches: each picture, the whole, by contact, or as a table says.",
@@ -66,7 +62,7 @@ def import_touches(
         help="Name of the split, if no column has it; by default that of tars (SPLIT-000000.tar), or train.",
     ),
     making: Making,
-    sink: Sink,
+    sink: output.Sink,
 ) -> None:
     """Make a data set of touches from recordings; pictures are not changed where that is possible.
 
@@ -75,7 +71,7 @@ def import_touches(
 
     Example: realtouch import takes --map label=object --map pose=x_mm,y_mm,z_mm,qx,qy,qz,qw --out touches
     """
-    reading: dict[str, Any] = {
+    reading: declared_options.Given = {
         "layout": file_format,
         "columns": columns.with_mapped(mapped or ()),
         "table": table,
@@ -89,11 +85,11 @@ def import_touches(
         _print_preview(sink, realtouch.preview_import(source, **reading), out)
         return
     make = partial(realtouch.import_touches, source, out, **reading)
-    if make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches"):
+    if runs.make_with_progress(sink, "importing", KIND, make, making, out, _print_imported, "touches"):
         sink.line(f"next: realtouch check {out}   realtouch gallery {out}")
 
 
-def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None:
+def _print_preview(sink: output.Sink, found: realtouch.ImportPreview, out: str) -> None:
     sink.document(asdict(found))
     by = f", recognised by {found.recognised_by}" if found.recognised_by else ""
     sink.line(f"format: {found.layout}{by}")
@@ -109,29 +105,29 @@ def _print_preview(sink: Sink, found: realtouch.ImportPreview, out: str) -> None
     rows = [(name, *(touch.get(name, "") for touch in found.first)) for name in names]
     sink.table(("stored as", *(f"touch {number}" for number in range(len(found.first)))), rows)
     if found.streams:
-        sink.table(STREAM_HEADER, found.streams)
+        sink.table(touch_options.STREAM_HEADER, found.streams)
     if found.left_out:
         sink.table(("left out because of", "touches", "the first"), found.left_out)
 
 
 def _print_imported(
-    sink: Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
+    sink: output.Sink, kind: DatasetKind, manifest: store.Manifest, out: str, _elapsed_s: float | None
 ) -> None:
     options = manifest.spec["options"]
     if realtouch.CONVERSION in options:
         sink.info(f"pictures: {options[realtouch.CONVERSION]}")
     if not options["classes"]:
         sink.info("no classes are known (--map label=COLUMN names their column), so all labels are -1")
-    if STREAMS in manifest.spec:
-        sink.table(STREAM_HEADER, manifest.spec[STREAMS])
-    if LEFT_OUT in manifest.spec:
-        sink.info(f"not read: {', '.join(manifest.spec[LEFT_OUT])}")
-    print_left_out(sink, manifest)
+    if touch_options.STREAMS in manifest.spec:
+        sink.table(touch_options.STREAM_HEADER, manifest.spec[touch_options.STREAMS])
+    if touch_options.LEFT_OUT in manifest.spec:
+        sink.info(f"not read: {', '.join(manifest.spec[touch_options.LEFT_OUT])}")
+    runs.print_left_out(sink, manifest)
     counted = store.add_up(list(manifest.statistics().values()))
-    for note, count in counted.get(CLIPS, {}).items():
+    for note, count in counted.get(touch_options.CLIPS, {}).items():
         sink.info(f"{with_count(count, 'clips')}: {note}")
     fields = counted.get(realtouch.NOT_IMPORTED, {})
     if fields:
         counts = ", ".join(f"{name} ({count:,})" for name, count in fields.items())
         sink.info(f"fields that were not imported, with their numbers of touches: {counts}")
-    print_set(sink, kind, manifest, out, left_out="touches")
+    runs.print_set(sink, kind, manifest, out, left_out="touches")

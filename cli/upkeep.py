@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from cli.options import FOLDER
-from cli.output import Sink
-from tactile_toolkit import cards, catalog, places, store
+from cli import options, output
+from tactile_toolkit import cards, catalog, checked_fields, places, quantities, store
 from tactile_toolkit.cache import cache_folder, cached_files, prune_cache
-from tactile_toolkit.checked_fields import choice, real
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.kind import DatasetKind
-from tactile_toolkit.quantities import bytes_text
 from tactile_toolkit.wording import with_count
 
 
-def card(*, kind: DatasetKind, folder: str = FOLDER, words: cards.OwnerWords, sink: Sink) -> None:
+def card(
+    *, kind: DatasetKind, folder: str = options.FOLDER, words: cards.OwnerWords, sink: output.Sink
+) -> None:
     """Write the data card (README.md) of a folder again, with the picture that it shows, and check it.
 
     Numbers are computed from the data; examples name FOLDER until the folder is uploaded. Licence, authors,
@@ -44,9 +43,13 @@ def card(*, kind: DatasetKind, folder: str = FOLDER, words: cards.OwnerWords, si
 
 def cache(
     *,
-    action: str = choice("ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."),
-    unused_days: float = real(0.0, 0, metavar="DAYS", help="prune: only files not used for this many days."),
-    sink: Sink,
+    action: str = checked_fields.choice(
+        "ls", ("ls", "prune"), argument=True, help="List cached files, or remove them."
+    ),
+    unused_days: float = checked_fields.real(
+        0.0, 0, metavar="DAYS", help="prune: only files not used for this many days."
+    ),
+    sink: output.Sink,
 ) -> None:
     """List or remove cached files; they are made again when they are needed.
 
@@ -64,5 +67,7 @@ def cache(
     if action == "prune":
         sink.line(f"removed {with_count(len(removed), 'files')} of {cache_folder()}")
         return
-    sink.table(("what", "files", "size"), [(name, count, bytes_text(size)) for name, count, size in rows])
+    sink.table(
+        ("what", "files", "size"), [(name, count, quantities.bytes_text(size)) for name, count, size in rows]
+    )
     sink.line(f"these files are in {cache_folder()}; next: `cache prune` removes them")

@@ -13,11 +13,10 @@ from mnist3d import DigitDataset
 from mnist3d.kind import KIND as DIGITS
 from starstruck_gen import SceneMeshDataset
 from starstruck_gen.kind import KIND as SCENES
-from tactile_toolkit import mesh, read
+from tactile_toolkit import mesh, places, read
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh import SolidDataset as SolidDataset
-from tactile_toolkit.places import kind_of_rows
 
 KINDS: dict[str, DatasetKind] = {kind.name: kind for kind in (DIGITS, SCENES, WRENCH)}
 """Assets that the toolkit can make without any input, by name."""
@@ -62,7 +61,7 @@ def open_meshes(shards: tuple[read.Shard, ...], name: str) -> MeshSet:
     pa.array([0]).to_numpy()
     table = read.ShardedTable(shards)
     mesh.require_mesh_columns(table.schema, name, DIGITS.made_by)
-    kind, expected = kind_of_rows(table.schema), KINDS.get(name)
+    kind, expected = places.kind_of_rows(table.schema), KINDS.get(name)
     names = read.class_names(table.schema, getattr(kind, "class_names", ()))
     if expected is not None and kind is not expected and (kind is not None or expected.published):
         raise InputError(

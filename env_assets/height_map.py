@@ -1,7 +1,7 @@
 """Height maps: the top surface of a mesh on a grid of pixels, exact at their centres.
 
-Where a map lies and what it means stands here; how triangles become pixels, in
-:mod:`tactile_toolkit.mesh.raster`.
+This module defines where a map lies and what its values mean; :mod:`tactile_toolkit.mesh.raster` turns
+triangles into pixels.
 """
 
 from __future__ import annotations
@@ -67,10 +67,9 @@ class HeightMap:
 def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     """Turn a mesh into a height map.
 
-    Exact at pixel centres: the height is that of the plane of the triangle above the centre, the highest
-    where several are. Triangles are closed: a centre on an edge or corner is covered. Vertical triangles
-    cover nothing, and those that face downwards are never on top of a solid; so the mesh has to be one, with
-    triangles counter-clockwise seen from outside.
+    Exact at pixel centres: the height is that of the highest triangle above the centre. Triangles are closed:
+    a centre on an edge or corner is covered. Vertical triangles cover nothing. The mesh has to be a solid,
+    with triangles counter-clockwise seen from outside.
 
     Parameters
     ----------
@@ -87,8 +86,7 @@ def top_surface(mesh: MeshLike, pitch_m: float) -> HeightMap:
     Raises
     ------
     InputError
-        No mesh; a pitch that is not positive or makes the grid too large; a mesh without vertices, or with
-        some that are not finite.
+        No mesh, none of its vertices or an infinite one; a pitch that is not positive, or too small.
 
     Examples
     --------

@@ -21,7 +21,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def mesh_files(place: str | PathLike[str], split: str, unit: str | None = None) -> MeshView | None:
-    """Open a mesh file, or a folder of them, as the meshes of a split; None if there are none.
+    """Open a mesh file, or a folder of them, as the meshes of a split; None if there is no such file.
 
     Files, splits and classes are those of :func:`tactile_toolkit.mesh.find_mesh_files`; a folder without
     splits is the same for all. Ids count files in the order of their names. ``unit`` is as

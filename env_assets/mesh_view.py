@@ -8,42 +8,18 @@ import operator
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import TYPE_CHECKING, Any, Protocol, overload
+from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int32
 from tactile_toolkit.cache import MemoryCache
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.mesh import Mesh
+from tactile_toolkit.mesh import Mesh, SolidRecord
 from tactile_toolkit.read import AnyRecords, RecordDataset, picks_several, positions
 
 if TYPE_CHECKING:
     import trimesh
-
-
-class MeshRecord(Protocol):
-    """A mesh, its number and its class, such as a record of a data set of meshes."""
-
-    @property
-    def id(self) -> int:
-        """Number, unique among the meshes of a split."""
-
-    @property
-    def label(self) -> int:
-        """Number of the class."""
-
-    @property
-    def vertices_m(self) -> Floating:
-        """Vertices, shape (V, 3), metres."""
-
-    @property
-    def faces(self) -> Int32:
-        """Triangles, shape (F, 3), counter-clockwise seen from outside."""
-
-    @property
-    def mesh(self) -> trimesh.Trimesh:
-        """The mesh, metres."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,6 +46,9 @@ class LazyMesh:
         """Triangles, shape (F, 3), counter-clockwise seen from outside."""
         return np.asarray(self.mesh.faces, np.int32)
 
+
+MeshRecord = SolidRecord | LazyMesh
+"""A mesh with its number, unique among the meshes of a split, and its class."""
 
 _MESHES = MemoryCache[LazyMesh, "trimesh.Trimesh"](64)
 

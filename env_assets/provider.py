@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Callable, Mapping
 from functools import partial
-from os import PathLike, fspath
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, TypeVar, overload
 
 import mnist3d
 import realtouch
@@ -25,7 +25,9 @@ if TYPE_CHECKING:
 
     from tactile_toolkit.generation import Recipe
 
-# What takes less is made without a word, seconds.
+T = TypeVar("T")
+
+# Work that takes less shows no progress, seconds.
 _QUIET_S = 2.0
 
 
@@ -41,7 +43,7 @@ class AssetProvider:
     root : path
         Folder of data set folders.
     places : mapping of str to path, optional
-        Folder, file or repository of the Hub that a name stands for, such as ``{"mnist3d": "digits"}``. Names
+        Folder, file or repository of the Hub for each name, such as ``{"mnist3d": "digits"}``. Names
         are those of the toolkit, ``"abc"``, ``"minecraft"``, and those of :data:`realtouch.SHORT_NAMES`.
     revision : str, optional
         Branch, tag or commit of the repositories of the Hub. Each is looked up on first use and stays at the
@@ -53,7 +55,7 @@ class AssetProvider:
     per_class : int, optional
         Make only this many of each class of a split, instead of the published numbers.
     workers : int
-        Number of processes that make it. What takes long shows its progress on stderr.
+        Number of processes that make it. Long work shows its progress on stderr.
 
     Notes
     -----
@@ -68,8 +70,8 @@ class AssetProvider:
 
     def __init__(
         self,
-        root: str | PathLike[str] = "tactile-assets",
-        places: Mapping[str, str | PathLike[str]] | None = None,
+        root: str | os.PathLike[str] = "tactile-assets",
+        places: Mapping[str, str | os.PathLike[str]] | None = None,
         *,
         revision: str | None = None,
         generate: bool = False,
@@ -80,7 +82,7 @@ class AssetProvider:
         for name, number, least in (("seed", seed, 0), ("workers", workers, 1), ("per_class", per_class, 1)):
             if number is not None:
                 checked_fields.checked_integer(number, f"{name} of the AssetProvider", least)
-        self._root = store.expanded(fspath(root)).absolute()
+        self._root = store.expanded(os.fspath(root)).absolute()
         self._places = _checked_places(places or {})
         self._revision = revision
         self._commits: dict[str, str] = {}
@@ -101,8 +103,8 @@ class AssetProvider:
     @overload
     def meshes(self, name: Literal["wrench"], split: str = "train") -> WrenchDataset: ...
     @overload
-    def meshes(self, name: str | PathLike[str], split: str = "train") -> asset_kinds.MeshSet: ...
-    def meshes(self, name: str | PathLike[str], split: str = "train") -> asset_kinds.MeshSet:
+    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> asset_kinds.MeshSet: ...
+    def meshes(self, name: str | os.PathLike[str], split: str = "train") -> asset_kinds.MeshSet:
         """Return the meshes of a split, as a lazy sequence of records.
 
         Parameters
@@ -126,17 +128,13 @@ class AssetProvider:
         HubError
             The repository cannot be reached or does not exist.
         """
-        name = fspath(name)
-        opened = self._opened.get(("meshes", name, split))
-        if opened is None:
-            opened = asset_kinds.open_meshes(self._shards(name, split), name)
-            # If two threads open it at once, the first one wins: records are shared between threads.
-            opened = self._opened.setdefault(("meshes", name, split), opened)
-        found: asset_kinds.MeshSet = opened
-        return found
+        name = os.fspath(name)
+        return self._once(
+            ("meshes", name, split), lambda: asset_kinds.open_meshes(self._shards(name, split), name)
+        )
 
     def finished(self, name: str, split: str = "train") -> asset_kinds.MeshSet | None:
-        """Return the meshes of a split, or None if they are not there or unfinished; makes nothing."""
+        """Return the meshes of a split, or None if they are missing or unfinished; makes nothing."""
         place = self._place(name)
         try:
             shards = open_place(place, revision=self._commit_of(place)).shards(split)
@@ -184,7 +182,7 @@ class AssetProvider:
         return lock
 
     def touches(
-        self, name: str | PathLike[str], split: str = "train"
+        self, name: str | os.PathLike[str], split: str = "train"
     ) -> realtouch.TouchSeqDataset | realtouch.TouchSingleDataset:
         """Return the rounds of real touches of a split, as a lazy sequence of records.
 
@@ -201,15 +199,11 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        name = fspath(name)
-        opened = self._opened.get(("touches", name, split))
-        if opened is None:
-            place = self._place(name)
-            # By commit and not by branch, so that rounds stay the same if a user pushes meanwhile.
-            opened = realtouch.load(place, split, revision=self._commit_of(place))
-            opened = self._opened.setdefault(("touches", name, split), opened)
-        found: realtouch.TouchSeqDataset | realtouch.TouchSingleDataset = opened
-        return found
+        place = self._place(os.fspath(name))
+        # By commit and not by branch, so that rounds stay the same if a user pushes meanwhile.
+        return self._once(
+            ("touches", place, split), lambda: realtouch.load(place, split, revision=self._commit_of(place))
+        )
 
     def volumes_m3(self, name: str, split: str = "train") -> Float64:
         """Return the volume of each mesh of a split, in the order of :meth:`meshes`; makes no record.
@@ -224,12 +218,18 @@ class AssetProvider:
         InputError, IntegrityError, HubError
             As :meth:`meshes`.
         """
-        view = mesh_view.MeshView(self.meshes(name, split), ())
-        kept: mesh_view.MeshView = self._opened.setdefault(("measured", name, split), view)
-        return kept.volumes_m3
+        view = self._once(("measured", name, split), lambda: mesh_view.MeshView(self.meshes(name, split), ()))
+        return view.volumes_m3
+
+    def _once(self, what: tuple[str, str, str], make: Callable[[], T]) -> T:
+        """Return what was made before; if two threads make it at once, the first one wins."""
+        if what not in self._opened:
+            self._opened.setdefault(what, make())
+        kept: T = self._opened[what]
+        return kept
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave open data sets behind, but not the commits of the Hub."""
+        """Leave out open data sets, but keep the commits of the Hub."""
         return {**self.__dict__, "_opened": {}}
 
     def __repr__(self) -> str:
@@ -337,7 +337,7 @@ def _checked_places(places: object) -> dict[str, str]:
                 f"its folder{near}",
                 next="data sets of other names are opened as `meshes(FOLDER)`",
             )
-    return {name: _absolute_path(fspath(place)) for name, place in places.items()}
+    return {name: _absolute_path(os.fspath(place)) for name, place in places.items()}
 
 
 def _absolute_path(place: str) -> str:
@@ -352,16 +352,16 @@ def _absolute_path(place: str) -> str:
 
 
 def meshes_at(
-    place: str | PathLike[str], split: str, unit: str | None = None
+    place: str | os.PathLike[str], split: str, unit: str | None = None
 ) -> mesh_view.MeshView | asset_kinds.MeshSet:
     """Open mesh files, or a data set by folder or name on the Hub; raises as :meth:`AssetProvider.meshes`.
 
     ``unit`` is that of mesh files; InputError if the place holds none.
     """
     # An existing place in full: a name would first be looked for among the assets of the toolkit.
-    named = _absolute_path(fspath(place))
+    named = _absolute_path(os.fspath(place))
     files = mesh_files.mesh_files(named, split, unit)
     if files is not None:
         return files
-    mesh.refuse_unit(unit, fspath(place))
+    mesh.refuse_unit(unit, os.fspath(place))
     return AssetProvider().meshes(named, split)

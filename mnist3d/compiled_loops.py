@@ -1,7 +1,8 @@
 """Loops for which numpy would need many passes, compiled by numba (:mod:`tactile_toolkit.compiled`).
 
 Floating-point operations run in the order in which they are written, so that results do not depend on the
-processor.
+processor. Arrays are made by numpy, and kernels hold plain loops over single elements: numba needs longer for
+an array that a kernel makes or cuts than for all that is done with it.
 """
 
 from __future__ import annotations
@@ -10,11 +11,12 @@ import math
 
 import numpy as np
 
-from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int32, Int64
-from tactile_toolkit.compiled import compiled
+from tactile_toolkit.array_types import Bool, Float32, Float64, Floating, Int16, Int32, Int64
+from tactile_toolkit.compiled import planned
+
+_ROOT_2 = 2**0.5
 
 
-@compiled
 def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float32:
     """Return the distance of each pixel centre from the outline of the ink, pixels, positive inside.
 
@@ -26,63 +28,101 @@ def signed_distance_px(mask: Bool, inside_px: float, outside_px: float) -> Float
     """
     # Largest distances between centres; the outline is half a pixel from a centre.
     inside_px, outside_px = inside_px + 0.5, outside_px + 0.5
-    height, width = mask.shape
-    reaches = int(np.ceil(outside_px)), int(np.ceil(inside_px))
-    far = max(reaches)
     # Squared distances within each row: of ink, 0 on paper, and the reverse. They are below 128^2 and fit
     # into 16 bits, so that sixteen at a time are processed.
-    along = np.zeros((2, height, width), np.int16)
-    found = np.empty((height, width), np.float32)
+    paper, inked = np.zeros((2, *mask.shape), np.int16)
+    ink = -mask.astype(np.int16)  # all bits, or none
+    _distances_in_rows(ink, math.ceil(inside_px), math.ceil(outside_px), paper, inked)
+    found, least = np.empty(mask.shape, np.float32), np.empty(mask.shape[1], np.int16)
+    far = max(math.ceil(inside_px), math.ceil(outside_px))
+    _distances(ink, paper, inked, far, np.float32(inside_px), np.float32(outside_px), least, found)
+    return found
+
+
+@planned("(int16[:,::1], int64, int64, int16[:,::1], int16[:,::1])")
+def _distances_in_rows(ink: Int16, inside: int, outside: int, paper: Int16, inked: Int16) -> None:
+    """Write the squared distances from the other kind in each row, of paper and of ink."""
+    height, width = ink.shape
+    far = max(inside, outside)
     for row in range(height):
         begin = -far
         for column in range(width + 1):
-            if column == width or (column and mask[row, column] != mask[row, column - 1]):
-                kind = int(mask[row, column - 1])
-                end = column if column < width else width + far
-                first = max(begin, 0)
-                for place in range(first, column):
-                    nearest = min(place - begin + 1, end - place, reaches[kind])
-                    along[kind, row, place] = nearest * nearest
+            if column == width or (column and ink[row, column] != ink[row, column - 1]):
+                is_ink, end = ink[row, column - 1] != 0, column
+                if column == width:
+                    end = width + far
+                reach = inside if is_ink else outside
+                for place in range(max(begin, 0), column):
+                    nearest = min(min(place - begin + 1, end - place), reach)
+                    if is_ink:
+                        inked[row, place] = nearest * nearest
+                    else:
+                        paper[row, place] = nearest * nearest
                 begin = column
-    ink, least = -mask.astype(np.int16), np.empty(width, np.int16)  # all bits, or none
+
+
+@planned(
+    "(int16[:,::1], int16[:,::1], int16[:,::1], int64, float32, float32, int16[::1], float32[:,::1])",
+)
+def _distances(
+    ink: Int16,
+    paper: Int16,
+    inked: Int16,
+    far: int,
+    inside_px: np.float32,
+    outside_px: np.float32,
+    least: Int16,
+    found: Float32,
+) -> None:
+    """Write the signed distances, from the squared ones within rows; ``least`` is a row of scratch."""
+    height, width = ink.shape
+    half = np.float32(0.5)
     for row in range(height):
-        own, most = ink[row], np.int16(0)
+        most = np.int16(0)
         for column in range(width):
-            least[column] = along[0, row, column] + along[1, row, column]
-            most = max(most, least[column])
+            squared = np.int16(paper[row, column] + inked[row, column])
+            least[column] = squared
+            most = squared if squared > most else most
         for offset in range(1, far):
             added = np.int16(offset * offset)
             if added >= most:
                 break
-            for other in (row - offset, row + offset):
+            for side in range(2):
+                other = row + offset if side else row - offset
                 if 0 <= other < height:
-                    paper, inked = along[0, other], along[1, other]
                     for column in range(width):
-                        squared = (inked[column] & own[column]) | (paper[column] & ~own[column])
-                        least[column] = min(least[column], np.int16(squared + added))
+                        own = ink[row, column]
+                        nearest = (inked[other, column] & own) | (paper[other, column] & ~own)
+                        there, here = np.int16(nearest + added), least[column]
+                        least[column] = there if there < here else here
         for column in range(width):
             away = np.sqrt(np.float32(least[column]))
             if ink[row, column]:
-                found[row, column] = min(away, np.float32(inside_px)) - np.float32(0.5)
+                found[row, column] = (inside_px if inside_px < away else away) - half
             else:
-                found[row, column] = np.float32(0.5) - min(away, np.float32(outside_px))
-    return found
+                found[row, column] = half - (outside_px if outside_px < away else away)
 
 
-@compiled
 def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
     """Return rows and columns, shape (2, N), of narrow ink and paper: necks, gaps, whiskers and notches.
 
     A pixel is narrow if the square around it, ``reach`` pixels to each side, has no pixel of the same kind
     that is at least ``wide_px`` from the outline.
     """
+    found = np.empty((2, distance.size), np.int64)
+    return found[:, : _narrow_pixels(distance, wide_px, reach, found)]
+
+
+@planned("(float32[:,::1], float64, int64, int64[:,::1])")
+def _narrow_pixels(distance: Float32, wide_px: float, reach: int, found: Int64) -> int:
     height, width = distance.shape
-    found, count = np.empty((2, height * width), np.int64), 0
+    count = 0
     for row in range(height):
         for column in range(width):
-            if abs(distance[row, column]) >= wide_px:
+            here = distance[row, column]
+            if abs(here) >= wide_px:
                 continue
-            sign, near = np.float32(1 if distance[row, column] > 0 else -1), False
+            sign, near = np.float32(1 if here > 0 else -1), False
             for other in range(max(row - reach, 0), min(row + reach + 1, height)):
                 for beside in range(max(column - reach, 0), min(column + reach + 1, width)):
                     near |= sign * distance[other, beside] >= wide_px
@@ -91,10 +131,9 @@ def narrow_pixels(distance: Float32, wide_px: float, reach: int) -> Int64:
             if not near:
                 found[0, count], found[1, count] = row, column
                 count += 1
-    return found[:, :count]
+    return count
 
 
-@compiled
 def blurred(
     values: Floating, nodes: Float64, sigma_per_pitch: float, bell_reach: float, grain: float
 ) -> Float64:
@@ -105,21 +144,36 @@ def blurred(
     the lattice cannot represent. A bell is close to a Gaussian, but is computed by products and sums only,
     because exponentials differ between processors. A node one pixel from the next is not blurred.
     """
-    found = np.zeros((len(nodes), values.shape[1]))
-    weights = np.empty((2, len(values)))
-    for node in range(len(nodes)):
+    found, weights = np.zeros((len(nodes), values.shape[1])), np.empty((2, len(values)))
+    _blur_axis(
+        values.astype(np.float64, copy=False), nodes, sigma_per_pitch, bell_reach, grain, weights, found
+    )
+    return found
+
+
+@planned("(float64[:,::1], float64[::1], float64, float64, float64, float64[:,::1], float64[:,::1])")
+def _blur_axis(
+    values: Float64,
+    nodes: Float64,
+    sigma_per_pitch: float,
+    bell_reach: float,
+    grain: float,
+    weights: Float64,
+    found: Float64,
+) -> None:
+    count, width = found.shape
+    for node in range(count):
         # Pitches differ along an axis: each node is blurred for the finer of its two sides.
-        before, after = max(node, 1), min(node + 1, len(nodes) - 1)
+        here, before, after = nodes[node], max(node, 1), min(node + 1, count - 1)
         pitch = min(nodes[before] - nodes[before - 1], nodes[after] - nodes[after - 1])
         sigma = sigma_per_pitch * pitch if pitch > 1 else 0.0
-        radii = max(bell_reach * sigma, 0.5), max(bell_reach * (2**0.5 * sigma), 0.5)
-        first = max(math.ceil(nodes[node] - radii[1]), 0)
-        last = min(math.floor(nodes[node] + radii[1]), len(values) - 1)
+        narrow, wide = max(bell_reach * sigma, 0.5), max(bell_reach * (_ROOT_2 * sigma), 0.5)
+        first, last = max(math.ceil(here - wide), 0), min(math.floor(here + wide), len(values) - 1)
         for bell in range(2):
-            total = 0.0
+            radius, total = wide if bell else narrow, 0.0
             for pixel in range(first, last + 1):
-                away = nodes[node] - pixel
-                weight = max(1 - away * away / (radii[bell] * radii[bell]), 0.0)
+                away = here - pixel
+                weight = max(1 - away * away / (radius * radius), 0.0)
                 weight *= weight
                 weights[bell, pixel] = weight * weight
                 total += weight * weight
@@ -128,25 +182,30 @@ def blurred(
         for pixel in range(first, last + 1):
             weight = np.rint((2 * weights[0, pixel] - weights[1, pixel]) / grain) * grain
             if weight != 0:
-                for place in range(values.shape[1]):
+                for place in range(width):
                     found[node, place] += weight * values[pixel, place]
-    return found
 
 
-@compiled
 def runs_of(mask: Bool) -> tuple[Int64, Int64]:
     """Return the runs of marked pixels and the pairs of runs that touch.
 
-    Runs have the shape (N, 3): row, first column, and the column after the last. Pairs have the shape (M, 2).
+    Runs have the shape (N, 3): row, first column, and the column after the last. Pairs have the shape (2, M).
     """
     height, width = mask.shape
     found = np.empty((height * (width // 2 + 1), 3), np.int64)
-    pairs = np.empty((2 * len(found), 2), np.int64)
+    pairs = np.empty((2, 2 * len(found)), np.int64)
+    count, touching = _runs_of(mask, found, pairs)
+    return found[:count], pairs[:, :touching]
+
+
+@planned("(boolean[:,::1], int64[:,::1], int64[:,::1])")
+def _runs_of(mask: Bool, found: Int64, pairs: Int64) -> tuple[int, int]:
+    height, width = mask.shape
     count = touching = above = 0
     for row in range(height):
-        line, first, begin = mask[row], count, -1
+        first, begin = count, -1
         for column in range(width + 1):
-            if column < width and line[column]:
+            if column < width and mask[row, column]:
                 begin = column if begin < 0 else begin
             elif begin >= 0:
                 found[count, 0], found[count, 1], found[count, 2] = row, begin, column
@@ -154,17 +213,16 @@ def runs_of(mask: Bool) -> tuple[Int64, Int64]:
                     above += 1
                 beside = above
                 while beside < first and found[beside, 1] < column:
-                    pairs[touching, 0], pairs[touching, 1] = count, beside
+                    pairs[0, touching], pairs[1, touching] = count, beside
                     touching += 1
                     beside += 1
                 # The last one may touch the next run, too.
                 above = max(above, beside - 1)
                 count, begin = count + 1, -1
         above = first
-    return found[:count], pairs[:touching]
+    return count, touching
 
 
-@compiled
 def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> Float32:
     """Move vertices towards the mean of their neighbours, by each share of the way in turn.
 
@@ -172,34 +230,58 @@ def smoothed(vertices: Float32, faces: Int32, flat: Int64, shares: Float32) -> F
     added from the last to the first: the order decides the last bit.
     """
     ends = np.zeros(len(vertices) + 1, np.int64)
-    for corner in faces.ravel():
-        ends[corner + 1] += 2
-    ends = np.cumsum(ends)
-    beside, weights = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32)
-    filled = ends[:-1].copy()
+    np.cumsum(2 * np.bincount(faces.ravel(), minlength=len(vertices)), out=ends[1:])
+    beside, weights, filled = np.empty(ends[-1], np.int32), np.empty(ends[-1], np.float32), ends[:-1].copy()
+    _find_neighbours(faces, ends, filled, beside, weights)
+    for share in shares:
+        moved = np.empty_like(vertices)
+        _pull(vertices, flat, share, ends, filled, beside, weights, moved)
+        vertices = moved
+    return vertices
+
+
+@planned("(int32[:,::1], int64[::1], int64[::1], int32[::1], float32[::1])")
+def _find_neighbours(faces: Int32, ends: Int64, filled: Int64, beside: Int32, weights: Float32) -> None:
+    """Write the neighbours of vertices, each once and from the last to the first, and how often they are."""
     for face in range(len(faces)):
-        a, b, c = faces[face, 0], faces[face, 1], faces[face, 2]
-        for corner, other in ((a, b), (a, c), (b, c), (b, a), (c, a), (c, b)):
+        for k in range(6):
+            corner, other = faces[face, k % 3], faces[face, (k % 3 + k // 3 + 1) % 3]
             first, place = ends[corner], filled[corner]
             while place > first and beside[place - 1] < other:
                 place -= 1
             if place > first and beside[place - 1] == other:
-                weights[place - 1] += 1
+                weights[place - 1] += np.float32(1)
                 continue
             for later in range(filled[corner], place, -1):
                 beside[later], weights[later] = beside[later - 1], weights[later - 1]
-            beside[place], weights[place] = other, 1
+            beside[place], weights[place] = other, np.float32(1)
             filled[corner] += 1
-    for share in shares:
-        moved = vertices.copy()
-        for vertex in range(len(vertices)):
-            part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
-            x, y, z = np.float32(0), np.float32(0), np.float32(0)
-            for place in range(ends[vertex], filled[vertex]):
-                weight, other = weights[place] * part, vertices[beside[place]]
-                x, y, z = x + weight * other[0], y + weight * other[1], z + weight * other[2]
-            for axis, middle in enumerate((x, y, z)):
-                if axis < 2 or not flat[vertex]:
-                    moved[vertex, axis] += share * (middle - vertices[vertex, axis])
-        vertices = moved
-    return vertices
+
+
+@planned(
+    "(float32[:,::1], int64[::1], float32, int64[::1], int64[::1], int32[::1], float32[::1], float32[:,::1])"
+)
+def _pull(
+    vertices: Float32,
+    flat: Int64,
+    share: np.float32,
+    ends: Int64,
+    filled: Int64,
+    beside: Int32,
+    weights: Float32,
+    moved: Float32,
+) -> None:
+    """Write where vertices are after one share of the way to the mean of their neighbours."""
+    for vertex in range(len(vertices)):
+        part = np.float32(1) / np.float32(ends[vertex + 1] - ends[vertex])
+        x, y, z = np.float32(0), np.float32(0), np.float32(0)
+        for place in range(ends[vertex], filled[vertex]):
+            weight, other = weights[place] * part, beside[place]
+            x += weight * vertices[other, 0]
+            y += weight * vertices[other, 1]
+            z += weight * vertices[other, 2]
+        moved[vertex, 0] = vertices[vertex, 0] + share * (x - vertices[vertex, 0])
+        moved[vertex, 1] = vertices[vertex, 1] + share * (y - vertices[vertex, 1])
+        moved[vertex, 2] = vertices[vertex, 2]
+        if not flat[vertex]:
+            moved[vertex, 2] += share * (z - vertices[vertex, 2])

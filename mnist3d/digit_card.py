@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from itertools import islice
-from typing import Any
 
-from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, class_names
+from mnist3d.digit_rows import REPORT_FILE, SUMMED_UP, DigitRow, classes_of
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import cards, catalog, mesh, pictures, read, store
-from tactile_toolkit.kind import is_copy
+from tactile_toolkit import cards, catalog, kind, mesh, pictures, read, shown_text, store
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.shown_text import printable
 from tactile_toolkit.wording import class_name, with_count
 
 COLUMNS = meanings(DigitRow)
@@ -32,7 +30,7 @@ def summarise(folder: store.DataFolder, manifest: store.Manifest) -> list[cards.
     Raises IntegrityError if the report is missing or damaged.
     """
     report = store.read_report(folder, REPORT_FILE, ["split", *(each.name for each in SUMMED_UP)])
-    names = class_names(manifest)
+    names = classes_of(manifest)
     return [
         replace(each, facets={**each.facets, "label": _named(each.facets["label"], names)})
         for each in cards.summarise_columns(manifest, report, SUMMED_UP)
@@ -49,24 +47,24 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     Raises IntegrityError if a shard or the printability report is missing or damaged.
     """
     # From the manifest, never from defaults: the card may be written again by a later version.
-    spec = manifest.spec["source_spec"] if is_copy(manifest) else manifest.spec
+    spec = manifest.spec["source_spec"] if kind.is_copy(manifest) else manifest.spec
     words = source_words("copy" if spec is None else str(spec["source"]["name"]))
     # Digits of a folder of pictures are not MNIST 3D.
     is_own = words["name"] == FolderSource.name
-    if is_copy(manifest):
+    if kind.is_copy(manifest):
         title = "3D digits" if is_own else "MNIST 3D"
         cards.write_table_card(folder, manifest, KIND, title, COLUMNS, words["licence"], **_terms(words))
         return
     summaries = summarise(folder, manifest)
     profile, solid = spec["print_profile"], spec["solid"]
     things = "handwritten digits"
-    if class_names(manifest) != KIND.class_names:
+    if classes_of(manifest) != KIND.class_names:
         things = "drawings"
     columns = store.open_parquet(folder, REPORT_FILE).schema_arrow.names
     joined = ", separate pieces bridged" if solid["join_bodies"] else ""
     cards.Card(
         template=KIND.card_template,
-        title=printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
+        title=shown_text.printable(catalog.short_name(folder.address())) if is_own else "MNIST 3D",
         columns=COLUMNS,
         picture=("digits.png", _sheet, "The first digit of each class that is there, seen from above"),
         licence=words["licence"],
@@ -107,7 +105,7 @@ def _sheet(facts: cards.FolderSummary) -> bytes | None:
     return cards.tiles_png(tiles, 5)
 
 
-def _split_rule(spec: Mapping[str, Any]) -> str:
+def _split_rule(spec: JsonObject) -> str:
     split = spec["split"]
     unit = {"digit": "digit by digit", "writer": "whole writers", "none": "not divided"}[split["by"]]
     cuts = [
@@ -148,7 +146,7 @@ def source_words(name: str) -> dict[str, str]:
     return {"name": name, **(known.get(name) or known["other"])}
 
 
-def source_description(words: Mapping[str, str], fingerprint: Mapping[str, Any]) -> str:
+def source_description(words: Mapping[str, str], fingerprint: JsonObject) -> str:
     """Describe a source with its fingerprint."""
     fields = dict(fingerprint)
     if words["name"] == "mnist":  # its files are in parts, train and test

@@ -8,18 +8,17 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 from mnist3d.kind import KIND
-from tactile_toolkit import catalog, mesh, places, read, store
+from tactile_toolkit import catalog, mesh, places, read, rows, store
 from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.rows import columns
+from tactile_toolkit.json_types import JsonDict
 
 _ROWS_SHOWN = 20
 _COLUMNS = ("id", "label", mesh.VERTICES, mesh.FACES)
 _SHOWN = [
     each
-    for name, each in columns(mesh.PrintReport).items()
+    for name, each in rows.columns(mesh.PrintReport).items()
     if name in ("bodies", "volume_mm3", "thinnest_wall_mm")
 ]
 
@@ -31,7 +30,7 @@ class CheckedMesh:
     name: str
     report: mesh.PrintReport
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         values = {"name": self.name, **self.report.to_row()}
         # JSON has no NaN: unknown values of a broken mesh are null.
@@ -81,7 +80,7 @@ class CheckedMeshes:
         """Return a line for each print warning: what to do about it."""
         return mesh.print_advice(self.warnings())
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         return {
             "path": self.path,

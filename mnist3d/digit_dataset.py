@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Literal, overload
-
 import numpy as np
 
 from mnist3d.kind import KIND
@@ -77,79 +75,4 @@ class DigitStream(mesh.RecordStream[DigitRecord]):
     """
 
 
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[False] = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> DigitDataset: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[True],
-    revision: str | None = None,
-    config: str | None = None,
-) -> DigitStream: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> DigitDataset | DigitStream: ...
-
-
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> DigitDataset | DigitStream:
-    """Open a data set of 3D digits.
-
-    Parameters
-    ----------
-    name : str or path
-        A folder written by ``mnist3d generate``, a Parquet file, or a repository of the Hub with the columns
-        of MNIST 3D: ``USER/NAME``, or ``mnist3d`` for the published one.
-    split : str, optional
-        Split to open; only its shards are downloaded. Optional if there is only one.
-    streaming : bool
-        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
-        random access.
-    revision : str, optional
-        Branch, tag or commit of a Hub repository.
-    config : str, optional
-        Configuration, if the card of the data set has several.
-
-    Returns
-    -------
-    DigitDataset or DigitStream
-        Rows are read on demand.
-
-    Raises
-    ------
-    InputError
-        There is no such folder or split, there are several splits and none is named, or the data set is of
-        another kind or lacks the columns of MNIST 3D.
-    IntegrityError
-        The data set is damaged or unfinished.
-    HubError
-        The repository cannot be reached or does not exist.
-    """
-    place = places.open_place(name, revision=revision, config=config)
-    shards = place.shards(split, kind=KIND, streaming=streaming)
-    return mesh.open_solids(shards, place.name, DigitDataset, KIND, DigitStream if streaming else None)
+load = places.loader(KIND, DigitDataset, DigitStream)

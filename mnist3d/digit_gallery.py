@@ -2,22 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from mnist3d.digit_dataset import DigitDataset, DigitRecord
-from mnist3d.digit_rows import REPORT_FILE, DigitRow
-from mnist3d.kind import KIND
-from mnist3d.sources import NO_WRITER
+from mnist3d import digit_dataset, digit_rows, kind, sources
 from tactile_toolkit import catalog, gallery, mesh, places, store
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.rows import with_role
 from tactile_toolkit.wording import class_name
 
 _ROWS_PER_TASK = 8
-_SHOWN = (*with_role(DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
+_SHOWN = (*with_role(digit_rows.DigitRow, "facet"), *with_role(mesh.PrintReport, "facet", "measure"))
 
 
 def plan_gallery(
@@ -27,21 +22,23 @@ def plan_gallery(
     # The report of the data set, if it has one, is read instead of inspecting meshes again.
     place = places.open_place(name)
     folder = place.folder
-    has_report = folder is not None and folder.exists(REPORT_FILE)
+    has_report = folder is not None and folder.exists(digit_rows.REPORT_FILE)
 
-    def known(rows: DigitDataset, split: str) -> list[Mapping[str, Any] | None]:
+    def known(rows: digit_dataset.DigitDataset, split: str) -> list[JsonObject | None]:
         if folder is None or not has_report:
             return [None] * len(rows)
-        report = store.read_report(folder, REPORT_FILE)
+        report = store.read_report(folder, digit_rows.REPORT_FILE)
         chosen = pc.and_(pc.equal(report["split"], split), pc.is_in(report["id"], pa.array(rows.ids)))
         found = {row["id"]: row for row in report.filter(chosen).to_pylist()}
         return [found.get(number) for number in rows.ids.tolist()]
 
-    return gallery.gallery_of_rows(KIND, place, chosen, "3D digits", _SHOWN, _item, _ROWS_PER_TASK, known)
+    return gallery.gallery_of_rows(
+        kind.KIND, place, chosen, "3D digits", _SHOWN, _item, _ROWS_PER_TASK, known
+    )
 
 
 def _item(
-    record: DigitRecord, split: str, names: tuple[str, ...], report: Mapping[str, Any] | None
+    record: digit_dataset.DigitRecord, split: str, names: tuple[str, ...], report: JsonObject | None
 ) -> gallery.GalleryItem:
     gallery.require_mesh(record, split)
     vertices_m, faces = record.vertices_m, record.faces
@@ -54,7 +51,7 @@ def _item(
     return gallery.GalleryItem(
         id=str(record.id),
         title=f"digit {label}",
-        values={**report, "writer": None if record.writer == NO_WRITER else record.writer},
+        values={**report, "writer": None if record.writer == sources.NO_WRITER else record.writer},
         thumbnail=gallery.relief_thumbnail(vertices_m, faces),
         content={
             "notes": [("Size", gallery.size_text(vertices_m)), *source],

@@ -8,20 +8,17 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Unpack
 
 import numpy as np
+import pyarrow as pa
 
-from mnist3d import solid
-from mnist3d.digit_rows import PARQUET_STYLE, REPORT_FILE, DigitRow, report_table, stored_schema
+from mnist3d import digit_rows, published_splits, solid, solid_spec
 from mnist3d.kind import KIND
-from mnist3d.published_splits import OWN_SIZES, PUBLISHED_SIZES, SPLITS, SplitSpec
-from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.digit_source import DIGITS, DigitImage, DigitSource
-from mnist3d.sources.picture_folder import FolderSource
-from mnist3d.sources.source_choice import chosen_source
+from mnist3d.sources import digit_source, picture_folder, source_choice
 from mnist3d.splits import plan_splits
-from tactile_toolkit import generation, store
+from tactile_toolkit import generation, mesh, store
+from tactile_toolkit.array_types import Int64
 from tactile_toolkit.checked_fields import check_fields, integer
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.mesh import Mesh, PrintProfile, inspect
+from tactile_toolkit.json_types import JsonDict
 
 # Time for a digit and its report on one core (AMD EPYC).
 _ROW_S = 0.016
@@ -57,17 +54,17 @@ class DigitSetSpec:
     on any machine.
     """
 
-    source: DigitSource
-    solid: SolidSpec = field(default_factory=SolidSpec)
-    split: SplitSpec = field(default_factory=SplitSpec)
-    profile: PrintProfile = field(default_factory=PrintProfile)
+    source: digit_source.DigitSource
+    solid: solid_spec.SolidSpec = field(default_factory=solid_spec.SolidSpec)
+    split: published_splits.SplitSpec = field(default_factory=published_splits.SplitSpec)
+    profile: mesh.PrintProfile = field(default_factory=mesh.PrintProfile)
     per_class: int | None = integer(None, 1, optional=True)
     limit: int | None = integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
         check_fields(self, "the data set's specification")
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
         return {
             "source": self.source.fingerprint(),
@@ -85,44 +82,52 @@ class DigitMaking(generation.RowGenerator):
 
     spec: DigitSetSpec
     kind = KIND
+    kernels = (
+        "tactile_toolkit.mesh.nearness",
+        "tactile_toolkit.mesh.surface_kernels",
+        "mnist3d.compiled_loops",
+        "tactile_toolkit.mesh.section_kernels",
+    )
 
     @classmethod
     def of(cls, spec: DigitSetSpec, splits: Sequence[str] | None) -> DigitMaking:
         """Return a generator; a folder of pictures is divided only if ``spec`` or ``splits`` ask for it."""
         is_asked_for = splits is not None or spec.split.by is not None or spec.split.sizes is not None
-        if is_asked_for or not isinstance(spec.source, FolderSource):
+        if is_asked_for or not isinstance(spec.source, picture_folder.FolderSource):
             return cls(spec)
         return cls(replace(spec, split=replace(spec.split, by="none")))
 
-    def items(self) -> Mapping[str, Any]:
+    def items(self) -> Mapping[str, Int64]:
         """Return the ids of each split; reads the catalog of the source only."""
-        usual: Mapping[str, int] = PUBLISHED_SIZES
-        splits: tuple[str, ...] = SPLITS
-        if isinstance(self.spec.source, FolderSource):
-            usual = OWN_SIZES
+        usual: Mapping[str, int] = published_splits.PUBLISHED_SIZES
+        splits: tuple[str, ...] = published_splits.SPLITS
+        if isinstance(self.spec.source, picture_folder.FolderSource):
+            usual = published_splits.OWN_SIZES
             named = dict(self.spec.split.sizes or usual)
-            splits = tuple(split for split in SPLITS if split in named)
+            splits = tuple(split for split in published_splits.SPLITS if split in named)
         plan = plan_splits(self.spec.source.catalog(), self.spec.split, usual)
         return {split: plan.rows(split, self.spec.per_class, self.spec.limit) for split in splits}
 
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
         return generation.StorageLayout(
-            PARQUET_STYLE,
+            digit_rows.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow", "scikit-image", "scipy"),
             smallest=50,
             largest=128,  # 7 MB at 52.6 kB per mesh: a kill loses seconds of work
             wanted=16,
             sampled=8,
-            report_file=REPORT_FILE,
+            report_file=digit_rows.REPORT_FILE,
         )
 
-    def schema(self, split: str) -> Any:
+    def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
         names = self.spec.source.catalog().class_names
-        return stored_schema(names, has_files=isinstance(self.spec.source, FolderSource))
+        return digit_rows.stored_schema(
+            names, has_files=isinstance(self.spec.source, picture_folder.FolderSource)
+        )
 
-    def make(self, split: str, items: Any) -> Iterator[DigitRow | store.Skipped]:
+    def make(self, split: str, items: Any) -> Iterator[digit_rows.DigitRow | store.Skipped]:
         """Yield the row of each digit, or the reason why it gives no solid."""
         for digit_id in items.tolist():
             try:
@@ -130,13 +135,13 @@ class DigitMaking(generation.RowGenerator):
             except ItemError as error:
                 yield store.Skipped(digit_id, error.reason, error.message)
 
-    def report(self, shard: store.ShardName, rows: Sequence[Any]) -> Any:
+    def report(self, shard: store.ShardName, rows: Sequence[digit_rows.DigitRow]) -> pa.Table:
         """Return the printability report of the meshes."""
-        return report_table(shard, rows)
+        return digit_rows.report_table(shard, rows)
 
     def next_if_other(self) -> str:
         """Return how pictures are added to a data set."""
-        if not isinstance(self.spec.source, FolderSource):
+        if not isinstance(self.spec.source, picture_folder.FolderSource):
             return ""
         return _ADD_PICTURES
 
@@ -146,11 +151,11 @@ class DigitMaking(generation.RowGenerator):
         labels = catalog.labels[np.searchsorted(catalog.ids, ids)]
         return generation.PlannedMeshes(ids, labels, self._solid, _ROW_S)
 
-    def _solid(self, digit_id: int) -> Mesh:
+    def _solid(self, digit_id: int) -> mesh.Mesh:
         return _solid_of(self.spec.source.image(digit_id), self.spec)
 
 
-def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
+def make_row(digit_id: int, spec: DigitSetSpec) -> digit_rows.DigitRow:
     """Read one digit, make its solid and inspect it.
 
     Raises ItemError when the image cannot be used, or the mesh does not bound a solid (the reason is one of
@@ -158,18 +163,18 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     """
     digit, where = spec.source.image(digit_id), f"digit {digit_id} of source {spec.source.name!r}"
     try:
-        mesh = _solid_of(digit, spec)
+        made = _solid_of(digit, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{where}: {error.message}") from error
-    report = inspect(mesh, spec.profile)
+    report = mesh.inspect(made, spec.profile)
     # Only meshes that bound a solid are stored.
     if report.problem is not None:
         raise ItemError(report.problem, f"{where} gives no valid solid: {report.detail}")
-    return DigitRow(
+    return digit_rows.DigitRow(
         id=digit.id,
         label=digit.label,
-        vertices_m=mesh.vertices_m,
-        faces=mesh.faces,
+        vertices_m=made.vertices_m,
+        faces=made.faces,
         writer=digit.writer,
         volume_m3=report.volume_mm3 * 1e-9,
         source=spec.source.name,
@@ -178,8 +183,8 @@ def make_row(digit_id: int, spec: DigitSetSpec) -> DigitRow:
     )
 
 
-def _solid_of(digit: DigitImage, spec: DigitSetSpec) -> Mesh:
-    is_drawing = spec.source.catalog().class_names != DIGITS
+def _solid_of(digit: digit_source.DigitImage, spec: DigitSetSpec) -> mesh.Mesh:
+    is_drawing = spec.source.catalog().class_names != digit_source.DIGITS
     return solid.solid_of_sheet(digit.pixels, spec.solid, is_drawing=is_drawing)
 
 
@@ -225,6 +230,10 @@ def generate(
 
 def digit_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how digits are made without any input: from the embedded synthetic source."""
-    spec = DigitSetSpec(chosen_source("synthetic", {}, seed), split=SplitSpec(seed=seed), per_class=per_class)
+    spec = DigitSetSpec(
+        source_choice.chosen_source("synthetic", {}, seed),
+        split=published_splits.SplitSpec(seed=seed),
+        per_class=per_class,
+    )
     making = DigitMaking(spec)
     return generation.Recipe(making, {"per-class": per_class, "seed": seed}, making.planned)

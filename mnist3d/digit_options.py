@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mnist3d.published_splits import MOST_DIGITS
-from tactile_toolkit import catalog, mesh
-from tactile_toolkit.checked_fields import choice, integer, switch, text
+from tactile_toolkit import catalog, checked_fields, mesh
 
 SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 
@@ -16,45 +15,51 @@ SOURCES = ("synthetic", "hwdplus", "mnist", "folder")
 class SourceOptions:
     """Where the images come from."""
 
-    images: str | None = text(
+    images: str | None = checked_fields.text(
         metavar="PATH",
         help="Images of the source: the .npy file of HWD+, the folder of the MNIST files, or a folder of "
         "pictures DIR/<class>/*.png.",
     )
-    writer_info: str | None = text(metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label).")
-    writer_column: int | None = integer(None, help="Column of WriterInfo.npy that holds the writer.")
-    download: bool = switch(False, help="Fetch MNIST into --images first (extra `torch`).")
-    foreground: str = choice(
+    writer_info: str | None = checked_fields.text(
+        metavar="FILE", help="WriterInfo.npy of HWD+ (column 0 is the label)."
+    )
+    writer_column: int | None = checked_fields.integer(
+        None, help="Column of WriterInfo.npy that holds the writer."
+    )
+    download: bool = checked_fields.switch(False, help="Fetch MNIST into --images first (extra `torch`).")
+    foreground: str = checked_fields.choice(
         "auto",
         ("auto", "dark", "light"),
         help="Strokes of the images in a folder: darker than the paper, or lighter.",
     )
-    threshold: str = choice(
+    threshold: str = checked_fields.choice(
         "auto",
         ("auto", "local", "global"),
         help="Even out the light and find the page (local), or apply one threshold (global); auto takes "
         "local for pictures without clean paper.",
     )
     # As many as MNIST 3D has (Tactile MNIST paper).
-    digits: int = integer(13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source.")
+    digits: int = checked_fields.integer(
+        13_580, 1, MOST_DIGITS, help="Number of digits in the synthetic source."
+    )
 
 
 @dataclass(frozen=True, slots=True)
 class DigitPreviewSpec(catalog.PreviewSpec):
     """Which pictures of digits to draw; the steps for a data set need the files of its source."""
 
-    kinds: tuple[str, ...] = choice(
+    kinds: tuple[str, ...] = checked_fields.choice(
         (),
         ("sheet", "steps", "all"),
         name="--kind",
         help="What to draw; may be repeated. By default sheet, or steps for a picture.",
     )
-    images: Path | None = text(
+    images: Path | None = checked_fields.text(
         metavar="PATH",
         read=Path,
         help="Images of the source of the data set, as given to `generate`; for --kind steps.",
     )
-    writer_info: Path | None = text(
+    writer_info: Path | None = checked_fields.text(
         metavar="FILE", read=Path, help="WriterInfo.npy of HWD+; for --kind steps."
     )
     unit: str | None = mesh.UNIT

@@ -9,14 +9,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mnist3d import ink, solid
-from mnist3d.digit_dataset import DigitDataset, DigitRecord
-from mnist3d.digit_options import DigitPreviewSpec
+from mnist3d import digit_dataset, digit_options, ink, solid
 from mnist3d.kind import KIND
 from mnist3d.solid_spec import SolidSpec
-from mnist3d.sources.picture_files import ENDINGS, pages_of
-from mnist3d.sources.picture_levels import read_picture
-from mnist3d.sources.source_choice import source_again
+from mnist3d.sources import picture_files, picture_levels, source_choice
 from tactile_toolkit import catalog, mesh, pictures, store
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -27,7 +23,7 @@ _TILE_PX = 132
 _VIEW_PX = 520
 
 
-def plan_previews(name: Name | Place, spec: DigitPreviewSpec) -> pictures.PicturePlan:
+def plan_previews(name: Name | Place, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a data set, a mesh file or an image of a digit; nothing is drawn yet.
 
     Kinds are sheet and steps. Raises InputError as :class:`~tactile_toolkit.pictures.MeshPreviews` does and
@@ -35,11 +31,11 @@ def plan_previews(name: Name | Place, spec: DigitPreviewSpec) -> pictures.Pictur
     """
     if not isinstance(name, Place) and is_picture_or_mesh(fspath(name)):
         return _plan_file(fspath(name), spec)
-    opened: pictures.MeshPreviews[DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
+    opened: pictures.MeshPreviews[digit_dataset.DigitDataset] = pictures.MeshPreviews(KIND, name, spec)
     mesh.refuse_unit(spec.unit, opened.name)
     names = opened.chosen[0][1].label_names
 
-    def sheet_of(rows: DigitDataset, title: str) -> UInt8:
+    def sheet_of(rows: digit_dataset.DigitDataset, title: str) -> UInt8:
         return draw_digit_sheet(list(rows), spec.per_class, title, names)
 
     plans = {
@@ -54,10 +50,10 @@ def is_picture_or_mesh(name: str) -> bool:
     if store.is_remote(name):
         return False
     path = store.expanded(name)
-    return path.suffix.lower() in (*mesh.FORMATS, *ENDINGS) and path.is_file()
+    return path.suffix.lower() in (*mesh.FORMATS, *picture_files.ENDINGS) and path.is_file()
 
 
-def _plan_file(name: str, spec: DigitPreviewSpec) -> pictures.PicturePlan:
+def _plan_file(name: str, spec: digit_options.DigitPreviewSpec) -> pictures.PicturePlan:
     """Plan the pictures of a single file; InputError for options that need a data set."""
     path = store.expanded(name)
     kind = "sheet" if path.suffix.lower() in mesh.FORMATS else "steps"
@@ -80,19 +76,21 @@ def _plan_file(name: str, spec: DigitPreviewSpec) -> pictures.PicturePlan:
 
 def _plan_pages(path: Path, stem: str) -> list[tuple[str, partial[UInt8]]]:
     """Read the pages of a picture, one digit each; return file names and functions that draw the steps."""
-    pages, drawings = pages_of(path), []
+    pages, drawings = picture_files.pages_of(path), []
     for number, page in enumerate(pages, 1):
         file, title = f"{stem}-steps.png", path.name
         if len(pages) > 1:
             file, title = f"{stem}-{number}-steps.png", f"{path.name}, page {number}"
         # Fitted into 500 px, as by the sources; the default specification is for that size.
-        pixels = ink.fit(read_picture(path, page=page, whole=True))
+        pixels = ink.fit(picture_levels.read_picture(path, page=page, whole=True))
         drawings.append((file, partial(solid.draw_steps, pixels, SolidSpec(), title)))
     return drawings
 
 
 def _plan_steps(
-    opened: pictures.MeshPreviews[DigitDataset], names: Sequence[str], spec: DigitPreviewSpec
+    opened: pictures.MeshPreviews[digit_dataset.DigitDataset],
+    names: Sequence[str],
+    spec: digit_options.DigitPreviewSpec,
 ) -> list[pictures.PlannedPicture]:
     """Plan the steps of the digits with given ids, or of the first digit."""
     if "source" not in opened.made_by:
@@ -102,7 +100,7 @@ def _plan_steps(
     with catalog.specification_read(opened.name):
         files = {"images": spec.images, "writer_info": spec.writer_info}
         given = {option: str(path) for option, path in files.items() if path is not None}
-        source = source_again(opened.made_by["source"], **given)
+        source = source_choice.source_again(opened.made_by["source"], **given)
         solid_spec = SolidSpec(**opened.made_by["solid"])
 
     def draw(number: int, title: str) -> UInt8:
@@ -120,7 +118,9 @@ def _plan_steps(
     return planned
 
 
-def draw_digit_sheet(records: Sequence[DigitRecord], per_row: int, title: str, names: Sequence[str]) -> UInt8:
+def draw_digit_sheet(
+    records: Sequence[digit_dataset.DigitRecord], per_row: int, title: str, names: Sequence[str]
+) -> UInt8:
     """Draw digits from above at one scale; ``names`` are the names of the classes."""
     solids = [mesh.Mesh(record.vertices_m, record.faces) for record in records]
     widest_m = max(float(np.ptp(each.vertices_m[:, :2], axis=0).max()) for each in solids)

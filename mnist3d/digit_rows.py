@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import field
 from functools import cache
-from typing import Any
 
 import pyarrow as pa
 
 from mnist3d.kind import KIND
 from mnist3d.sources.picture_folder import FolderSource
-from tactile_toolkit import mesh, store
-from tactile_toolkit.kind import Specified
+from tactile_toolkit import kind, mesh, store
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import column, columns, plain_schema, row, table_of, with_role
 
 PARQUET_STYLE = store.ParquetStyle(
@@ -57,19 +56,19 @@ SUMMED_UP = (columns(DigitRow)["label"], *with_role(mesh.PrintReport, "facet", "
 """Columns of the report that are summarised for each split."""
 
 
-def digit_schema(manifest: Specified | None = None) -> pa.Schema:
+def digit_schema(manifest: kind.Specified | None = None) -> pa.Schema:
     """Return the Arrow schema of the shards that a manifest lists; by default that of MNIST 3D."""
     source = _source_of(manifest)
-    return stored_schema(class_names(manifest), has_files=source.get("name") == FolderSource.name)
+    return stored_schema(classes_of(manifest), has_files=source.get("name") == FolderSource.name)
 
 
-def class_names(manifest: Specified | None) -> tuple[str, ...]:
+def classes_of(manifest: kind.Specified | None) -> tuple[str, ...]:
     """Return the names of the classes of a data set, which are the digits unless its source names others."""
     return tuple(_source_of(manifest).get("classes") or KIND.class_names)
 
 
-def _source_of(manifest: Specified | None) -> dict[str, Any]:
-    source: Any = None if manifest is None else manifest.spec.get("source")
+def _source_of(manifest: kind.Specified | None) -> JsonDict:
+    source = None if manifest is None else manifest.spec.get("source")
     return source if isinstance(source, dict) else {}
 
 

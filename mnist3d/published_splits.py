@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Literal
+from typing import Literal
 
 from tactile_toolkit.checked_fields import (
     check_fields,
@@ -15,6 +15,7 @@ from tactile_toolkit.checked_fields import (
     text,
 )
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 SPLITS = ("train", "test", "holdout", "printed_train", "printed_test")
 """The five splits in canonical order, in which scarce digits are assigned, too."""
@@ -29,7 +30,7 @@ PUBLISHED_SIZES: dict[str, int] = {
 """Digits per class in each published split, 1,358 in total."""
 
 OWN_SIZES: dict[str, int] = {"train": 4, "test": 1}
-"""Proportions of the splits of pictures in a folder, which were printed by nobody."""
+"""Proportions of the splits of pictures in a folder, which have not been printed."""
 
 MOST_DIGITS = 1_000_000_000
 """Largest number of digits of a source or a split."""
@@ -83,7 +84,7 @@ class SplitSpec:
         sizes = split_counts(self.sizes, "sizes of the division into splits", SPLITS, MOST_DIGITS)
         object.__setattr__(self, "sizes", sizes)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values."""
         sizes = dict(self.sizes or ())
         return {"seed": self.seed, "by": self.by or "digit", "sizes": sizes or None}

@@ -6,9 +6,8 @@ from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from starstruck_gen import scene_rows, scene_spec
 from starstruck_gen.scene import Scene
-from starstruck_gen.scene_rows import SceneRow
-from starstruck_gen.scene_spec import SceneSpec
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,7 +31,7 @@ class Acceptance:
         return sum(self.objects) / max(1, sum(self.attempts))
 
 
-def count_scenes(spec: SceneSpec, scenes: Sequence[Scene | SceneRow]) -> Acceptance:
+def count_scenes(spec: scene_spec.SceneSpec, scenes: Sequence[Scene | scene_rows.SceneRow]) -> Acceptance:
     """Count scenes of one specification."""
     classes = Counter(scene.star_count for scene in scenes)
     distractors = Counter(scene.distractor_count for scene in scenes)

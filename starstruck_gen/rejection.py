@@ -13,10 +13,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from starstruck_gen.placement import COLLISION_TESTS, Placement
-from starstruck_gen.scene import Scene
-from starstruck_gen.scene_seeds import SceneStreams, scene_rng, scene_seed
-from starstruck_gen.scene_spec import SceneSpec
+from starstruck_gen import placement, scene, scene_seeds, scene_spec
 from starstruck_gen.shapes import Shape
 from tactile_toolkit import mesh
 from tactile_toolkit.errors import InputError
@@ -37,7 +34,9 @@ class SamplingExhausted(InputError):  # noqa: N818
     """No position was found for an object of a scene, in any of its layouts."""
 
 
-def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | None = None) -> Scene:
+def sample_scene(
+    spec: scene_spec.SceneSpec, rng: np.random.Generator, star_count: int | None = None
+) -> scene.Scene:
     """Make one scene.
 
     Draws the number of distractors and their shapes, then places the stars, then the distractors, each at a
@@ -67,6 +66,7 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     Examples
     --------
     >>> import numpy as np
+    >>> from starstruck_gen import SceneSpec
     >>> scene = sample_scene(SceneSpec(), np.random.default_rng(0), star_count=2)
     >>> scene.star_count
     2
@@ -80,7 +80,9 @@ def sample_scene(spec: SceneSpec, rng: np.random.Generator, star_count: int | No
     return rejection_sampling(spec, rng.random, star_count)
 
 
-def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[Scene]:
+def sample_scenes(
+    spec: scene_spec.SceneSpec, split: str, seed: int, start: int, count: int
+) -> list[scene.Scene]:
     """Make scenes ``start`` to ``start + count - 1`` of a split.
 
     Scene i has ``spec.stars[i % classes]`` stars and is what :func:`sample_scene` makes from
@@ -106,24 +108,26 @@ def sample_scenes(spec: SceneSpec, split: str, seed: int, start: int, count: int
     """
     # Making the streams takes as long as a scene, so single scenes share them.
     if not hasattr(_LOCAL, "streams"):
-        _LOCAL.streams = SceneStreams()
-    streams: SceneStreams = _LOCAL.streams
+        _LOCAL.streams = scene_seeds.SceneStreams()
+    streams: scene_seeds.SceneStreams = _LOCAL.streams
     classes = len(spec.stars)
     return [
-        rejection_sampling(spec, streams.uniform(scene_seed(seed, split, index)), spec.stars[index % classes])
+        rejection_sampling(
+            spec, streams.uniform(scene_seeds.scene_seed(seed, split, index)), spec.stars[index % classes]
+        )
         for index in range(start, start + count)
     ]
 
 
 def require_feasible(
-    spec: SceneSpec, seed: int, on_failure: LayoutFailed = lambda _failed, _allowed: None
+    spec: scene_spec.SceneSpec, seed: int, on_failure: LayoutFailed = lambda _failed, _allowed: None
 ) -> None:
     """Try the fullest scene of a specification, so that an impossible one is refused before any work.
 
     This can take long, so ``on_failure`` is called after each failed layout. Raises SamplingExhausted.
     """
     fullest = replace(spec, stars=spec.stars[-1:], distractors=spec.distractors[-1:] * 2)
-    rejection_sampling(fullest, scene_rng(seed).random, None, on_failure=on_failure)
+    rejection_sampling(fullest, scene_seeds.scene_rng(seed).random, None, on_failure=on_failure)
 
 
 def is_infeasible(reached: list[int], objects: int) -> bool:
@@ -142,11 +146,11 @@ def is_infeasible(reached: list[int], objects: int) -> bool:
 
 
 def rejection_sampling(
-    spec: SceneSpec,
+    spec: scene_spec.SceneSpec,
     uniform: Uniform,
     star_count: int | None,
     on_failure: LayoutFailed = lambda _failed, _allowed: None,
-) -> Scene:
+) -> scene.Scene:
     """Make one scene (Tactile MNIST paper, 3D Mesh Dataset Generation Details, section Starstruck).
 
     Objects are placed one after another, stars first, each at a random position and rotation. A position that
@@ -155,7 +159,7 @@ def rejection_sampling(
 
     ``uniform`` gives numbers in [0, 1). The order in which they are drawn decides the bytes of data sets.
     """
-    clear = COLLISION_TESTS[spec.collision]
+    clear = placement.COLLISION_TESTS[spec.collision]
     if star_count is None:
         star_count = _choice(spec.stars, uniform)
     least, most = spec.distractors
@@ -166,7 +170,7 @@ def rejection_sampling(
     reached: list[int] = []
     clearance_m, (half_x_m, half_y_m) = spec.clearance_m, spec.half_area_m
     while len(reached) <= spec.restarts and not is_infeasible(reached, len(shapes)):
-        placed: list[Placement] = []
+        placed: list[placement.Placement] = []
         for number, shape in enumerate(shapes):
             # Drawn once for an object, not for each attempt.
             height_m = _choice(spec.heights_m, uniform)
@@ -175,14 +179,14 @@ def rejection_sampling(
                 x_m = (2.0 * uniform() - 1.0) * half_x_m
                 y_m = (2.0 * uniform() - 1.0) * half_y_m
                 angle_rad = uniform() * spec.rotation_rad
-                candidate = Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
+                candidate = placement.Placement(shape.key, x_m, y_m, angle_rad, shape.radius_m, height_m)
                 if clear(candidate, placed, clearance_m):
                     placed.append(candidate)
                     break
             if len(placed) <= number:
                 break
         if len(placed) == len(shapes):
-            return Scene(star_count, tuple(placed), tuple(attempts), len(reached))
+            return scene.Scene(star_count, tuple(placed), tuple(attempts), len(reached))
         reached.append(len(placed))
         on_failure(len(reached), spec.restarts + 1)
     raise _exhausted(spec, shapes, reached)
@@ -193,7 +197,7 @@ def _choice(options: tuple[T, ...], uniform: Uniform) -> T:
     return options[0] if len(options) == 1 else options[int(uniform() * len(options))]
 
 
-def _exhausted(spec: SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:
+def _exhausted(spec: scene_spec.SceneSpec, shapes: list[Shape], reached: list[int]) -> SamplingExhausted:
     """Return the error for a scene; ``reached`` are the numbers of objects that its layouts held."""
     number, restarts = reached[-1], len(reached) - 1
     verdict, more_tries = "", ", or in Python raise attempts or restarts of SceneSpec"

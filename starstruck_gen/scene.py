@@ -6,9 +6,7 @@ from dataclasses import dataclass
 
 from PIL import Image
 
-from starstruck_gen.placement import Placement
-from starstruck_gen.scene_drawing import draw_scene
-from starstruck_gen.scene_meshes import build_meshes
+from starstruck_gen import placement, scene_drawing, scene_meshes
 from tactile_toolkit.mesh import Mesh
 from tactile_toolkit.touch import CELL_M
 
@@ -31,7 +29,7 @@ class Scene:
     """
 
     star_count: int
-    placements: tuple[Placement, ...]
+    placements: tuple[placement.Placement, ...]
     attempts: tuple[int, ...]
     restarts: int
 
@@ -49,7 +47,7 @@ class Scene:
             Arrays ``vertices_m`` and ``faces``, with ``volume_m3`` and ``bounds_m``; its ``to_trimesh()``
             returns the `trimesh.Trimesh` that ``mesh`` of a record is.
         """
-        return build_meshes([self.placements])[0]
+        return scene_meshes.build_meshes([self.placements])[0]
 
     def draw(self, cell_m: tuple[float, float] = CELL_M, px_per_mm: float = 4.0) -> Image.Image:
         """Draw the scene from above, x right and y up, stars in their own colour.
@@ -71,4 +69,4 @@ class Scene:
         InputError
             The picture would have no pixel, or more than 6.25 million.
         """
-        return draw_scene(self.placements, cell_m, px_per_mm)
+        return scene_drawing.draw_scene(self.placements, cell_m, px_per_mm)

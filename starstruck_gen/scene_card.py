@@ -9,16 +9,10 @@ from itertools import islice
 
 import numpy as np
 
-from starstruck_gen.acceptance import Acceptance
-from starstruck_gen.kind import KIND
-from starstruck_gen.placement import Placement
-from starstruck_gen.scene_drawing import draw_scene
-from starstruck_gen.scene_rows import SceneRow
-from starstruck_gen.scene_spec import SceneSpec
-from tactile_toolkit import cards, pictures, store
+from starstruck_gen import acceptance, kind, placement, scene_drawing, scene_rows, scene_spec
+from tactile_toolkit import cards, pictures, shown_text, store
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.rows import meanings
-from tactile_toolkit.shown_text import markdown_text
 from tactile_toolkit.wording import with_count
 
 _SCENES_SHOWN = 12
@@ -28,12 +22,12 @@ _RULES = {
     "exact": "the outlines of two objects do not touch",
 }
 
-COLUMNS = meanings(SceneRow)
+COLUMNS = meanings(scene_rows.SceneRow)
 
 
-def summarise(manifest: store.Manifest) -> dict[str, Acceptance]:
+def summarise(manifest: store.Manifest) -> dict[str, acceptance.Acceptance]:
     """Return the acceptance of each split; of an unfinished run, that of its finished shards."""
-    return {split: Acceptance(**counts) for split, counts in manifest.statistics().items()}
+    return {split: acceptance.Acceptance(**counts) for split, counts in manifest.statistics().items()}
 
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
@@ -46,12 +40,12 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         if manifest.spec["source_spec"] is None:
             licence, text = "other", "The terms of the data set that these rows come from."
         terms = {"licence_text": text, "citation_text": "The task: Schneider et al. 2025."}
-        cards.write_table_card(folder, manifest, KIND, "Starstruck", COLUMNS, licence, **terms)
+        cards.write_table_card(folder, manifest, kind.KIND, "Starstruck", COLUMNS, licence, **terms)
         return
-    spec = SceneSpec.from_dict(manifest.spec["scene"])
+    spec = scene_spec.SceneSpec.from_dict(manifest.spec["scene"])
     found = summarise(manifest)
     cards.Card(
-        template=KIND.card_template,
+        template=kind.KIND.card_template,
         title="Starstruck",
         columns=COLUMNS,
         picture=("scenes.png", partial(_sheet, spec.cell_m), "The first scenes from above; stars are orange"),
@@ -64,10 +58,10 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
             "seed": str(manifest.spec["seed"]),
             "acceptance_table": _acceptance_table(found),
         },
-    ).write(folder, manifest, KIND)
+    ).write(folder, manifest, kind.KIND)
 
 
-def _placement_values(spec: SceneSpec) -> dict[str, str]:
+def _placement_values(spec: scene_spec.SceneSpec) -> dict[str, str]:
     """Describe the specification in words, with sizes in millimetres."""
     least, most = spec.distractors
     turned = math.degrees(spec.rotation_rad)
@@ -85,7 +79,7 @@ def _placement_values(spec: SceneSpec) -> dict[str, str]:
         "cell_mm": " x ".join(f"{1e3 * side:g}" for side in spec.cell_m),
         "reach_x_mm": f"{1e3 * spec.half_area_m[0]:g}",
         "reach_y_mm": f"{1e3 * spec.half_area_m[1]:g}",
-        "classes": ", ".join(map(markdown_text, spec.class_names)),
+        "classes": ", ".join(map(shown_text.markdown_text, spec.class_names)),
         "class_count": str(len(spec.class_names)),
         "distractors": distractors,
         "shapes": ", ".join(dict.fromkeys(shape.key for shape in spec.distractor_shapes)) or "none",
@@ -104,12 +98,12 @@ def _sheet(cell_m: tuple[float, float], facts: cards.FolderSummary) -> bytes | N
     for row in islice(cards.rows_to_draw(facts, ["placements"]), _SCENES_SHOWN):
         # As Python objects: numpy arrays of structs need pandas, whose import takes a second.
         (stored,) = row.group.table.slice(row.index, 1).to_pylist()
-        placements = [Placement(**entry) for entry in stored["placements"]]
-        tiles.append(pictures.Tile(np.asarray(draw_scene(placements, cell_m, px_per_mm))))
+        placements = [placement.Placement(**entry) for entry in stored["placements"]]
+        tiles.append(pictures.Tile(np.asarray(scene_drawing.draw_scene(placements, cell_m, px_per_mm))))
     return cards.tiles_png(tiles, 6)
 
 
-def _acceptance_table(found: Mapping[str, Acceptance]) -> str:
+def _acceptance_table(found: Mapping[str, acceptance.Acceptance]) -> str:
     header = ("split", "positions drawn per object (first, second, ...)", "accepted", "scenes started over")
     rows = [
         (
@@ -123,12 +117,12 @@ def _acceptance_table(found: Mapping[str, Acceptance]) -> str:
     return cards.markdown_table(header, rows)
 
 
-def _limits(manifest: store.Manifest, spec: SceneSpec) -> list[str]:
+def _limits(manifest: store.Manifest, spec: scene_spec.SceneSpec) -> list[str]:
     lines = [
         "Objects lie flat and are of one height each; nothing is stacked.",
         "Scenes are drawn from the seed: they are not the published scenes, only made by the same rule.",
     ]
-    if spec.to_dict() != SceneSpec().to_dict():
+    if spec.to_dict() != scene_spec.SceneSpec().to_dict():
         lines.append("The specification is not the published one; results do not compare with the paper's.")
     if manifest.spec["limit"] is not None:
         lines.append(f"Splits are cut to their first {manifest.spec['limit']:,} scenes.")

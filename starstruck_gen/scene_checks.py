@@ -9,10 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from starstruck_gen import scene_dataset, scene_meshes, shape_kinds
 from starstruck_gen.kind import KIND
-from starstruck_gen.scene_dataset import SceneRecord
-from starstruck_gen.scene_meshes import build_meshes
-from starstruck_gen.shape_kinds import KINDS, Proportions
 from tactile_toolkit import catalog, places, read
 from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.json_types import JsonDict
@@ -102,7 +100,7 @@ def validate_folder(
     names = {shard.path: read.class_names(shard.schema, KIND.class_names) for _, shard in shards}
     rows = catalog.check_rows(
         shards,
-        partial(_check_row, names=names, shapes=[kind() for kind in KINDS.values()]),
+        partial(_check_row, names=names, shapes=[kind() for kind in shape_kinds.KINDS.values()]),
         _COLUMNS,
         limit,
         workers,
@@ -122,13 +120,13 @@ def validate_folder(
 
 
 def _check_row(
-    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[Proportions]
+    row: read.Row, names: Mapping[str, Sequence[str]], shapes: Sequence[shape_kinds.Proportions]
 ) -> tuple[str | None, int, int]:
     """Return the problem of a scene (or None), its number of bodies, and that of its declared stars.
 
     ``shapes`` has one shape of each kind: unpickling it registers the kinds of the user in a new process.
     """
-    record, stars = SceneRecord(row), 0
+    record, stars = scene_dataset.SceneRecord(row), 0
     try:
         problem, bodies = check_scene(record, names[row.path])
         if record.has_placements:
@@ -139,7 +137,9 @@ def _check_row(
         return f"cannot be read as a scene: {error}", 0, 0
 
 
-def check_scene(record: SceneRecord, names: Sequence[str] = KIND.class_names) -> tuple[str | None, int]:
+def check_scene(
+    record: scene_dataset.SceneRecord, names: Sequence[str] = KIND.class_names
+) -> tuple[str | None, int]:
     """Check a stored scene from its triangles; return its problem (or None) and its number of bodies.
 
     The triangles bound solids that do not overlap (:mod:`tactile_toolkit.mesh.solid_check`) and stand on
@@ -169,8 +169,8 @@ def _check_on_plate(mesh: Mesh, bodies: Sequence[manifold3d.Manifold]) -> str | 
     return None
 
 
-def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | None:
-    declared = build_meshes([record.placements])[0]
+def _check_placements(mesh: Mesh, bodies: int, record: scene_dataset.SceneRecord) -> str | None:
+    declared = scene_meshes.build_meshes([record.placements])[0]
     if bodies != len(record.placements):
         return f"found {with_count(bodies, 'solids')}; expected {len(record.placements)}, one for each object"
     same = declared.vertices_m.shape == mesh.vertices_m.shape and np.array_equal(declared.faces, mesh.faces)
@@ -187,7 +187,7 @@ def _check_placements(mesh: Mesh, bodies: int, record: SceneRecord) -> str | Non
     return None
 
 
-def _check_star_count(record: SceneRecord, names: Sequence[str]) -> str | None:
+def _check_star_count(record: scene_dataset.SceneRecord, names: Sequence[str]) -> str | None:
     declared = record.star_count
     if not 0 <= record.label < len(names) or names[record.label] != str(declared):
         stated = with_count(declared, "stars")

@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Literal, overload
-
 import numpy as np
 
-from starstruck_gen.kind import KIND
-from starstruck_gen.placement import Placement
+from starstruck_gen import kind, placement, scene_drawing
 from starstruck_gen.scene import Scene
-from starstruck_gen.scene_drawing import draw_scene
-from tactile_toolkit import mesh, pictures, places, read
+from tactile_toolkit import mesh, pictures, places, read, touch
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CELL_M
 from tactile_toolkit.wording import with_count
 
 
@@ -43,11 +38,13 @@ class SceneRecord(mesh.SolidRecord):
         return self.row.has("placements")
 
     @property
-    def placements(self) -> tuple[Placement, ...]:
+    def placements(self) -> tuple[placement.Placement, ...]:
         """Objects in the order of placing, stars first; InputError if they are not stored."""
         return self._once(
             "placements",
-            lambda: tuple(Placement(**entry) for entry in self._stated("placements").required("placements")),
+            lambda: tuple(
+                placement.Placement(**entry) for entry in self._stated("placements").required("placements")
+            ),
         )
 
     @property
@@ -88,7 +85,7 @@ class SceneRecord(mesh.SolidRecord):
 
     def _drawn(self, px_per_mm: float) -> UInt8:
         # A record does not know its specification; most scenes have the published cell.
-        return np.asarray(draw_scene(self.placements, CELL_M, px_per_mm))
+        return np.asarray(scene_drawing.draw_scene(self.placements, touch.CELL_M, px_per_mm))
 
 
 class SceneMeshDataset(read.RecordDataset[SceneRecord]):
@@ -103,81 +100,4 @@ class SceneMeshDataset(read.RecordDataset[SceneRecord]):
         return self._integers("star_count", lambda: self.labels + 1, lambda scene: scene.star_count)
 
 
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[False] = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: Literal[True],
-    revision: str | None = None,
-    config: str | None = None,
-) -> mesh.RecordStream[SceneRecord]: ...
-
-
-@overload
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]: ...
-
-
-def load(
-    name: places.Name | places.Place,
-    split: str | None = None,
-    *,
-    streaming: bool = False,
-    revision: str | None = None,
-    config: str | None = None,
-) -> SceneMeshDataset | mesh.RecordStream[SceneRecord]:
-    """Open a data set of scenes.
-
-    Parameters
-    ----------
-    name : str or path
-        A folder written by ``starstruck generate``, a Parquet file, or a repository of the Hub with the
-        columns of Starstruck: ``USER/NAME``, or ``starstruck`` for the published one.
-    split : str, optional
-        Split to open; only its shards are downloaded. Optional if there is only one.
-    streaming : bool
-        Return an iterable that reads one shard after another and stores nothing, instead of a data set with
-        random access.
-    revision : str, optional
-        Branch, tag or commit of a Hub repository.
-    config : str, optional
-        Configuration, if the card of the data set has several.
-
-    Returns
-    -------
-    SceneMeshDataset or RecordStream
-        Rows are read on demand.
-
-    Raises
-    ------
-    InputError
-        There is no such folder or split, there are several splits and none is named, or the data set is of
-        another kind or lacks the columns of Starstruck.
-    IntegrityError
-        The data set is damaged or unfinished.
-    HubError
-        The repository cannot be reached or does not exist.
-    """
-    place = places.open_place(name, revision=revision, config=config)
-    shards = place.shards(split, kind=KIND, streaming=streaming)
-    return mesh.open_solids(
-        shards, place.name, SceneMeshDataset, KIND, mesh.RecordStream if streaming else None
-    )
+load = places.loader(kind.KIND, SceneMeshDataset, mesh.RecordStream[SceneRecord])

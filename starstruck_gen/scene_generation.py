@@ -10,15 +10,9 @@ from typing import Any, Unpack
 
 import pyarrow as pa
 
-from starstruck_gen import scene_seeds
-from starstruck_gen.acceptance import count_scenes
+from starstruck_gen import acceptance, rejection, scene_meshes, scene_rows, scene_seeds, scene_spec
 from starstruck_gen.kind import KIND
-from starstruck_gen.rejection import LayoutFailed, require_feasible, sample_scenes
-from starstruck_gen.scene_meshes import build_meshes
-from starstruck_gen.scene_rows import PARQUET_STYLE, SceneRow, scene_schema
-from starstruck_gen.scene_spec import SceneSpec
-from tactile_toolkit import generation, store
-from tactile_toolkit.checked_fields import check_fields, integer, split_counts
+from tactile_toolkit import checked_fields, generation, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
@@ -26,15 +20,17 @@ PUBLISHED_SIZES = (("train", 3_000), ("test", 300))
 """Scenes of each split (Tactile MNIST paper, section Starstruck)."""
 
 
-def make_rows(spec: SceneSpec, split: str, seed: int, start: int, count: int) -> list[SceneRow]:
+def make_rows(
+    spec: scene_spec.SceneSpec, split: str, seed: int, start: int, count: int
+) -> list[scene_rows.SceneRow]:
     """Make rows ``start`` to ``start + count - 1`` of a split; each depends on its number only.
 
     Raises SamplingExhausted if a scene cannot be made.
     """
-    scenes = sample_scenes(spec, split, seed, start, count)
-    meshes = build_meshes([scene.placements for scene in scenes])
+    scenes = rejection.sample_scenes(spec, split, seed, start, count)
+    meshes = scene_meshes.build_meshes([scene.placements for scene in scenes])
     return [
-        SceneRow(
+        scene_rows.SceneRow(
             id=scene_seeds.scene_id(split, number),
             label=number % len(spec.stars),
             vertices_m=meshes.vertices_m[index],
@@ -71,18 +67,18 @@ class SceneSetSpec:
     on any machine.
     """
 
-    scene: SceneSpec = field(default_factory=SceneSpec)
+    scene: scene_spec.SceneSpec = field(default_factory=scene_spec.SceneSpec)
     scenes: tuple[tuple[str, int], ...] = PUBLISHED_SIZES
-    seed: int = integer(0)
-    limit: int | None = integer(None, 1, optional=True)
+    seed: int = checked_fields.integer(0)
+    limit: int | None = checked_fields.integer(None, 1, optional=True)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the data set's specification")
-        scenes = split_counts(
+        checked_fields.check_fields(self, "the data set's specification")
+        scenes = checked_fields.split_counts(
             self.scenes, "scenes of the data set's specification", scene_seeds.SPLITS, scene_seeds.MOST_SCENES
         )
         object.__setattr__(self, "scenes", scenes)
-        if not isinstance(self.scene, SceneSpec):
+        if not isinstance(self.scene, scene_spec.SceneSpec):
             raise InputError(f"scene of the data set's specification is {self.scene!r}; expected a SceneSpec")
 
     def rows(self, split: str) -> int:
@@ -114,7 +110,7 @@ class SceneMaking(generation.RowGenerator):
     def layout(self) -> generation.StorageLayout:
         """Return how rows are stored."""
         return generation.StorageLayout(
-            PARQUET_STYLE,
+            scene_rows.PARQUET_STYLE,
             libraries=("manifold3d", "numpy", "pillow", "pyarrow"),
             smallest=1_000,
             largest=10_000,
@@ -124,16 +120,16 @@ class SceneMaking(generation.RowGenerator):
 
     def schema(self, split: str) -> pa.Schema:
         """Return the Arrow schema of a shard."""
-        return scene_schema(self.spec.scene.class_names)
+        return scene_rows.scene_schema(self.spec.scene.class_names)
 
-    def make(self, split: str, items: Any) -> list[SceneRow]:
+    def make(self, split: str, items: Any) -> list[scene_rows.SceneRow]:
         """Return the rows of some scenes; SamplingExhausted if a scene cannot be made."""
         with store.without_collecting():
             return make_rows(self.spec.scene, split, self.spec.seed, items.start, len(items))
 
-    def statistics(self, rows: Sequence[SceneRow]) -> JsonObject:
+    def statistics(self, rows: Sequence[scene_rows.SceneRow]) -> JsonObject:
         """Count positions drawn and scenes started over."""
-        return asdict(count_scenes(self.spec.scene, rows))
+        return asdict(acceptance.count_scenes(self.spec.scene, rows))
 
 
 def generate(
@@ -141,7 +137,7 @@ def generate(
     out: str | os.PathLike[str],
     splits: Sequence[str] = scene_seeds.SPLITS,
     *,
-    on_failure: LayoutFailed = lambda _failed, _allowed: None,
+    on_failure: rejection.LayoutFailed = lambda _failed, _allowed: None,
     **run: Unpack[store.RunKeywords],
 ) -> store.Manifest:
     """Make a data set of scenes.
@@ -176,7 +172,7 @@ def generate(
     SpecMismatchError, StorageError
         The folder has a data set of another specification, or cannot be written. Finished shards stay.
     """
-    require = partial(require_feasible, spec.scene, spec.seed, on_failure)
+    require = partial(rejection.require_feasible, spec.scene, spec.seed, on_failure)
     return generation.generate(SceneMaking(spec), out, splits, require=require, **run)
 
 

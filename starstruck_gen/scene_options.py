@@ -6,10 +6,8 @@ import re
 from dataclasses import dataclass
 
 import starstruck_gen
-from tactile_toolkit import catalog
-from tactile_toolkit.checked_fields import choice, integer, read_split_counts, real, text
+from tactile_toolkit import catalog, checked_fields, parsed_text
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import comma_separated, is_count
 
 _BETWEEN_SHAPES = re.compile(r",(?![^(]*\))")  # a comma within brackets belongs to a shape
 # Between 3 tips, notches at half the radius, as published, lie on straight sides.
@@ -20,11 +18,13 @@ def _counts(option: str, words: str) -> tuple[int, ...]:
     """Read a range such as ``1-3``, or numbers such as ``1,2,5``."""
     least, _, most = (part.strip() for part in words.partition("-"))
     # Bounded before a tuple of the range is made; `SceneSpec` checks the rest.
-    if is_count(least) and is_count(most) and int(least) <= int(most) < 10_000:
+    if parsed_text.is_count(least) and parsed_text.is_count(most) and int(least) <= int(most) < 10_000:
         return tuple(range(int(least), int(most) + 1))
-    if not all(map(is_count, comma_separated(words))) or not comma_separated(words):
+    if not all(
+        map(parsed_text.is_count, parsed_text.comma_separated(words))
+    ) or not parsed_text.comma_separated(words):
         raise InputError(f"{option} is {words!r}; expected a range such as 1-3, or numbers such as 1,2,5")
-    return tuple(map(int, comma_separated(words)))
+    return tuple(map(int, parsed_text.comma_separated(words)))
 
 
 def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
@@ -40,45 +40,51 @@ def _lengths_m(option: str, words: str, most: int) -> tuple[float, ...]:
 
 def scene_counts(words: str) -> tuple[tuple[str, int], ...]:
     """Read ``5000`` or ``train=5000,test=500``."""
-    if is_count(words.strip()):
+    if parsed_text.is_count(words.strip()):
         return tuple((split, int(words)) for split in starstruck_gen.SPLITS)
-    return read_split_counts("--scenes", words)
+    return checked_fields.read_split_counts("--scenes", words)
 
 
 @dataclass(frozen=True, slots=True)
 class SceneOptions:
     """Objects of a scene, and how close they are; :class:`SceneSpec` has lengths in metres."""
 
-    stars: str = text("1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class.")
-    distractors: str = text(
+    stars: str = checked_fields.text(
+        "1-3", metavar="1-3|1,2,5", help="Numbers of stars in a scene; each number is a class."
+    )
+    distractors: str = checked_fields.text(
         "0-5", metavar="0-5", help="Minimum and maximum number of distractors: objects that are not stars."
     )
-    star_points: int | None = integer(None, help="Number of tips of a star.", optional=True, shown="5")
-    star_inner_mm: float | None = real(
+    star_points: int | None = checked_fields.integer(
+        None, help="Number of tips of a star.", optional=True, shown="5"
+    )
+    star_inner_mm: float | None = checked_fields.real(
         None,
         optional=True,
         help="Inner radius of a star; by default half of --radius-mm as published, a quarter with 3 points.",
     )
-    shapes: str = text(
+    shapes: str = checked_fields.text(
         "box,disc",
         metavar="box,disc",
         help="Shapes of distractors: box, disc, triangle, hexagon, ring, cross, crescent; with proportions "
         "of their own such as ring(hole_ratio=0.3).",
     )
-    radius_mm: float = real(10.0, help="Radius of the circle around every object.")
-    heights_mm: str = text("5", metavar="5|4,6", help="Heights of objects, drawn with equal probability.")
-    cell_mm: str = text("120", metavar="120|120x120", help="Size of the cell along x and y.")
-    collision: str = choice(
+    radius_mm: float = checked_fields.real(10.0, help="Radius of the circle around every object.")
+    heights_mm: str = checked_fields.text(
+        "5", metavar="5|4,6", help="Heights of objects, drawn with equal probability."
+    )
+    cell_mm: str = checked_fields.text("120", metavar="120|120x120", help="Size of the cell along x and y.")
+    collision: str = checked_fields.choice(
         "circles",
         ("circles", "exact"),
         help="What must not overlap: circles around objects (circles), or their outlines (exact).",
     )
-    clearance_mm: float = real(0.0, help="Minimum distance between these circles or outlines.")
+    clearance_mm: float = checked_fields.real(0.0, help="Minimum distance between these circles or outlines.")
 
     def spec(self) -> starstruck_gen.SceneSpec:
         """Return the specification of scenes; InputError for options that cannot be read or satisfied."""
         others = _counts("--distractors", self.distractors)
-        if len(comma_separated(self.distractors)) > 2:
+        if len(parsed_text.comma_separated(self.distractors)) > 2:
             raise InputError(
                 f"--distractors is {self.distractors!r}; expected the minimum and the maximum, such as 0-5"
             )
@@ -114,8 +120,8 @@ class SceneOptions:
 class ScenePreviewSpec(catalog.PreviewSpec):
     """Which pictures of scenes to draw."""
 
-    per_class: int = integer(8, 1, help="Objects of each class on a sheet.")
-    kinds: tuple[str, ...] = choice(
+    per_class: int = checked_fields.integer(8, 1, help="Objects of each class on a sheet.")
+    kinds: tuple[str, ...] = checked_fields.choice(
         (),
         ("sheet", "all"),
         name="--kind",

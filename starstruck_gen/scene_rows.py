@@ -7,11 +7,8 @@ from functools import cache
 
 import pyarrow as pa
 
-from starstruck_gen.kind import KIND
-from starstruck_gen.placement import Placement
-from starstruck_gen.scene_seeds import SPLITS, scene_id
-from tactile_toolkit import mesh, store
-from tactile_toolkit.rows import column, row
+from starstruck_gen import kind, placement, scene_seeds
+from tactile_toolkit import mesh, rows, store
 
 PARQUET_STYLE = store.ParquetStyle(
     rows_per_group=1_000,
@@ -27,9 +24,11 @@ PARQUET_STYLE = store.ParquetStyle(
 )
 """1,000 scenes are about 5 MB unpacked, enough for the codec to find repeated triangles."""
 
-_NUMBERS = [(name, pa.float64()) for name in Placement._fields if name != "shape"]
+_NUMBERS = [(name, pa.float64()) for name in placement.Placement._fields if name != "shape"]
 _PLACEMENTS = pa.list_(pa.struct([("shape", pa.string()), *_NUMBERS]))
-_IDS = f"number of the scene: from 0 in train, from {scene_id(SPLITS[1], 0):,} in test"
+_IDS = (
+    f"number of the scene: from 0 in train, from {scene_seeds.scene_id(scene_seeds.SPLITS[1], 0):,} in test"
+)
 _OBJECTS = (
     "each object in the order of placing, stars first: `shape`, centre `x_m` and `y_m`, `angle_rad` about z, "
     "`radius_m` of the circumscribed circle, `height_m`"
@@ -38,20 +37,22 @@ _OBJECTS = (
 _SEED = "seed of the scene: with the specification and the star count it makes the scene again"
 
 
-@row
+@rows.row
 class SceneRow(mesh.MeshRow):
     """One scene."""
 
-    id: int = column(pa.int64(), "", _IDS)
-    label: int = column(pa.int64(), "", "the class, named by the number of stars")
-    star_count: int = column(pa.int64(), "", "number of stars", role="facet", title="Stars")
-    distractor_count: int = column(
+    id: int = rows.column(pa.int64(), "", _IDS)
+    label: int = rows.column(pa.int64(), "", "the class, named by the number of stars")
+    star_count: int = rows.column(pa.int64(), "", "number of stars", role="facet", title="Stars")
+    distractor_count: int = rows.column(
         pa.int64(), "", "number of objects that are not stars", role="facet", title="Distractors"
     )
-    placements: Sequence[Placement] = column(_PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS)
-    seed: int = column(pa.int64(), "", _SEED)
-    attempts: Sequence[int] = column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
-    restarts: int = column(
+    placements: Sequence[placement.Placement] = rows.column(
+        _PLACEMENTS, "one per object: m, rad, frame below", _OBJECTS
+    )
+    seed: int = rows.column(pa.int64(), "", _SEED)
+    attempts: Sequence[int] = rows.column(pa.list_(pa.int32()), "one per object", "positions drawn for it")
+    restarts: int = rows.column(
         pa.int32(), "", "how often the scene was started over", role="measure", title="Restarts"
     )
 
@@ -62,6 +63,6 @@ def published_schema(_manifest: object = None) -> pa.Schema:
 
 
 @cache
-def scene_schema(class_names: tuple[str, ...] = KIND.class_names) -> pa.Schema:
+def scene_schema(class_names: tuple[str, ...] = kind.KIND.class_names) -> pa.Schema:
     """Return the Arrow schema of a shard."""
     return mesh.mesh_schema(SceneRow, class_names)

@@ -7,21 +7,18 @@ from dataclasses import asdict, dataclass, fields
 from functools import cached_property
 from itertools import pairwise
 
-from starstruck_gen.prisms import require_fine_steps
-from starstruck_gen.shape_kinds import STAR
+from starstruck_gen import prisms, shape_kinds
 from starstruck_gen.shapes import Shape
-from tactile_toolkit.builtin_values import is_integer, to_builtin
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real
+from tactile_toolkit import builtin_values, checked_fields, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
-from tactile_toolkit.touch import CELL_M
 
 COLLISION_RULES = ("circles", "exact")
 """``circles``: circumscribed circles must not meet (published); ``exact``: outlines must not touch."""
 
 # 3 mm, half the outer size of the sensor and half the border of the grid (package tactile-mnist 0.13.0).
 _PADDING_M = (0.003 + 0.032 / 2 + 0.005 / 2, 0.003 + 0.028 / 2 + 0.005 / 2)
-_PUBLISHED_STAR = Shape(STAR)
+_PUBLISHED_STAR = Shape(shape_kinds.STAR)
 _PUBLISHED_DISTRACTORS = (Shape("box"), Shape("disc"))
 # Coordinates stay below 1 m, where float32 storage moves them by 0.03 um, a third of STORAGE_MARGIN_M.
 _LARGEST_CELL_M = 2.0
@@ -68,21 +65,21 @@ class SceneSpec:
         A value cannot be used; the message names the field, what was found and what was expected.
     """
 
-    cell_m: tuple[float, float] = real(CELL_M, 0, _LARGEST_CELL_M, many=2)
-    padding_m: tuple[float, float] = real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
+    cell_m: tuple[float, float] = checked_fields.real(touch.CELL_M, 0, _LARGEST_CELL_M, many=2)
+    padding_m: tuple[float, float] = checked_fields.real(_PADDING_M, 0, _LARGEST_CELL_M, many=2)
     stars: tuple[int, ...] = (1, 2, 3)
     distractors: tuple[int, int] = (0, 5)
     star: Shape = _PUBLISHED_STAR
     distractor_shapes: tuple[Shape, ...] = _PUBLISHED_DISTRACTORS
     heights_m: tuple[float, ...] = (0.005,)
-    rotation_rad: float = real(math.tau, 0, math.tau)
-    collision: str = choice("circles", COLLISION_RULES)
-    clearance_m: float = real(0.0, 0, _LARGEST_CELL_M)
-    attempts: int = integer(100, 1)
-    restarts: int = integer(1_000)
+    rotation_rad: float = checked_fields.real(math.tau, 0, math.tau)
+    collision: str = checked_fields.choice("circles", COLLISION_RULES)
+    clearance_m: float = checked_fields.real(0.0, 0, _LARGEST_CELL_M)
+    attempts: int = checked_fields.integer(100, 1)
+    restarts: int = checked_fields.integer(1_000)
 
     def __post_init__(self) -> None:
-        check_fields(self, "the scene specification")
+        checked_fields.check_fields(self, "the scene specification")
         # One type for each value, so that equal specifications have equal JSON.
         for name, kind in (
             ("stars", int),
@@ -90,19 +87,28 @@ class SceneSpec:
             ("distractor_shapes", int),
             ("heights_m", float),
         ):
-            value = to_builtin(getattr(self, name), kind)
+            value = builtin_values.to_builtin(getattr(self, name), kind)
             object.__setattr__(self, name, value if isinstance(value, tuple) else (value,))
         stars, shapes, heights = self.stars, self.distractor_shapes, self.heights_m
-        fits = bool(stars) and is_integer(*stars) and stars[0] >= 0 and all(a < b for a, b in pairwise(stars))
+        fits = (
+            bool(stars)
+            and builtin_values.is_integer(*stars)
+            and stars[0] >= 0
+            and all(a < b for a, b in pairwise(stars))
+        )
         self._require("stars", fits, "integers from 0, each larger than the one before")
-        fits = len(self.distractors) == 2 and is_integer(*self.distractors)
+        fits = len(self.distractors) == 2 and builtin_values.is_integer(*self.distractors)
         fits = fits and 0 <= self.distractors[0] <= self.distractors[1]
         self._require("distractors", fits, "the minimum and the maximum, integers from 0")
         fits = stars[0] + self.distractors[0] > 0 and self.most_objects <= _MOST_OBJECTS
         self._require("stars", fits, f"1 to {_MOST_OBJECTS} objects in a scene, distractors included")
-        fits = isinstance(self.star, Shape) and self.star.name == STAR
-        self._require("star", fits, f"a Shape named {STAR!r}, such as Shape({STAR!r}, radius_m=0.01)")
-        fits = all(isinstance(shape, Shape) and shape.name != STAR for shape in shapes)
+        fits = isinstance(self.star, Shape) and self.star.name == shape_kinds.STAR
+        self._require(
+            "star",
+            fits,
+            f"a Shape named {shape_kinds.STAR!r}, such as Shape({shape_kinds.STAR!r}, radius_m=0.01)",
+        )
+        fits = all(isinstance(shape, Shape) and shape.name != shape_kinds.STAR for shape in shapes)
         fits = fits and (bool(shapes) or self.distractors[1] == 0)
         self._require("distractor_shapes", fits, "Shape objects that are not stars, such as (Shape('box'),)")
         fits = bool(heights) and all(isinstance(each, float) and 1e-4 <= each <= 1.0 for each in heights)
@@ -110,7 +116,7 @@ class SceneSpec:
         self._require(
             "cell_m", min(self.half_area_m) >= 0, "room for the padding and one object side by side"
         )
-        require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
+        prisms.require_fine_steps((self.star, *self.distractor_shapes), self.half_area_m, self.cell_m)
 
     def _require(self, name: str, fits: bool, expected: str) -> None:
         if not fits:

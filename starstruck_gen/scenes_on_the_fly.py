@@ -8,17 +8,18 @@ from functools import cached_property
 import numpy as np
 import pyarrow as pa
 
-from starstruck_gen.rejection import sample_scenes
-from starstruck_gen.scene import Scene
-from starstruck_gen.scene_dataset import SceneMeshDataset
-from starstruck_gen.scene_generation import make_rows
-from starstruck_gen.scene_meshes import SceneMeshes, build_meshes
-from starstruck_gen.scene_rows import scene_schema
-from starstruck_gen.scene_seeds import MOST_SCENES, scene_id, scene_seed
-from starstruck_gen.scene_spec import SceneSpec
-from tactile_toolkit import mesh, read
+from starstruck_gen import (
+    rejection,
+    scene,
+    scene_dataset,
+    scene_generation,
+    scene_meshes,
+    scene_rows,
+    scene_seeds,
+    scene_spec,
+)
+from tactile_toolkit import checked_fields, mesh, read
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.checked_fields import checked_integer
 from tactile_toolkit.rows import table_of
 
 DEFAULT_SIZE = 300_000
@@ -34,7 +35,7 @@ class MadeScenes:
 
     path = ""
 
-    def __init__(self, spec: SceneSpec, split: str, size: int, seed: int) -> None:
+    def __init__(self, spec: scene_spec.SceneSpec, split: str, size: int, seed: int) -> None:
         self.spec = spec
         self.split = split
         self.size = size
@@ -50,7 +51,7 @@ class MadeScenes:
     @cached_property
     def schema(self) -> pa.Schema:
         """Arrow schema of the rows."""
-        return scene_schema(self.spec.class_names)
+        return scene_rows.scene_schema(self.spec.class_names)
 
     @property
     def part_sizes(self) -> Sequence[int]:
@@ -78,7 +79,9 @@ class MadeScenes:
 
     def made(self, start: int, count: int) -> pa.Table:
         """Make a block of rows as an Arrow table."""
-        return table_of(make_rows(self.spec, self.split, self.seed, start, count), self.schema)
+        return table_of(
+            scene_generation.make_rows(self.spec, self.split, self.seed, start, count), self.schema
+        )
 
     def column(self, name: str) -> pa.Array:
         """Return one column of all rows, which must be known without the scenes."""
@@ -89,13 +92,15 @@ class MadeScenes:
         numbers = np.arange(rows.start, rows.stop, dtype=np.int64)
         classes = numbers % len(self.spec.stars)
         if name == "id":
-            return numbers + scene_id(self.split, 0)
+            return numbers + scene_seeds.scene_id(self.split, 0)
         if name == "label":
             return classes
         if name == "star_count":
             return np.array(self.spec.stars, dtype=np.int64)[classes]
         if name == "seed":
-            return np.array([scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64)
+            return np.array(
+                [scene_seeds.scene_seed(self.seed, self.split, row) for row in rows], dtype=np.int64
+            )
         raise KeyError(name)
 
 
@@ -118,12 +123,14 @@ class MadeScene(read.Rows):
 
     # Not cached properties, whose locks take 1/20 of the time of a scene and its mesh.
     @property
-    def _scene(self) -> Scene:
+    def _scene(self) -> scene.Scene:
         source, row = self._source, self.first_row
-        return self.once("scene", lambda: sample_scenes(source.spec, source.split, source.seed, row, 1)[0])
+        return self.once(
+            "scene", lambda: rejection.sample_scenes(source.spec, source.split, source.seed, row, 1)[0]
+        )
 
-    def _built(self) -> SceneMeshes:
-        meshes = build_meshes([self._scene.placements])
+    def _built(self) -> scene_meshes.SceneMeshes:
+        meshes = scene_meshes.build_meshes([self._scene.placements])
         for column in (meshes.vertices_m, meshes.faces):
             column.values.setflags(write=False)
         return meshes
@@ -147,7 +154,7 @@ class MadeScene(read.Rows):
         return values
 
 
-class SceneDataset(SceneMeshDataset):
+class SceneDataset(scene_dataset.SceneMeshDataset):
     """Scenes on the fly: the records that ``starstruck generate`` writes, without files.
 
     Parameters
@@ -176,12 +183,16 @@ class SceneDataset(SceneMeshDataset):
     """
 
     def __init__(
-        self, spec: SceneSpec | None = None, split: str = "train", size: int = DEFAULT_SIZE, seed: int = 0
+        self,
+        spec: scene_spec.SceneSpec | None = None,
+        split: str = "train",
+        size: int = DEFAULT_SIZE,
+        seed: int = 0,
     ) -> None:
-        spec = spec or SceneSpec()
-        size = checked_integer(size, "size", 0, MOST_SCENES)
-        seed = checked_integer(seed, "seed")
-        scene_seed(seed, split, 0)  # refuses an unknown split
+        spec = spec or scene_spec.SceneSpec()
+        size = checked_fields.checked_integer(size, "size", 0, scene_seeds.MOST_SCENES)
+        seed = checked_fields.checked_integer(seed, "seed")
+        scene_seeds.scene_seed(seed, split, 0)  # refuses an unknown split
         super().__init__(
             read.ShardedTable((MadeScenes(spec, split, size, seed),)), label_names=spec.class_names
         )

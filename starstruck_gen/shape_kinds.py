@@ -31,6 +31,10 @@ def _within(published: float, least: float, most: float) -> Any:
     return field(default=published, metadata={"least": least, "most": most})
 
 
+# The default of all fields of this name: `dataclasses` notes the name in it.
+_SEGMENTS = _within(_PUBLISHED_SEGMENTS, 8, 256)
+
+
 @dataclass(frozen=True, slots=True)
 class Proportions:
     """Proportions of a kind of shape, without its size. The defaults are those of the kind.
@@ -90,10 +94,6 @@ def _unpickled(kind: type[Proportions], values: JsonDict) -> Proportions:
     if kind.name:
         KINDS.setdefault(kind.name, kind)
     return kind(**values)
-
-
-def _segments() -> Any:
-    return _within(_PUBLISHED_SEGMENTS, 8, 256)
 
 
 def _arc(
@@ -165,7 +165,7 @@ class Disc(Proportions):
     """
 
     name: ClassVar[str] = "disc"
-    segments: int = _segments()
+    segments: int = _SEGMENTS
 
     def rings(self) -> Outline:
         """Return one ring."""
@@ -208,7 +208,7 @@ class Ring(Proportions):
 
     name: ClassVar[str] = "ring"
     hole_ratio: float = _within(0.5, 0.05, 0.95)
-    segments: int = _segments()
+    segments: int = _SEGMENTS
 
     def rings(self) -> Outline:
         """Return the rim, then the hole."""
@@ -256,7 +256,7 @@ class Crescent(Proportions):
     name: ClassVar[str] = "crescent"
     horn_rad: float = _within(math.pi / 3, 0.25, 1.5)
     bite_ratio: float = _within(0.6, 0.2, 0.9)
-    segments: int = _segments()
+    segments: int = _SEGMENTS
 
     def rings(self) -> Outline:
         """Return one ring: the rim from horn to horn, then the bite back."""

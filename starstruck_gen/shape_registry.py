@@ -8,10 +8,8 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from starstruck_gen.placement import prism_solid
-from starstruck_gen.prisms import checked_prism, prism, prisms
+from starstruck_gen import placement, prisms, shapes
 from starstruck_gen.shape_kinds import KINDS, TOOLKIT_KINDS, Proportions
-from starstruck_gen.shapes import outline, read_only
 from tactile_toolkit.errors import InputError
 
 K = TypeVar("K", bound=type[Proportions])
@@ -24,9 +22,9 @@ def register_shape(kind: K) -> K:
     Parameters
     ----------
     kind : type
-        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name`` names the
-        shape, ``rings()`` gives its outline, and each field is a number with a default. A field's range is
-        its metadata ``least`` and ``most``.
+        A frozen dataclass with slots, derived from :class:`starstruck_gen.Proportions`: ``name``, ``rings()``
+        of the outline, and fields that are numbers with a default, within ``least`` and ``most`` of their
+        metadata.
 
     Returns
     -------
@@ -37,17 +35,18 @@ def register_shape(kind: K) -> K:
     ------
     InputError
         The name is taken or not a plain word, a field is not a number, or the default outline bounds no area
-        or does not reach distance 1 from the origin.
+        or has another reach than 1.
 
     Notes
     -----
-    Pickled specifications and shapes register the class in the process that unpickles them. Before JSON or a
-    stored data set is read, the kind must be registered. The command line has the shapes of the toolkit only.
+    Pickled specifications and shapes register the class in the process that unpickles them. JSON and stored
+    data sets need a registered kind. The command line has the shapes of the toolkit only.
 
     Examples
     --------
     >>> from dataclasses import dataclass, field
     >>> import numpy as np
+    >>> from starstruck_gen import Proportions, Shape
     >>> @register_shape
     ... @dataclass(frozen=True, slots=True)
     ... class Kite(Proportions):
@@ -56,7 +55,6 @@ def register_shape(kind: K) -> K:
     ...
     ...     def rings(self):
     ...         return (np.array([(1.0, 0.0), (0.0, self.width), (-0.5, 0.0), (0.0, -self.width)]),)
-    >>> from starstruck_gen import Shape
     >>> Shape("kite", 0.012, Kite(width=0.4)).key
     'kite(width=0.4)'
     """
@@ -67,16 +65,15 @@ def register_shape(kind: K) -> K:
     # A notebook cell that is run again defines its class again; the new class replaces the former one.
     if former is not None and (former in TOOLKIT_KINDS or former.__qualname__ != kind.__qualname__):
         raise InputError(f"the name {kind.name!r} is taken by {former.__qualname__}; expected another name")
-    made = checked_prism(kind.name, read_only(kind().rings()))
+    made = prisms.checked_prism(kind.name, shapes.read_only(kind().rings()))
     reach = float(np.linalg.norm(made.corners, axis=1).max())
     if abs(reach - 1.0) > _REACH_TOLERANCE:
         raise InputError(
-            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1, "
-            "the circumscribed radius"
+            f"the outline of shape {kind.name!r} reaches distance {reach:g} from the origin; expected 1"
         )
     KINDS[kind.name] = kind
     # Caches may hold outlines of the former kind of the same name.
-    for kept in (outline, prism, prisms, prism_solid):
+    for kept in (shapes.outline, prisms.prism, prisms.prisms, placement.prism_solid):
         kept.cache_clear()
     return kind
 

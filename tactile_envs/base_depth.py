@@ -1,7 +1,7 @@
 """Depth of real touches without contact, as a network estimates it from their images: never quite flat.
 
-Environments of recorded touches show what the network makes of them. A simulated touch looks like those with
-such a depth map behind its own. Estimates take about a second each, and are kept in the cache folder.
+Environments of recorded touches show what the network makes of them. A simulated touch looks like them if
+such a depth map lies behind its own. Estimates take about a second each, and are kept in the cache folder.
 """
 
 from __future__ import annotations
@@ -17,12 +17,9 @@ import numpy as np
 import xxhash
 
 import realtouch
+from tactile_toolkit import cache, kind, progress, store
 from tactile_toolkit.array_types import Float32
-from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError, InputError, IntegrityError, ToolkitError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.progress import shown_progress
-from tactile_toolkit.store import locked, open_regular
 
 NO_CONTACT_M = 1e-3
 """Height above the plate up to which a touch had no contact (0.13.0, EMPTY_TOUCH_Z_TOLERANCE_M), metres."""
@@ -34,12 +31,12 @@ _FORMAT = 1
 _CHECKSUM_BYTES = 16
 _SETTING = "real_base_depth_dataset"
 _LEAVE_OUT = f'config={{"{_SETTING}": None}} to leave it out'
-_ESTIMATES = DiskCache(
+_ESTIMATES = cache.DiskCache(
     "environments", 8 << 30, warning="the depth of real touches is estimated again each time: {problem}"
 )
 _LOG = logging.getLogger(__name__)
 
-_estimator: Any = lazy("tactile_sim.learned:DepthEstimator")  # imported by name: it needs the extra `torch`
+_estimator = kind.lazy("tactile_sim.learned:DepthEstimator")  # imported by name: it needs the extra `torch`
 
 Source = str | PathLike[str] | realtouch.TouchSingleDataset
 
@@ -107,12 +104,12 @@ def _opened(given: Source) -> realtouch.TouchSingleDataset:
 
 @contextlib.contextmanager
 def _one_process() -> Iterator[None]:
-    """Let one process make estimates at a time, where the cache folder can be written: others find them."""
+    """Let one process at a time make estimates if the cache folder can be written; others find them there."""
     path = _ESTIMATES.path("base-depth.lock")
     with contextlib.ExitStack() as stack:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            stack.enter_context(locked(path, is_patient=True))
+            stack.enter_context(store.locked(path, is_patient=True))
         except (OSError, BusyError) as error:
             _LOG.warning("other processes are not waited for: %s", error)
         yield
@@ -128,7 +125,9 @@ def _estimates_m(
     missing = [(name, number) for name, number in zip(names, numbers, strict=True) if name not in found]
     if missing:
         estimator = _estimator()
-    with shown_progress("estimating the depth of real touches without contact", "touches", _QUIET_S) as show:
+    with progress.shown_progress(
+        "estimating the depth of real touches without contact", "touches", _QUIET_S
+    ) as show:
         for first in range(0, len(missing), _BATCH):
             batch = missing[first : first + _BATCH]
             images = touches.images([number for _, number in batch])
@@ -155,7 +154,7 @@ def _kept(name: str, size_px: tuple[int, int]) -> Float32 | None:
     width, height = size_px
     path, size = _ESTIMATES.path(name), 4 * width * height
     try:
-        with open_regular(path) as stream:
+        with store.open_regular(path) as stream:
             content = stream.read(size + _CHECKSUM_BYTES + 1)
     except (OSError, IntegrityError):
         return None

@@ -58,7 +58,7 @@ class Camera:
 
     @property
     def bases(self) -> int:
-        """Number of depth maps behind."""
+        """Number of depth maps that lie behind those of touches."""
         return 0 if self._behind is None else len(self._behind)
 
     def pictures(self, touches: SensorReadings, bases: Int64) -> Float32:
@@ -79,7 +79,7 @@ class Camera:
         return found
 
     def _bare_picture(self, base: int) -> Float32:
-        """Return the image of the plate alone with a map behind."""
+        """Return the image of the plate alone, in front of a map."""
         if base not in self._bare:
             width, height = self.sensor.size_px
             # The plate is pressed in evenly.

@@ -14,9 +14,8 @@ from tactile_sim.press_spec import gel_named
 from tactile_sim.sensor import GEL_M, sensor_of_model
 from tactile_sim.sensor_models import GELSIGHT_MINI, checked_sensor
 from tactile_sim.sensor_noise import checked_noise
-from tactile_toolkit import checked_fields
+from tactile_toolkit import checked_fields, touch
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import CELL_M, PRESS_DEPTH_M
 from tactile_toolkit.wording import did_you_mean
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ _PADDING_M = (0.003 + GELSIGHT_M[0] / 2 + 0.0025, 0.003 + GELSIGHT_M[1] / 2 + 0.
 
 
 class NetworkOptions(TypedDict, total=False):
-    """Where networks compute, and in which precision; see :func:`tactile_sim.make_optics`."""
+    """Device and precision of networks; see :func:`tactile_sim.make_optics`."""
 
     device: str
     bfloat16: bool
@@ -89,7 +88,7 @@ class EpisodeConfig:
     transfer_timedelta_s: float = checked_fields.real(0.2, above=0, most=3600)
     action_regularization: float = checked_fields.real(1e-3, -1e6, 1e6)
     timeout_behavior: str = checked_fields.choice("terminate", ("terminate", "truncate"))
-    cell_size: tuple[float, float] = checked_fields.real(CELL_M, above=0, most=10, many=2)
+    cell_size: tuple[float, float] = checked_fields.real(touch.CELL_M, above=0, most=10, many=2)
     cell_padding: tuple[float, float] = checked_fields.real(_PADDING_M, -10, 10, many=2)
 
     def __post_init__(self) -> None:
@@ -106,7 +105,7 @@ class EpisodeConfig:
 
     @property
     def optics_options(self) -> NetworkOptions:
-        """Options of the optics; those without a network have none."""
+        """Options of the optics; empty for those without a network."""
         if self.sensor_type != "cycle_gan":
             return {}
         return self.network_options
@@ -117,7 +116,7 @@ class EpisodeConfig:
         return {"device": self.network_device, "bfloat16": self.network_bfloat16}
 
     def longest_way(self, velocity: float, acceleration: float) -> float:
-        """Return the greatest distance from one touch to the next; units as those of the velocity."""
+        """Return the greatest distance from one touch to the next; in the units of the velocity."""
         half_s = self.transfer_timedelta_s / 2
         ramp_s = min(velocity / acceleration, half_s)
         return (half_s - ramp_s) * velocity + 0.5 * acceleration * ramp_s**2
@@ -191,7 +190,7 @@ class Config(EpisodeConfig):
     max_tilt_angle: float = checked_fields.real(pi / 4, 0, pi / 4)
     sensor_model: tactile_sim.SensorModel = GELSIGHT_MINI
     gel_thickness: float = checked_fields.real(GEL_M, above=0, most=0.1)
-    penetration_depth: float = checked_fields.real(PRESS_DEPTH_M, above=0, most=0.1)
+    penetration_depth: float = checked_fields.real(touch.PRESS_DEPTH_M, above=0, most=0.1)
     elastic_gel: tactile_sim.Gel | None = None
     press_force: float | None = checked_fields.real(None, above=0, below=1000, optional=True)
     penetration_depth_reduction_std: float = checked_fields.real(0.0, 0, 1)
@@ -222,7 +221,7 @@ class Config(EpisodeConfig):
         if model == GELSIGHT_MINI:
             return
         model.require_optics(self.optics_name)
-        if (self.gel_thickness, self.penetration_depth) == (GEL_M, PRESS_DEPTH_M):
+        if (self.gel_thickness, self.penetration_depth) == (GEL_M, touch.PRESS_DEPTH_M):
             object.__setattr__(self, "gel_thickness", model.gel_mm / 1e3)
             object.__setattr__(self, "penetration_depth", model.press_m)
 
@@ -234,7 +233,7 @@ class Config(EpisodeConfig):
         return OPTICS[self.sensor_type]
 
     def _check_press(self) -> None:
-        """Refuse settings that the gel cannot have (InputError)."""
+        """Refuse settings that do not fit the gel (InputError)."""
         if self.elastic_gel is None and self.press_force is not None:
             raise InputError(
                 f"press_force of the environment is {self.press_force!r}, and its gel is not elastic",
@@ -247,7 +246,7 @@ class Config(EpisodeConfig):
             )
 
     def sensor(self, size_px: tuple[int, int]) -> tactile_sim.Sensor:
-        """Return the sensor, with an image of this size, pixels; InputError for a gel that cannot be."""
+        """Return the sensor, with an image of this size, pixels; InputError for an impossible gel."""
         view = tactile_sim.center_view(*size_px)
         if self.sensor_model != GELSIGHT_MINI:
             view = sensor_of_model(self.sensor_model, "center", size_px)
@@ -262,14 +261,14 @@ class Config(EpisodeConfig):
 
 
 def _noise_of(given: object) -> tactile_sim.SensorNoise | None:
-    """Return the noise of a setting: as of a specification, or as an option names it."""
+    """Return the noise of a setting: a specification, or a name as for an option."""
     if isinstance(given, (str, PathLike)):
         return tactile_sim.SensorNoise.named(fspath(given))
     return checked_noise(given, "sensor_noise of the environment")
 
 
 def _gel_of(given: object) -> tactile_sim.Gel | None:
-    """Return the elastic gel of a setting: as an option names it, or with values of its attributes."""
+    """Return the elastic gel of a setting: a gel, a name as for an option, or values of its attributes."""
     if given is None:
         return None
     if isinstance(given, (str, PathLike)):

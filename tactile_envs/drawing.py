@@ -10,8 +10,7 @@ from typing import NamedTuple, TypeAlias
 import numpy as np
 from PIL import Image, ImageDraw
 
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.touch_kernels import PADDING, raise_object
+from tactile_envs import mesh_pool, touch_kernels
 from tactile_sim import center_view
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64, UInt8
 from tactile_toolkit.pictures.lettering import INK, draw_text, text_size
@@ -33,7 +32,7 @@ _RIGHT, _WRONG = (0.13, 0.55, 0.30), (0.35, 0.45, 0.70)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictionView:
-    """What a drawing shows of predictions.
+    """Predictions as they are drawn.
 
     ``shares``, shape (n, k), are bars from 0 to 1 with ``names`` beside them; bar ``right``, shape (n,), has
     the colour of a right answer. ``places_m`` and ``directions``, shape (n, 2), are predicted positions and
@@ -94,7 +93,7 @@ class EnvDrawing:
     is the image of the sensor, and ``axes`` (2, 2) x and y of its axes x and y, in columns.
     """
 
-    pool: MeshPool | None
+    pool: mesh_pool.MeshPool | None
     number: int
     placement: Float64
     sensor: Float64
@@ -108,12 +107,12 @@ class EnvDrawing:
 def draw_environment(scene: EnvDrawing, view: PredictionView, index: int) -> UInt8:
     """Draw one environment, (240, 336, 3) uint8; ``index`` is the number of its prediction."""
     per_m = (_SIDE_PX - 1) / max(scene.cell_m)
-    heights = np.zeros((_SIDE_PX, _SIDE_PX + PADDING), np.float32)
+    heights = np.zeros((_SIDE_PX, _SIDE_PX + touch_kernels.PADDING), np.float32)
     if scene.pool is not None:
         x_px, y_px = scene.placement[:2] * per_m + (_SIDE_PX - 1) / 2
         turn = float(scene.placement[2])
         placed = float(np.cos(turn)), float(np.sin(turn)), float(x_px), float(y_px), per_m
-        raise_object(heights, scene.pool.arrays, scene.number, placed)
+        touch_kernels.raise_object(heights, scene.pool.arrays, scene.number, placed)
     surface = heights[::-1, :_SIDE_PX]
     down, right = np.gradient(surface * np.float32(per_m))
     # Light from the upper left; what stands higher is brighter.
@@ -138,7 +137,7 @@ def _panel(scene: EnvDrawing, view: PredictionView, index: int) -> Float32:
     picked = scene.felt[np.arange(rows) * height // rows][:, np.arange(_FELT_PX) * width // _FELT_PX]
     panel[_MARGIN_PX : _MARGIN_PX + rows, _MARGIN_PX : _MARGIN_PX + _FELT_PX] = picked
     words: list[_Word] = []
-    if not scene.felt.any():  # black: without a word, it looks as if nothing was drawn
+    if not scene.felt.any():  # black, which looks as if nothing was drawn
         is_plate = scene.sensor[2] <= center_view(1, 1).press_m + _EVEN_M
         text = ("flat", "plate")[int(is_plate)]
         words.append(_Word(_PANEL_PX // 2, _MARGIN_PX + rows // 2, text, "mm", _ON_BLACK))

@@ -13,13 +13,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 
 from realtouch import Poses
-from tactile_envs.config import EpisodeConfig
-from tactile_envs.drawing import PredictionView, draw_environment
-from tactile_envs.episode_log import EpisodeLog
+from tactile_envs import config, drawing, episode_log, reset_options, tasks
 from tactile_envs.gym_types import Action, Info, Observation, Options
-from tactile_envs.reset_options import EVERY, ResetOptions, Rows
 from tactile_envs.scene import TouchScene
-from tactile_envs.tasks import Score, Task
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -31,7 +27,7 @@ _OVER = "some episodes are over; next: call reset(options={'reset_mask': termina
 
 
 class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[misc]
-    """Touch objects that lie in cells, one touch a step, and predict something about them.
+    """Touch objects in cells, one touch a step, and predict a property of them.
 
     Parameters
     ----------
@@ -64,7 +60,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
     def __init__(
         self,
         scene: TouchScene,
-        task: Task,
+        task: tasks.Task,
         *,
         sparse: bool = False,
         render_mode: str | None = None,
@@ -73,7 +69,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._scene, self._task, self._is_sparse = scene, task, sparse
         if render_mode not in (None, "rgb_array"):
             raise InputError(f"render_mode is {render_mode!r}; expected None or 'rgb_array'")
-        self.config: EpisodeConfig = scene.config
+        self.config: config.EpisodeConfig = scene.config
         self.num_envs, self.render_mode = scene.num_envs, render_mode
         self.autoreset_mode = _checked_mode(autoreset_mode)
         self.metadata = {
@@ -81,7 +77,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             "render_fps": 1 / self.config.transfer_timedelta_s,
             "autoreset_mode": self.autoreset_mode,
         }
-        self._log = EpisodeLog(self.num_envs, self.config.step_limit)
+        self._log = episode_log.EpisodeLog(self.num_envs, self.config.step_limit)
         self._steps = np.zeros(self.num_envs, np.int64)
         steps = np.arange(self.config.step_limit + 1)
         self._progress = (steps / self.config.step_limit * 2 - 1).astype(np.float32)
@@ -139,27 +135,27 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             The environment was closed.
         """
         self._require_open()
-        given = ResetOptions.of(options or {}, self.num_envs)
-        if given.rows is not EVERY:
+        given = reset_options.ResetOptions.of(options or {}, self.num_envs)
+        if given.rows is not reset_options.EVERY:
             self._require_reset()
         super().reset(seed=seed)
         self._scene.discard_upcoming(given.rows)
         self._begin(given.rows, given)
         return self._touched(given.rows)
 
-    def _begin(self, rows: Rows, options: ResetOptions) -> None:
+    def _begin(self, rows: reset_options.Rows, options: reset_options.ResetOptions) -> None:
         self._scene.begin(rows, self.np_random, options)
         self._is_over = self._is_over.copy()  # the last one is in an info
         self._steps[rows], self._is_over[rows] = 0, False
         self._any_over = bool(self._is_over.any())
-        if rows is EVERY:
+        if rows is reset_options.EVERY:
             self._predicted = None
 
-    def _touched(self, rows: Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
+    def _touched(self, rows: reset_options.Rows, others: Info = _NOTHING) -> tuple[Observation, Info]:
         """Touch in some environments; return observations and infos of all, from ``others`` where not."""
         readings = self._scene.touch(rows, self.np_random, self._steps[rows])
         seen, info = dict(readings.observation), dict(readings.info)
-        if rows is not EVERY:
+        if rows is not reset_options.EVERY:
             seen = {name: self._observation[name].copy() for name in seen}
             for name, values in readings.observation.items():
                 seen[name][rows] = values
@@ -169,8 +165,8 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         self._observation = seen
         return seen, info
 
-    def _spread(self, rows: Rows, info: dict[str, AnyArray], others: Info) -> Info:
-        """Give all environments the infos of some; those of others are 0 and masked as of gymnasium."""
+    def _spread(self, rows: reset_options.Rows, info: dict[str, AnyArray], others: Info) -> Info:
+        """Give all environments the infos of some; those of others are 0 and masked, as gymnasium does."""
         found = dict(others)
         is_given = np.zeros(self.num_envs, np.bool_)
         is_given[rows] = True
@@ -222,7 +218,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             )
         costs = self._advance(moves, score)
         self._predicted = predictions, targets
-        observation, info = self._touched(EVERY)
+        observation, info = self._touched(reset_options.EVERY)
         terminated, truncated = self._ends()
         self._is_over = terminated | truncated
         self._any_over = bool(self._is_over.any())
@@ -239,18 +235,18 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
             observation, info = self._restarted(observation, info)
         return observation, costs - loss, terminated, truncated, info
 
-    def _advance(self, moves: Action, score: Score) -> Float32:
+    def _advance(self, moves: Action, score: tasks.Score) -> Float32:
         """Aim the sensors, or begin the next episode where one is over; return what the actions cost."""
         if not self._any_over:
-            self._log.add(self._steps, EVERY, score.metrics)
+            self._log.add(self._steps, reset_options.EVERY, score.metrics)
             self._steps += 1
-            return self._scene.aim(moves, EVERY)
+            return self._scene.aim(moves, reset_options.EVERY)
         over, rows = np.flatnonzero(self._is_over), np.flatnonzero(~self._is_over)
         if not len(rows):
-            self._begin(EVERY, ResetOptions.drawn(self.num_envs))
+            self._begin(reset_options.EVERY, reset_options.ResetOptions.drawn(self.num_envs))
             return np.zeros(self.num_envs, np.float32)
         self._log.add(self._steps, rows, score.metrics)
-        self._begin(over, ResetOptions.drawn(self.num_envs))
+        self._begin(over, reset_options.ResetOptions.drawn(self.num_envs))
         self._steps[rows] += 1
         costs = self._scene.aim(moves, rows)
         costs[over] = 0.0
@@ -260,7 +256,7 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         """Begin the next episodes; return their first touches, and in the info also the last ones."""
         is_over = self._is_over
         over = np.flatnonzero(is_over)
-        self._begin(over, ResetOptions.drawn(self.num_envs))
+        self._begin(over, reset_options.ResetOptions.drawn(self.num_envs))
         first, begun = self._touched(over, info)
         ends = {"final_obs": observation, "_final_obs": is_over, "final_info": info, "_final_info": is_over}
         return first, {**begun, **ends}
@@ -293,14 +289,14 @@ class TactileVectorEnv(ap_gym.BaseActivePerceptionVectorEnv):  # type: ignore[mi
         if self.render_mode is None:
             return None
         self._require_reset()
-        view = PredictionView()
+        view = drawing.PredictionView()
         if self._predicted is not None:
             view = self._task.view(*self._predicted)
         scenes = (self._scene.drawing(row) for row in range(self.num_envs))
-        return tuple(draw_environment(scene, view, row) for row, scene in enumerate(scenes))
+        return tuple(drawing.draw_environment(scene, view, row) for row, scene in enumerate(scenes))
 
     def close(self, **options: object) -> None:  # gymnasium's docstring is not valid reST
-        """Release threads and pictures; options as of :class:`gymnasium.vector.VectorEnv`."""
+        """Release threads and pictures; options as for :class:`gymnasium.vector.VectorEnv`."""
         super().close(**options)
 
     def close_extras(self, **_: object) -> None:

@@ -6,8 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from tactile_envs.gym_types import Info
-from tactile_envs.reset_options import Rows
+from tactile_envs import gym_types, reset_options
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Int64
 
 
@@ -22,7 +21,7 @@ class EpisodeLog:
         self._step_limit = step_limit
         self._values: dict[str, Float32] = {}
 
-    def add(self, steps: Int64, active: Rows, metrics: Mapping[str, AnyArray]) -> None:
+    def add(self, steps: Int64, active: reset_options.Rows, metrics: Mapping[str, AnyArray]) -> None:
         """Add the metrics of a step of the active environments, an array (n,) of all each.
 
         ``steps``, shape (n,), are the numbers of the steps, from 0 on.
@@ -33,15 +32,15 @@ class EpisodeLog:
                 self._values[name] = np.full((self._step_limit, len(steps)), np.nan, np.float32)
             self._values[name][at, rows] = values[active]
 
-    def stats(self, lengths: Int64, is_over: Bool) -> Info:
+    def stats(self, lengths: Int64, is_over: Bool) -> gym_types.Info:
         """Return ``info["stats"]`` when some episodes are over.
 
         ``lengths``, shape (n,), are the steps of the episodes so far, 1 at least where ``is_over``. Values of
         environments whose episode is not over are NaN, and their masks False; so are steps of curves after
         the end of a shorter episode.
         """
-        scalar: Info = {}
-        vector: Info = {}
+        scalar: gym_types.Info = {}
+        vector: gym_types.Info = {}
         longest = int(lengths[is_over].max())
         for name, values in self._values.items():
             means, last = np.full((2, len(lengths)), np.nan, np.float32)
@@ -60,7 +59,7 @@ class EpisodeLog:
         return {"scalar": scalar, "_scalar": is_over, "vector": vector, "_vector": is_over}
 
 
-def _turning_points(is_right: Bool, is_taken: Bool) -> Info:
+def _turning_points(is_right: Bool, is_taken: Bool) -> gym_types.Info:
     """Return the first right step and the last wrong step, and which environments have one.
 
     Both arrays have shape (steps, n); those of episodes that go on count too, as in ap-gym.

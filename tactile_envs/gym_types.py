@@ -1,4 +1,4 @@
-"""Types of what goes into environments and comes out of them, as gymnasium has them."""
+"""Types of actions, observations and results of environments, as in gymnasium."""
 
 from __future__ import annotations
 
@@ -13,14 +13,17 @@ if TYPE_CHECKING:
 Space: TypeAlias = "gym.Space[Any]"
 """The valid values of an action, an observation or a part of one."""
 
-Action: TypeAlias = Mapping[str, Any]
+Nested: TypeAlias = Any
+"""An array, or a dictionary of such values by name."""
+
+Action: TypeAlias = Mapping[str, Nested]
 """Parts of an action by name: arrays, or further parts."""
 
 Observation: TypeAlias = dict[str, AnyArray]
 """Parts of an observation by name."""
 
-Info: TypeAlias = dict[str, Any]
-"""What a step tells next to its observation; arrays, and dictionaries of them."""
+Info: TypeAlias = dict[str, Nested]
+"""Further results of a step."""
 
 Options: TypeAlias = Mapping[str, Any]
 """Options of a reset by name."""

@@ -22,14 +22,9 @@ import numpy as np
 import xxhash
 
 from env_assets import mesh_view
-from tactile_toolkit import spatial, store
+from tactile_toolkit import cache, mesh, progress, read, run, spatial, store
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int32, Int64
-from tactile_toolkit.cache import DiskCache
 from tactile_toolkit.errors import BusyError, IntegrityError
-from tactile_toolkit.mesh import Mesh
-from tactile_toolkit.progress import shown_progress
-from tactile_toolkit.read import RecordDataset
-from tactile_toolkit.run import free_workers, runner_for
 
 CELL_M = 0.0012
 """Side of a cell of the grid, metres; 0.6 to 4 mm are equally fast."""
@@ -37,7 +32,7 @@ CELL_M = 0.0012
 MEASURES = ("label", "id", "foot_m", "volume_m3", "x_m", "y_m", "z_m")
 """Columns of :attr:`MeshPool.measures`: foot is the lowest height, x, y and z the centre of mass."""
 
-_POOLS = DiskCache(
+_POOLS = cache.DiskCache(
     "environments",
     8 << 30,
     warning="environments sort their meshes again each time: {problem}",
@@ -46,7 +41,7 @@ _FORMAT = 3
 _CHUNK = 128
 # Fewer chunks are packed before workers have started.
 _FEW_CHUNKS = 8
-# What takes less is done without a word, seconds.
+# Work that takes less shows no progress, seconds.
 _QUIET_S = 2.0
 _LOOK_AGAIN_S = 5.0
 # Where a row of `grids` has its first vertex, face, start and corner of the hull.
@@ -137,7 +132,7 @@ class MeshPool:
         return cls(*_concat(_joined([_packed_records(records, tilt_rad)])))
 
     def require(self, numbers: Int64) -> None:
-        """Have the meshes of these numbers in the arrays, as those of a complete pool are."""
+        """Make sure that the arrays hold the meshes of these numbers, as those of a complete pool do."""
 
     def __len__(self) -> int:
         return len(self.grids)
@@ -229,7 +224,7 @@ def _name_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float = 0.0) -> 
     is_flat = isinstance(records, mesh_view.MeshView) and records.flat
     if isinstance(records, mesh_view.MeshView):
         records = records.records
-    if not isinstance(records, RecordDataset):
+    if not isinstance(records, read.RecordDataset):
         return None
     # The identity is of the rows as they were when they were loaded.
     content = (_FORMAT, CELL_M, tilt_rad, is_flat, records.identity)
@@ -242,10 +237,10 @@ def _chunks_of(records: Sequence[mesh_view.MeshRecord], tilt_rad: float) -> list
     firsts = range(0, len(records), _CHUNK)
     workers = 1
     if len(firsts) > _FEW_CHUNKS:
-        workers = free_workers()
+        workers = run.free_workers()
     found: dict[int, Parts] = {}
-    with shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
-        for first, parts in runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):
+    with progress.shown_progress("sorting the triangles of meshes, once", "meshes", _QUIET_S) as update:
+        for first, parts in run.runner_for(workers).run(partial(_packed_chunk, records, tilt_rad), firsts):
             found[first] = parts
             update(min(len(found) * _CHUNK, len(records)), len(records))
     return [found[first] for first in firsts]
@@ -265,7 +260,7 @@ def _packed_records(records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0
         grid[_FIRSTS] = ends
         ends += [len(array) for array in arrays]
         grid[11] = ends[3]
-        solid = Mesh(vertices_m, faces)
+        solid = mesh.Mesh(vertices_m, faces)
         foot_m = vertices_m[:, 2].min()
         measures = [record.label, record.id, foot_m, solid.volume_m3, *solid.center_mass_m]
         for column, array in zip(
@@ -276,7 +271,7 @@ def _packed_records(records: Iterable[mesh_view.MeshRecord], tilt_rad: float = 0
 
 
 def _moved(grids: Float64, ends: AnyArray) -> Float64:
-    """Return the grids of meshes whose arrays begin at ``ends``, shape (4,), of others."""
+    """Return the grids of meshes whose arrays follow others that end at ``ends``, shape (4,)."""
     moved = grids.copy()
     moved[:, _FIRSTS] += ends
     moved[:, 11] += ends[3]
@@ -370,7 +365,7 @@ def _write(stream: IO[bytes], parts: list[Parts]) -> None:
 
 
 def _found(path: Path) -> Parts | None:
-    """Map a file of the cache; None if it does not exist, or is damaged: then it is removed."""
+    """Map a file of the cache; None if it does not exist or is damaged; a damaged one is removed."""
     arrays: Parts = []
     try:
         with store.open_regular(path) as stream:

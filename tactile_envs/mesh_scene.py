@@ -4,34 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import ap_gym
 import gymnasium as gym
 import numpy as np
 
 from env_assets.mesh_view import MeshRecord
 from realtouch import Poses
-from tactile_envs import reset_options
+from tactile_envs import (
+    elastic_gel,
+    episode_kernels,
+    mesh_pool,
+    randomization,
+    reset_options,
+    scene,
+    toucher,
+)
 from tactile_envs.camera import Camera
 from tactile_envs.config import Config
 from tactile_envs.drawing import EnvDrawing
-from tactile_envs.elastic_gel import ElasticGel
-from tactile_envs.episode_kernels import place
-from tactile_envs.gym_types import Action, Space
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.motion import Motion, require_move
-from tactile_envs.randomization import Randomization
-from tactile_envs.scene import Readings
-from tactile_envs.toucher import SensorReadings, Toucher
 from tactile_toolkit import spatial
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64
+from tactile_toolkit.array_types import AnyArray, Float32, Float64, Int64
 from tactile_toolkit.errors import InputError
 
 _NO_DRIFT = np.zeros(3)
 _UPRIGHT_WITHIN = 1e-6
 
 
-class MeshScene:
-    """Objects in cells, touched by sensors that stay upright; a :class:`tactile_envs.scene.TouchScene`.
+class MeshScene(scene.TouchScene):
+    """Objects in cells, touched by sensors that stay upright.
 
     A sensor points the same way when it touches as its target does.
 
@@ -51,33 +50,26 @@ class MeshScene:
         Renders the images.
     """
 
+    config: Config
+
     def __init__(
         self, config: Config, records: Sequence[MeshRecord], num_envs: int, threads: int, camera: Camera
     ) -> None:
-        self.config, self.num_envs = config, num_envs
-        self._records, self._pool = records, MeshPool.of(records, self._most_tilt_rad)
+        super().__init__(config, num_envs, camera.channels)
+        self._records, self._pool = records, mesh_pool.MeshPool.of(records, self._most_tilt_rad)
         self._camera = camera
-        self._elastic: ElasticGel | None = None
+        self._elastic: elastic_gel.ElasticGel | None = None
         met = camera.sensor
         if config.elastic_gel is not None:
-            self._elastic = ElasticGel(config, camera.sensor)
+            self._elastic = elastic_gel.ElasticGel(config, camera.sensor)
             met = self._elastic.sensor
-        self._toucher = Toucher(met, config.least_height_m, num_envs, threads)
-        self._motion = Motion.of(config)
-        self.numbers, self._upcoming = np.full((2, num_envs), -1, np.int64)
-        self.places, self._sensors, self._targets = np.zeros((3, num_envs, 3))
+        self._toucher = toucher.Toucher(met, config.least_height_m, num_envs, threads)
+        self._upcoming, self._sensors = np.full(num_envs, -1, np.int64), np.zeros((num_envs, 3))
         self._felt: Float32 = np.zeros((num_envs, 1, 1, camera.channels), np.float32)
         self._poses = np.tile(np.eye(4), (num_envs, 1, 1))  # of sensors, but for where they are
-        corner = np.ones(3, np.float32)
         width, height = config.sensor_output_size
-        image = ap_gym.ImageSpace(width, height, camera.channels, dtype=np.float32)
         shape = (num_envs, height, width, camera.channels)
-        self._randomization = Randomization(config, shape, camera.bases)
-        self.action_parts: dict[str, Space] = {"sensor_target_pos_rel": gym.spaces.Box(-corner, corner)}
-        self.observation_parts: dict[str, Space] = {
-            "sensor_pos": gym.spaces.Box(-corner, corner),
-            "sensor_img": image,
-        }
+        self._randomization = randomization.Randomization(config, shape, camera.bases)
         if self._elastic is not None:
             most = np.full(3, np.inf, np.float32)
             self.observation_parts["force"] = gym.spaces.Box(-most, most)
@@ -88,7 +80,7 @@ class MeshScene:
 
     def __setstate__(self, state: dict[str, object]) -> None:
         self.__dict__.update(state)
-        self._pool = MeshPool.of(self._records, self._most_tilt_rad)
+        self._pool = mesh_pool.MeshPool.of(self._records, self._most_tilt_rad)
         self._pool.require(self.numbers[self.numbers >= 0])
 
     @property
@@ -102,7 +94,7 @@ class MeshScene:
         return self._poses[:, :3, :3]
 
     @property
-    def pool(self) -> MeshPool:
+    def pool(self) -> mesh_pool.MeshPool:
         """The meshes."""
         return self._pool
 
@@ -116,8 +108,7 @@ class MeshScene:
             if number is None and self._upcoming[row] < 0:
                 number = int(rng.integers(0, len(self._pool)))
             if number is not None:
-                if not 0 <= number < len(self._pool):
-                    raise InputError(f"datapoint_idx is {number}; expected 0 to {len(self._pool) - 1}")
+                scene.require_number(number, len(self._pool))
                 self._upcoming[row] = number
         self._place_objects(rows, chosen, rng, options.poses)
         self._randomization.begin(rows, rng)
@@ -151,7 +142,9 @@ class MeshScene:
             most_rad = config.max_initial_angle_perturbation
             room_m = np.array(config.cell_size) / 2 - config.object_placement_margin
             pool = self._pool
-            place(self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed)
+            episode_kernels.place(
+                self.numbers[rows], drawn[rows], most_rad, room_m, pool.hulls, pool.grids, placed
+            )
         self.places[rows] = placed
         for row in chosen:
             pose = poses[row]
@@ -175,21 +168,11 @@ class MeshScene:
             )
         self._targets[row] = start.position_m
 
-    def checked_action(self, action: Action) -> Action:
-        """Return the arrays of an action; InputError or ValueError if it cannot be used."""
-        return {"sensor_target_pos_rel": require_move(action, "sensor_target_pos_rel", self.num_envs)}
+    @property
+    def _positions_m(self) -> Float64:
+        return self._sensors
 
-    def aim(self, action: Action, rows: reset_options.Rows) -> Float32:
-        """Send some sensors to where an action says; return the costs of actions, shape (n,)."""
-        moves = action["sensor_target_pos_rel"]
-        if rows is reset_options.EVERY:
-            return self._motion.aim(moves, self._sensors, self._targets)
-        targets = self._targets.copy()
-        costs = self._motion.aim(moves, self._sensors, targets)
-        self._targets[rows] = targets[rows]
-        return costs
-
-    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> Readings:
+    def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Touch in some cells, and let their objects slip."""
         config = self.config
         self._move_to_targets(rows, rng, steps)
@@ -215,7 +198,7 @@ class MeshScene:
         info: dict[str, AnyArray] = {"sensor_pose": poses}
         if config.depth_in_info:
             info["depth"] = touches.depths_m
-        return Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
+        return scene.Readings({"sensor_pos": touches.positions, "sensor_img": images, **felt}, info)
 
     def _press(
         self,
@@ -225,7 +208,7 @@ class MeshScene:
         places: Float64,
         drift: Float64,
         has_depth: bool,
-    ) -> SensorReadings:
+    ) -> toucher.SensorReadings:
         """Bring sensors down on objects, which slip by ``drift``; both are moved."""
         numbers = self.numbers[rows]
         return self._toucher.touch(
@@ -253,11 +236,6 @@ class MeshScene:
         self._sensors[rows, :2] = snapped[rows]
 
     @property
-    def is_exhausted(self) -> Bool | None:
-        """None: there always is another touch."""
-        return None
-
-    @property
     def data_points(self) -> tuple[object, ...]:
         """Records of the objects that lie in the cells."""
         return tuple(self._records[int(number)] for number in self.numbers)
@@ -275,11 +253,6 @@ class MeshScene:
     def target_poses(self) -> Poses:
         """Where the sensors were sent, metres, cell frame."""
         return Poses(self._targets.copy(), spatial.Rotation.from_matrix(self._axes).as_quat())
-
-    @property
-    def position_limits_m(self) -> tuple[Float64, Float64]:
-        """Lowest and highest position of sensors, shape (3,) each, metres."""
-        return self._motion.low_m, self._motion.high_m
 
     def drawing(self, row: int) -> EnvDrawing:
         """Return what a picture of one cell shows: the object where the next touch finds it."""

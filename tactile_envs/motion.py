@@ -13,7 +13,7 @@ from tactile_envs.gym_types import Action
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import InputError
 
-# Of this, the square times any `action_regularization` is finite in single precision.
+# The square of this, times any `action_regularization`, is finite in single precision.
 _MOST_MOVE = 1e12
 _TOP_M = 0.02  # tactile-mnist 0.13.0: range of the observed height of the sensor
 
@@ -58,7 +58,7 @@ def require_move(action: Action, name: str, num_envs: int) -> Float32:
     """Return a part of an action, shape (num_envs, 3).
 
     InputError for another shape, and for numbers whose squares are not finite, as neither are the costs of
-    such an action; ValueError if they are not finite themselves, as of the published environment.
+    such an action; ValueError if they are not finite themselves, as in the published environment.
     """
     moves = np.ascontiguousarray(action[name], np.float32)
     if moves.shape != (num_envs, 3):

@@ -1,4 +1,4 @@
-"""Objects of an environment: made on first use, of one's own, or published.
+"""Objects of an environment: made on first use, the user's own, or published.
 
 The default set is always the same. An environment of classes begins before it is made: it makes each object
 that an episode needs by itself, while a process in the background makes the set. Other tasks need facts about
@@ -12,12 +12,17 @@ from dataclasses import replace
 from functools import partial
 from os import PathLike, fspath
 
-from env_assets import KINDS, AssetProvider, MeshView, meshes_at, require_fitting_meshes
-from env_assets.asset_kinds import THIRD_PARTY_ASSETS, MeshSet, published_meshes
-from env_assets.mesh_view import PlannedView
+from env_assets import (
+    KINDS,
+    AssetProvider,
+    MeshView,
+    asset_kinds,
+    mesh_view,
+    meshes_at,
+    require_fitting_meshes,
+)
+from tactile_envs import env_specs, mesh_pool
 from tactile_envs.config import Config
-from tactile_envs.env_specs import EnvSpec
-from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit import mesh, run, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.quantities import duration_text
@@ -27,7 +32,7 @@ from tactile_toolkit.wording import with_count
 
 PUBLISHED = "published"
 
-Objects = MeshView | MeshSet
+Objects = MeshView | asset_kinds.MeshSet
 
 # Of more meshes, packing takes seconds.
 _MANY = 1000
@@ -37,18 +42,20 @@ _BEGUN: set[tuple[str, str, str]] = set()
 
 
 def open_objects(
-    spec: EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
+    spec: env_specs.EnvSpec, config: Config, assets: str | PathLike[str] | None, unit: str | None
 ) -> Objects:
     """Open the objects of an environment with its settings, turned onto their broadest sides if these say so.
 
-    ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError: there
-    are none, or they do not fit.
+    ``assets`` and ``unit`` are as :func:`tactile_envs.entry_points.make_vector` takes them. InputError if
+    objects are missing, or do not fit.
     """
     # Single meshes are packed as they are, for upright sensors.
     is_plain = not (config.allow_sensor_rotation or config.smallest_dimension_up)
     may_begin = spec.task == "classification" and is_plain
     records = _records(spec, assets, unit, may_begin=may_begin)
-    if isinstance(records, PlannedView):  # of our own set, which fits; checking it would make all of it
+    if isinstance(
+        records, mesh_view.PlannedView
+    ):  # of our own set, which fits; checking it would make all of it
         return records
     kind = KINDS.get(spec.assets) if assets is None else None
     where = f"{spec.assets!r}, split {spec.split!r},"
@@ -56,19 +63,19 @@ def open_objects(
         records = replace(MeshView.of(records), flat=True)
     require_fitting_meshes(MeshView.of(records), kind, where, config.cell_size)
     may_begin = may_begin and len(records) > _MANY
-    if may_begin and isinstance(records, RecordDataset) and not MeshPool.is_kept(records):
+    if may_begin and isinstance(records, RecordDataset) and not mesh_pool.MeshPool.is_kept(records):
         return _packed_meanwhile(records)
     return records
 
 
-def _packed_meanwhile(records: AnyRecords) -> PlannedView:
+def _packed_meanwhile(records: AnyRecords) -> mesh_view.PlannedView:
     """Let episodes begin with single meshes, while a process in the background packs all of them."""
     key = records.identity, str(len(records)), ""
     if key not in _BEGUN:
         _BEGUN.add(key)
         _say(f"a process in the background prepares {len(records):,} meshes once; episodes begin meanwhile")
-        run.start_background(MeshPool.of, records)
-    return PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
+        run.start_background(mesh_pool.MeshPool.of, records)
+    return mesh_view.PlannedView(records, tuple(records.label_names), finished=partial(_same, records))
 
 
 def _same(records: AnyRecords) -> AnyRecords:
@@ -76,7 +83,7 @@ def _same(records: AnyRecords) -> AnyRecords:
 
 
 def _records(
-    spec: EnvSpec, assets: str | PathLike[str] | None, unit: str | None, *, may_begin: bool
+    spec: env_specs.EnvSpec, assets: str | PathLike[str] | None, unit: str | None, *, may_begin: bool
 ) -> Objects:
     name, split = spec.assets, spec.split
     if assets is None or assets == PUBLISHED:
@@ -84,14 +91,15 @@ def _records(
     if assets is None:
         if name not in KINDS:
             step = "give `assets`, a folder of meshes"
-            if published_meshes(name) is not None:
+            if asset_kinds.published_meshes(name) is not None:
                 step += ', or "published"'
             raise InputError(
-                f"meshes of {name!r} are not made here: they are {THIRD_PARTY_ASSETS[name]}", next=step
+                f"meshes of {name!r} are not made here: they are {asset_kinds.THIRD_PARTY_ASSETS[name]}",
+                next=step,
             )
         return _default_set(name, split, may_begin=may_begin)
     if assets == PUBLISHED:
-        repo_id = published_meshes(name)
+        repo_id = asset_kinds.published_meshes(name)
         if repo_id is None:
             raise InputError(f"no meshes of {name!r} are published", next="give `assets`, a folder of meshes")
         return AssetProvider().meshes(repo_id, split)
@@ -125,7 +133,7 @@ def _default_set(name: str, split: str, *, may_begin: bool) -> Objects:
 
 
 def _announce(
-    planned: PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
+    planned: mesh_view.PlannedView, provider: AssetProvider, name: str, split: str, *, may_begin: bool
 ) -> None:
     cores = run.free_workers()
     duration = f"{duration_text(planned.left_s / cores)} on {with_count(cores, 'cores')}"
@@ -146,4 +154,4 @@ def _say(text: str) -> None:
 def _make_set(provider: AssetProvider, name: str, split: str) -> None:
     """Make a set, and pack its meshes for the environments that wait for it."""
     if not provider.is_being_made(name):
-        MeshPool.of(provider.meshes(name, split))
+        mesh_pool.MeshPool.of(provider.meshes(name, split))

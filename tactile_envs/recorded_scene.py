@@ -8,18 +8,16 @@ from operator import attrgetter
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import ap_gym
-import gymnasium as gym
 import numpy as np
 from PIL import Image
 
 import realtouch
 import tactile_sim
-from tactile_envs import drawing, gym_types, motion, recorded_sets, reset_options, scene
+from tactile_envs import drawing, recorded_sets, reset_options, scene
 from tactile_envs.config import DIRECT, OPTICS, RecordedConfig
 from tactile_sim import optics
 from tactile_toolkit import cache, errors, kind, run
-from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int64, UInt8
+from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 
 if TYPE_CHECKING:
     from tactile_sim.learned import DepthEstimator
@@ -34,8 +32,8 @@ TouchKey = tuple[int, int]
 """Number of a round, and of a touch in it."""
 
 
-class RecordedScene:
-    """Rounds of touches in cells; a :class:`tactile_envs.scene.TouchScene`.
+class RecordedScene(scene.TouchScene):
+    """Rounds of touches in cells.
 
     The touch that is nearest to the target of a sensor is chosen among the next ones of the round, as many as
     :func:`window_size` says, so that touches come in their order. An episode ends when fewer are left. Random
@@ -57,6 +55,8 @@ class RecordedScene:
         Weights of the generator that renders images for ``"cycle_gan"``; the published ones by default.
     """
 
+    config: RecordedConfig
+
     def __init__(
         self,
         config: RecordedConfig,
@@ -66,28 +66,16 @@ class RecordedScene:
         threads: int,
         weights: str | Path | None = None,
     ) -> None:
-        self.config, self.num_envs = config, num_envs
-        self._touches, self._objects = touches, objects
         self._images = RecordedImages(touches.rounds, config, threads, weights)
-        self._motion = motion.Motion.of(config)
+        super().__init__(config, num_envs, self._images.channels)
+        self._touches, self._objects = touches, objects
         self._count = touches.positions_m.shape[1]
         width = window_size(self._count, config.step_limit, config.approx_truncation_probability)
         self._window = np.arange(width)
         low_m, high_m = self.position_limits_m
         parts = (touches.poses[:, :, :3, 3] - low_m) / (high_m - low_m) * 2 - 1
         self._observed = np.clip(parts, -1.0, 1.0).astype(np.float32)
-        self.numbers = np.full(num_envs, -1, np.int64)
         self._chosen = np.zeros(num_envs, np.int64)
-        self.places, self._targets = np.zeros((2, num_envs, 3))
-        corner = np.ones(3, np.float32)
-        size = config.sensor_output_size
-        self.action_parts: dict[str, gym_types.Space] = {
-            "sensor_target_pos_rel": gym.spaces.Box(-corner, corner)
-        }
-        self.observation_parts: dict[str, gym_types.Space] = {
-            "sensor_pos": gym.spaces.Box(-corner, corner),
-            "sensor_img": ap_gym.ImageSpace(*size, self._images.channels, dtype=np.float32),
-        }
 
     def begin(
         self, rows: reset_options.Rows, rng: np.random.Generator, options: reset_options.ResetOptions
@@ -100,8 +88,8 @@ class RecordedScene:
             )
         count = len(self._observed)
         for number in options.numbers:
-            if number is not None and not 0 <= number < count:
-                raise errors.InputError(f"datapoint_idx is {number}; expected 0 to {count - 1}")
+            if number is not None:
+                scene.require_number(number, count)
         for row in np.arange(self.num_envs)[rows].tolist():
             number, start = options.numbers[row], options.starts[row]
             if number is None:
@@ -114,20 +102,9 @@ class RecordedScene:
             self.numbers[row], self._targets[row] = number, [*place, 0.0]
         self._chosen[rows] = -1
 
-    def discard_upcoming(self, rows: reset_options.Rows) -> None:
-        """Do nothing: rounds are drawn when an episode begins."""
-
-    def checked_action(self, action: gym_types.Action) -> gym_types.Action:
-        """Return the arrays of an action; InputError or ValueError if it cannot be used."""
-        return {"sensor_target_pos_rel": motion.require_move(action, "sensor_target_pos_rel", self.num_envs)}
-
-    def aim(self, action: gym_types.Action, rows: reset_options.Rows) -> Float32:
-        """Send some sensors to where an action says; return the costs of actions, shape (num_envs,)."""
-        sensors = self._touches.poses[self.numbers, self._chosen, :3, 3]
-        targets = self._targets.copy()
-        costs = self._motion.aim(action["sensor_target_pos_rel"], sensors, targets)
-        self._targets[rows] = targets[rows]
-        return costs
+    @property
+    def _positions_m(self) -> Float64:
+        return self._touches.poses[self.numbers, self._chosen, :3, 3]
 
     def touch(self, rows: reset_options.Rows, rng: np.random.Generator, steps: Int64) -> scene.Readings:
         """Take the recorded touches nearest to the targets of some cells."""
@@ -170,11 +147,6 @@ class RecordedScene:
     def _upright(self) -> Float64:
         return np.tile([0.0, 0.0, 0.0, 1.0], (self.num_envs, 1))
 
-    @property
-    def position_limits_m(self) -> tuple[Float64, Float64]:
-        """Lowest and highest position of sensors, shape (3,) each, metres."""
-        return self._motion.low_m, self._motion.high_m
-
     def drawing(self, row: int) -> drawing.EnvDrawing:
         """Return what a picture of one cell shows: the object, if its mesh is known, in the middle."""
         number, touch = int(self.numbers[row]), int(self._chosen[row])
@@ -192,9 +164,6 @@ class RecordedScene:
             self.config.cell_size,
             tactile_sim.full_view().window_m,
         )
-
-    def close(self) -> None:
-        """Do nothing: threads end with each touch."""
 
 
 class RecordedImages:
@@ -274,7 +243,7 @@ class RecordedImages:
 
 
 def window_size(touches: int, steps: int, probability: float) -> int:
-    """Return among how many of the next touches of a round each one is chosen.
+    """Return the number of the next touches of a round among which each one is chosen.
 
     The largest number for which an episode ends early with at most a probability, if each of the touches to
     choose from is equally likely. ``touches`` of a round are two more than ``steps`` at least.

@@ -12,12 +12,9 @@ from typing import Any, NamedTuple, Self
 import numpy as np
 
 import realtouch
-from env_assets import KINDS, MeshView, meshes_at, require_fitting_meshes
-from env_assets.mesh_view import MeshRecord
+from env_assets import KINDS, MeshView, mesh_view, meshes_at, require_fitting_meshes
+from tactile_envs import env_specs, mesh_pool, object_sets
 from tactile_envs.config import RecordedConfig
-from tactile_envs.env_specs import REAL_TOUCHES
-from tactile_envs.mesh_pool import MeshPool
-from tactile_envs.object_sets import PUBLISHED
 from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError
@@ -26,7 +23,7 @@ from tactile_toolkit.touch import PRESS_DEPTH_M
 Place = str | PathLike[str]
 
 _DIGITS = "mnist3d"
-_REPOSITORY = REAL_TOUCHES.rpartition("/")[2]
+_REPOSITORY = env_specs.REAL_TOUCHES.rpartition("/")[2]
 _NAMES = [name for name, stored in realtouch.SHORT_NAMES.items() if stored == _REPOSITORY]
 # Names of the folder of touches in a folder of data sets; the shortest is the one that is suggested.
 _FOLDERS = sorted([*_NAMES, _REPOSITORY], key=len)
@@ -40,14 +37,16 @@ class RecordedSources(NamedTuple):
 
     @classmethod
     def of(cls, assets: Place | None, touches: Place | None) -> Self:
-        """Return the sources that are meant, as :func:`tactile_envs.make_vector` takes them.
+        """Return the sources for options of :func:`tactile_envs.make_vector`.
 
         InputError for a folder of data sets that holds no touches.
         """
-        if touches == PUBLISHED:
-            touches = REAL_TOUCHES
-        if assets is None or assets == PUBLISHED:
-            return cls(REAL_TOUCHES if touches is None else touches, KINDS[_DIGITS].published[0].repo_id)
+        if touches == object_sets.PUBLISHED:
+            touches = env_specs.REAL_TOUCHES
+        if assets is None or assets == object_sets.PUBLISHED:
+            return cls(
+                env_specs.REAL_TOUCHES if touches is None else touches, KINDS[_DIGITS].published[0].repo_id
+            )
         inside = _sets_in(assets)
         digits = inside.get(_DIGITS)
         if touches is not None:
@@ -72,7 +71,7 @@ def touches_in(assets: Place) -> Path | None:
 
 
 def _sets_in(assets: Place) -> dict[str, Path]:
-    """Return the data sets in a folder of them, by name; none if it is not such a folder."""
+    """Return the data sets in a folder by name; empty if it is not a folder of data sets."""
     folder = store.expanded(fspath(assets))
     if not store.path_exists(folder):
         return {}
@@ -157,8 +156,8 @@ def _touch_count(rounds: realtouch.TouchSingleDataset, where: str, step_limit: i
 class TouchedObjects:
     """Meshes of touched objects; ``which``, shape (R,), is the number of the mesh of each round."""
 
-    records: Sequence[MeshRecord]
-    pool: MeshPool
+    records: Sequence[mesh_view.MeshRecord]
+    pool: mesh_pool.MeshPool
     which: Int64
 
     @classmethod
@@ -176,11 +175,11 @@ class TouchedObjects:
                 next="give the digits that were touched",
             )
         which = np.array([numbers[name] for name in touched], np.int64)
-        return cls(records, MeshPool.of(records), which)
+        return cls(records, mesh_pool.MeshPool.of(records), which)
 
     def __getstate__(self) -> dict[str, object]:
         """Leave out the mapped meshes, which a copy maps again."""
         return {"records": self.records, "which": self.which}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        self.__dict__.update(state, pool=MeshPool.of(state["records"]))
+        self.__dict__.update(state, pool=mesh_pool.MeshPool.of(state["records"]))

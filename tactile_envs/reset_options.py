@@ -50,7 +50,7 @@ class ResetOptions:
 
     @classmethod
     def of(cls, options: Options, num_envs: int) -> Self:
-        """Check options; InputError for unknown ones, and values that cannot be used."""
+        """Check options; InputError for unknown ones, and for values that cannot be used."""
         _require_options(options)
         numbers = [None if each is None else int(each) for each in _given(options, _NUMBERS, num_envs)]
         return cls(
@@ -62,7 +62,7 @@ class ResetOptions:
 
     @classmethod
     def drawn(cls, num_envs: int) -> Self:
-        """Return the options of episodes of which everything is drawn."""
+        """Return the options of episodes that are drawn at random."""
         return cls.of({}, num_envs)
 
 

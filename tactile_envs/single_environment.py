@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
 
 import ap_gym
 import numpy as np
 from gymnasium.envs.registration import EnvSpec
 
-from tactile_envs.environment import TactileVectorEnv
-from tactile_envs.gym_types import Action, Info, Observation, Options
+from tactile_envs import environment, gym_types
 from tactile_toolkit.array_types import UInt8
 
 
@@ -28,7 +26,7 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         The vector, with poses of objects and sensors.
     """
 
-    def __init__(self, vector_env: TactileVectorEnv) -> None:
+    def __init__(self, vector_env: environment.TactileVectorEnv) -> None:
         self.vector_env, self.render_mode = vector_env, vector_env.render_mode
         self.metadata = {
             name: value for name, value in vector_env.metadata.items() if name != "autoreset_mode"
@@ -38,7 +36,9 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.prediction_target_space = vector_env.single_prediction_target_space
         self.loss_fn = vector_env.loss_fn
 
-    def reset(self, *, seed: int | None = None, options: Options | None = None) -> tuple[Observation, Info]:
+    def reset(
+        self, *, seed: int | None = None, options: gym_types.Options | None = None
+    ) -> tuple[gym_types.Observation, gym_types.Info]:
         """Begin an episode.
 
         Parameters
@@ -46,7 +46,7 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         seed : int, optional
             Seed of all random numbers.
         options : mapping, optional
-            ``datapoint_idx``, ``initial_object_pose``, ``initial_sensor_target_pose``, as of
+            ``datapoint_idx``, ``initial_object_pose``, ``initial_sensor_target_pose``, as for
             :meth:`TactileVectorEnv.reset` for one environment.
 
         Returns
@@ -67,7 +67,9 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         observation, info = self.vector_env.reset(options=given)
         return _first(observation), _first(info)
 
-    def step(self, action: Action) -> tuple[Observation, float, bool, bool, Info]:
+    def step(
+        self, action: gym_types.Action
+    ) -> tuple[gym_types.Observation, float, bool, bool, gym_types.Info]:
         """Take one touch; see :meth:`TactileVectorEnv.step` for actions and errors.
 
         Returns
@@ -99,14 +101,14 @@ class TactileEnv(ap_gym.BaseActivePerceptionEnv):  # type: ignore[misc]
         self.vector_env.spec = spec
 
 
-def _batched(action: Any) -> Any:
+def _batched(action: gym_types.Nested) -> gym_types.Nested:
     """Return an action, or a part of it, as that of a vector of one."""
     if isinstance(action, Mapping):
         return {name: _batched(part) for name, part in action.items()}
     return np.asarray(action)[np.newaxis]
 
 
-def _first(values: Any) -> Any:
+def _first(values: gym_types.Nested) -> gym_types.Nested:
     """Return what the first environment of a vector gives: arrays without their first axis."""
     if isinstance(values, dict):
         return {name: _first(part) for name, part in values.items()}

@@ -15,11 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.special import ndtri, softmax
 
+from tactile_envs import drawing, episode_kernels, gym_types, mesh_pool
 from tactile_envs.config import Config
-from tactile_envs.drawing import PredictionView
-from tactile_envs.episode_kernels import classify, spread_of_turned
-from tactile_envs.gym_types import Space
-from tactile_envs.mesh_pool import MeshPool
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError
 
@@ -54,20 +51,20 @@ class Classification:
 
     def score(self, predictions: AnyArray, targets: AnyArray) -> Score:
         """Score logits, shape (n, classes)."""
-        entropies, is_right = classify(np.ascontiguousarray(predictions, np.float32), targets)
+        entropies, is_right = episode_kernels.classify(np.ascontiguousarray(predictions, np.float32), targets)
         certainty = np.exp(-entropies).astype(np.float32)
         metrics = {"correct_label_prob": certainty, "accuracy": is_right.astype(np.float32)}
         return Score(entropies * self._scale, metrics)
 
-    def view(self, predictions: AnyArray, targets: AnyArray) -> PredictionView:
+    def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
         """Show the probability of each class."""
-        return PredictionView(softmax(predictions, axis=1), targets, names=self._names)
+        return drawing.PredictionView(softmax(predictions, axis=1), targets, names=self._names)
 
 
 class _Regression:
     """Mean squared error, normalised by that of the best constant prediction."""
 
-    def __init__(self, space: Space, target_std: ArrayLike) -> None:
+    def __init__(self, space: gym_types.Space, target_std: ArrayLike) -> None:
         self.prediction_space = self.target_space = space
         self.loss_fn = ap_gym.MSELossFn(target_std=target_std).normalized
         self._scale = 1.0 / float(np.mean(np.asarray(target_std) ** 2))
@@ -111,10 +108,12 @@ class Volume(_Regression):
         """Return volumes, shape (n, 1)."""
         return self._normalized[chosen]
 
-    def view(self, predictions: AnyArray, targets: AnyArray) -> PredictionView:
+    def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
         """Show the predicted and the true volume as shares of the largest."""
         both = np.concatenate([predictions, targets], axis=1) * self._std_m3 + self._mean_m3
-        return PredictionView(both / self._most_m3, np.ones(len(both), np.int64), names=("guess", "truth"))
+        return drawing.PredictionView(
+            both / self._most_m3, np.ones(len(both), np.int64), names=("guess", "truth")
+        )
 
     def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         found_m3, true_m3 = (each[:, 0] * self._std_m3 + self._mean_m3 for each in (predictions, targets))
@@ -131,7 +130,7 @@ class ObjectPose(_Regression):
     With ``of_mass``, the position of its centre of mass alone.
     """
 
-    def __init__(self, pool: MeshPool, config: Config, *, of_mass: bool) -> None:
+    def __init__(self, pool: mesh_pool.MeshPool, config: Config, *, of_mass: bool) -> None:
         self._half_cell_m = np.array(config.cell_size) / 2
         self._centres_m = pool.measures[:, 4:6] * of_mass
         self._has_direction = not of_mass
@@ -155,12 +154,12 @@ class ObjectPose(_Regression):
             found[:, 2], found[:, 3] = cosine, sine
         return found
 
-    def view(self, predictions: AnyArray, targets: AnyArray) -> PredictionView:
+    def view(self, predictions: AnyArray, targets: AnyArray) -> drawing.PredictionView:
         """Show the predicted position and direction."""
         directions = None
         if self._has_direction:
             directions = predictions[:, 2:]
-        return PredictionView(places_m=predictions[:, :2] * self._half_cell_m, directions=directions)
+        return drawing.PredictionView(places_m=predictions[:, :2] * self._half_cell_m, directions=directions)
 
     def _other_metrics(self, predictions: AnyArray, targets: AnyArray) -> dict[str, AnyArray]:
         off_m = (predictions[:, :2] - targets[:, :2]) * self._half_cell_m
@@ -173,7 +172,7 @@ class ObjectPose(_Regression):
             measured["angular_error"] = np.arccos(np.clip(aligned, -1.0, 1.0))
         return measured
 
-    def _variances(self, pool: MeshPool, config: Config) -> Float64:
+    def _variances(self, pool: mesh_pool.MeshPool, config: Config) -> Float64:
         """Return the variance of each target over all objects and their initial places."""
         turns_rad = np.linspace(-1.0, 1.0, 16) * config.max_initial_angle_perturbation
         means, spreads = np.empty((len(pool), 2)), np.empty((len(pool), 2))
@@ -200,7 +199,9 @@ def placements_m(hull: Float32, turn_rad: float, config: Config) -> tuple[Float6
 
     Both are the middle of the cell if the object does not fit.
     """
-    least_x, least_y, most_x, most_y = spread_of_turned(hull, math.cos(turn_rad), math.sin(turn_rad))
+    least_x, least_y, most_x, most_y = episode_kernels.spread_of_turned(
+        hull, math.cos(turn_rad), math.sin(turn_rad)
+    )
     room_x, room_y = (side / 2 - config.object_placement_margin for side in config.cell_size)
     low, high = np.array([-room_x - least_x, -room_y - least_y]), np.array([room_x - most_x, room_y - most_y])
     conflict = low > high

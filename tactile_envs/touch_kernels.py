@@ -1,31 +1,19 @@
-"""Kernels of touches, in numba: triangles become heights, four rows of eight pixels at a time.
+"""Kernels of touches, in numba: triangles become heights, a block of pixels at a time.
 
-numba does not vectorise the loop that draws triangles. Its vector instructions are therefore given to LLVM,
-which fits them to the lanes of the processor. Triangles are prepared in batches, which LLVM does several at a
-time: a touch of an object takes a third of the time of plain loops. All kernels of touches lie in this
-one file, because numba's cache on disk looks at the file of a kernel only.
+Triangles are prepared in batches, which LLVM does several at a time: a touch of an object takes a third of
+the time of plain loops. Functions of :mod:`tactile_envs.pixel_blocks` are compiled into these, and numba's
+cache on disk does not notice when they change.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from typing import Any, TypeAlias
 
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.core.typing.templates import Signature
-from numba.extending import intrinsic
 
+from tactile_envs.pixel_blocks import LANES, ROWS, raise_block
 from tactile_toolkit.array_types import AnyArray, Bool, Float32, Float64, Int32, Int64
 from tactile_toolkit.compiled import compiled
-
-LANES = 8
-"""Neighbouring pixels of a row that are drawn at once."""
-
-ROWS = 4
-"""Rows that are drawn at once; most triangles lie in so many."""
 
 PADDING = LANES
 """Spare pixels of a row of heights, so that eight at once can begin at its last; none is ever shown."""
@@ -43,134 +31,15 @@ rows; and edges of the window."""
 View = tuple[tuple[float, float, float, float], ...]
 """How a mesh is seen: column, row and height, metres, of its points x, y, z, 1."""
 
-_EDGE_PX = 1e-6
+EDGE_PX = 1e-6
+"""Distance beyond the outermost pixels that still counts as in the window."""
+
+_MOST_EDGES = 12  # of a box
 # Distance outside of an edge at which a pixel still counts as on it, as a share of the change of its weight
 # from one pixel to the next: single precision must leave no hole between neighbours.
 _SLACK = 2e-6
 _LEVEL_M = 1e-12  # an edge of the window that rises by less is level
 _BATCH = 64  # triangles that are prepared at once
-_FLOAT, _INDEX = ir.FloatType(), ir.IntType(32)
-
-Context: TypeAlias = Any
-"""A numba context, which has no types."""
-
-Build: TypeAlias = Callable[[Context, ir.IRBuilder, Signature, Sequence[ir.Value]], ir.Value]
-"""Writes the instructions of a function for LLVM."""
-
-
-def _raise_block(
-    _typing: object,
-    heights: types.Type,
-    places: types.Type,
-    b: types.Type,
-    c: types.Type,
-    b_up: types.Type,
-    c_up: types.Type,
-    b_step: types.Type,
-    c_step: types.Type,
-    b_slack: types.Type,
-    c_slack: types.Type,
-    low: types.Type,
-    b_rise: types.Type,
-    c_rise: types.Type,
-) -> tuple[Signature, Build]:
-    """Raise :data:`ROWS` rows of :data:`LANES` neighbouring pixels to a triangle, where it covers them.
-
-    ``heights`` is contiguous, float32, and ``places`` say where in it each row begins. The weights of the
-    second and third corner there, and what they grow by from row to row, are float64. The rest, float32: what
-    they grow by from pixel to pixel, how far below 0 they may be, the height of the first corner, and how
-    much higher the other two are. In plain numba::
-
-        for row in range(ROWS):
-            for lane in range(LANES):
-                b_here, c_here = float32(b) + b_step * lane, float32(c) + c_step * lane
-                height = low + (b_here * b_rise + c_here * c_rise)
-                inside = b_here + b_slack >= 0 and c_here + c_slack >= 0
-                inside = inside and (1 + (b_slack + c_slack)) - (b_here + c_here) >= 0
-                if inside and height > heights[places[row] + lane]:
-                    heights[places[row] + lane] = height
-            b, c = b + b_up, c + c_up
-    """
-    signature = types.void(heights, places, *[types.float64] * 4, *[types.float32] * 7)
-
-    def build(
-        context: Context, builder: ir.IRBuilder, signature: Signature, given: Sequence[ir.Value]
-    ) -> ir.Value:
-        pixels = context.make_array(signature.args[0])(context, builder, given[0])
-        rows = [
-            builder.bitcast(
-                builder.gep(pixels.data, [builder.extract_value(given[1], row)]), _vector(LANES).as_pointer()
-            )
-            for row in range(ROWS)
-        ]
-        weights = []
-        for weight, up in ((given[2], given[4]), (given[3], given[5])):
-            each = [weight]
-            for _ in range(ROWS - 1):
-                each.append(builder.fadd(each[-1], up))
-            weights.append(_spread(builder, [builder.fptrunc(one, _FLOAT) for one in each], LANES))
-        rest = [_spread(builder, [value], ROWS * LANES) for value in given[6:]]
-        held = _joined(builder, [builder.load(row, align=4) for row in rows])
-        lanes = _constant([float(number % LANES) for number in range(ROWS * LANES)])
-        raised = _raised(builder, held, weights, rest, lanes)
-        for number, row in enumerate(rows):
-            chosen = _indices(range(number * LANES, (number + 1) * LANES))
-            builder.store(builder.shuffle_vector(raised, raised, chosen), row, align=4)
-        return context.get_dummy_value()
-
-    return signature, build
-
-
-raise_block: Callable[..., None] = intrinsic(_raise_block)
-
-
-def _raised(
-    builder: ir.IRBuilder, held: ir.Value, weights: ir.Value, rest: ir.Value, lanes: ir.Value
-) -> ir.Value:
-    """Return heights of pixels of a triangle where it covers them and is higher, else those held."""
-    b_step, c_step, b_slack, c_slack, low, b_rise, c_rise = rest
-    zero, one = (_constant([value] * held.type.count) for value in (0.0, 1.0))
-    b = builder.fadd(weights[0], builder.fmul(b_step, lanes))
-    c = builder.fadd(weights[1], builder.fmul(c_step, lanes))
-    height = builder.fadd(low, builder.fadd(builder.fmul(b, b_rise), builder.fmul(c, c_rise)))
-    first = builder.fsub(builder.fadd(one, builder.fadd(b_slack, c_slack)), builder.fadd(b, c))
-    raised = builder.fcmp_ordered(">", height, held)
-    for weight in (builder.fadd(b, b_slack), builder.fadd(c, c_slack), first):
-        raised = builder.and_(raised, builder.fcmp_ordered(">=", weight, zero))
-    return builder.select(raised, height, held)
-
-
-def _vector(lanes: int) -> ir.VectorType:
-    return ir.VectorType(_FLOAT, lanes)
-
-
-def _constant(values: list[float]) -> ir.Constant:
-    return ir.Constant(_vector(len(values)), [ir.Constant(_FLOAT, value) for value in values])
-
-
-def _indices(numbers: Iterable[int]) -> ir.Constant:
-    chosen = list(numbers)
-    return ir.Constant(ir.VectorType(_INDEX, len(chosen)), chosen)
-
-
-def _spread(builder: ir.IRBuilder, values: list[ir.Value], times: int) -> ir.Value:
-    """Put each number into so many lanes."""
-    lanes = ir.Constant(_vector(len(values)), ir.Undefined)
-    for number, value in enumerate(values):
-        lanes = builder.insert_element(lanes, value, ir.Constant(_INDEX, number))
-    chosen = _indices(number // times for number in range(len(values) * times))
-    return builder.shuffle_vector(lanes, lanes, chosen)
-
-
-def _joined(builder: ir.IRBuilder, parts: list[ir.Value]) -> ir.Value:
-    """Put vectors of equal lengths one behind the other."""
-    while len(parts) > 1:
-        both = _indices(range(2 * parts[0].type.count))
-        parts = [
-            builder.shuffle_vector(one, other, both)
-            for one, other in zip(parts[::2], parts[1::2], strict=True)
-        ]
-    return parts[0]
 
 
 @compiled
@@ -187,69 +56,86 @@ def raise_object(heights: Float32, pool: Pool, number: int, placed: ObjectPlace)
 def batch_room() -> Room:
     """Return room for a batch of triangles."""
     corners, boxes = np.empty(9 * _BATCH, np.float32), np.empty(4 * _BATCH, np.int32)
-    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, 4))
+    return corners, np.empty(11 * _BATCH), boxes, np.empty((5, _MOST_EDGES))
 
 
 @compiled
 def _raise_near(heights: Float32, pool: Pool, number: int, placed: ObjectPlace, room: Room) -> bool:
     """Raise pixels as :func:`raise_object`; return whether there are triangles near the window."""
-    starts, grid = pool[2], pool[3][number]
+    cosine, sine, x_px, y_px, px_per_m = placed
+    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
+    view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
+    _lay_edges(room[3], heights, pool[3][number], placed)
+    return raise_within(heights, pool, number, 4, view, room)
+
+
+@compiled
+def raise_within(heights: Float32, pool: Pool, number: int, edges: int, view: View, room: Room) -> bool:
+    """Raise pixels to the triangles of a mesh near an area of its grid; return whether there are any.
+
+    ``edges`` is the number of edges of the area in the room, as :func:`lay_edge` writes them.
+    """
+    starts, grid, laid = pool[2], pool[3][number], room[3]
     first_face, large, first_start = int(grid[1]), int(grid[2]), int(grid[3])
     across, up = int(grid[4]), int(grid[5])
     cell_m, reach_m = grid[8], grid[9]
     small = first_face + large
-    cosine, sine, x_px, y_px, px_per_m = placed
-    turn_x, turn_y = cosine * px_per_m, sine * px_per_m
-    view = (turn_x, -turn_y, 0.0, x_px), (turn_y, turn_x, 0.0, y_px), (0.0, 0.0, 1.0, 0.0)
-    edges = room[3]
-    _lay_edges(edges, heights, grid, placed)
     left, lowest, right, highest = np.inf, np.inf, -np.inf, -np.inf
-    for corner in range(4):
-        left, right = min(left, edges[0, corner]), max(right, edges[0, corner])
-        lowest, highest = min(lowest, edges[1, corner]), max(highest, edges[1, corner])
-    if left - reach_m > across * cell_m or right + reach_m < 0.0:
+    for edge in range(edges):
+        x, y = laid[0, edge], laid[1, edge]
+        end_x, end_y = x + laid[2, edge], y + laid[3, edge]
+        left, right = min(left, min(x, end_x)), max(right, max(x, end_x))
+        lowest, highest = min(lowest, min(y, end_y)), max(highest, max(y, end_y))
+    is_beside = left - reach_m > across * cell_m or right + reach_m < 0.0
+    if is_beside or starts[first_start + across * up] == 0:
         up = 0
-    lowest, highest = lowest - reach_m, highest + reach_m
-    runs = new_runs(first_face, small, up)
-    for line in range(max(math.floor(lowest / cell_m), 0), min(math.floor(highest / cell_m), up - 1) + 1):
+    runs = np.zeros((up + 2, 2), np.int64)  # the large faces, those of each line, and an empty one
+    runs[0, 0], runs[0, 1] = first_face, small
+    first = max(math.floor((lowest - reach_m) / cell_m), 0)
+    for line in range(first, min(math.floor((highest + reach_m) / cell_m), up - 1) + 1):
         # A triangle lies at most `reach_m` from the middle that says which cell it is in.
-        from_y, to_y = line * cell_m - reach_m, (line + 1) * cell_m + reach_m
-        least, most = _extent_between(edges, from_y, to_y)
+        least, most = _extent_between(laid, edges, line * cell_m - reach_m, (line + 1) * cell_m + reach_m)
         begin_cell = max(math.floor((least - reach_m) / cell_m), 0)
         end_cell = min(math.floor((most + reach_m) / cell_m), across - 1)
         if begin_cell <= end_cell:
             cell = first_start + line * across
             runs[line + 1, 0] = small + starts[cell + begin_cell]
             runs[line + 1, 1] = small + starts[cell + end_cell + 1]
-    return raise_runs(heights, pool, number, runs, view, room)
+    return _raise_runs(heights, pool, number, runs, view, room)
 
 
 @compiled
 def _lay_edges(edges: Float64, heights: Float32, grid: Float64, placed: ObjectPlace) -> None:
-    """Write the edges of the window in the object's frame, from the corner of its grid on.
-
-    ``edges``, shape (5, 4): x and y where each begins, how far it goes along both, and one over the latter.
-    """
+    """Write the edges of the window in the object's frame, from the corner of its grid on."""
     cosine, sine, x_px, y_px, px_per_m = placed
     rows, columns = heights.shape[0], heights.shape[1] - PADDING
     per_px = 1.0 / px_per_m
     for corner in range(4):
-        column = columns - 1.0 + _EDGE_PX if corner == 1 or corner == 2 else -_EDGE_PX
-        row = rows - 1.0 + _EDGE_PX if corner >= 2 else -_EDGE_PX
+        column = columns - 1.0 + EDGE_PX if corner == 1 or corner == 2 else -EDGE_PX
+        row = rows - 1.0 + EDGE_PX if corner >= 2 else -EDGE_PX
         over_x, over_y = (column - x_px) * per_px, (row - y_px) * per_px
         edges[0, corner] = cosine * over_x + sine * over_y - grid[6]
         edges[1, corner] = cosine * over_y - sine * over_x - grid[7]
     for corner in range(4):
-        edges[2, corner] = edges[0, (corner + 1) & 3] - edges[0, corner]
-        edges[3, corner] = edges[1, (corner + 1) & 3] - edges[1, corner]
-        edges[4, corner] = 1.0 / edges[3, corner]
+        lay_edge(edges, corner, edges[0, (corner + 1) & 3], edges[1, (corner + 1) & 3])
 
 
 @compiled
-def _extent_between(edges: Float64, from_y: float, to_y: float) -> tuple[float, float]:
-    """Return least and greatest x of the part of the window between two heights."""
+def lay_edge(edges: Float64, edge: int, end_x: float, end_y: float) -> None:
+    """Write how far an edge goes from where it begins.
+
+    ``edges``, shape (5, n): x and y where each begins, how far it goes along both, and one over the latter.
+    """
+    edges[2, edge] = end_x - edges[0, edge]
+    edges[3, edge] = end_y - edges[1, edge]
+    edges[4, edge] = 1.0 / edges[3, edge]
+
+
+@compiled
+def _extent_between(edges: Float64, count: int, from_y: float, to_y: float) -> tuple[float, float]:
+    """Return least and greatest x of the part of an area between two y."""
     least, most = np.inf, -np.inf
-    for edge in range(4):
+    for edge in range(count):
         x, y, along_x = edges[0, edge], edges[1, edge], edges[2, edge]
         begin, end = 0.0, 1.0
         if abs(edges[3, edge]) > _LEVEL_M:
@@ -264,15 +150,7 @@ def _extent_between(edges: Float64, from_y: float, to_y: float) -> tuple[float, 
 
 
 @compiled
-def new_runs(first_face: int, small: int, lines: int) -> Int64:
-    """Return runs of faces (lines + 2, 2): first the large ones, then one for each line, and an empty one."""
-    runs = np.zeros((lines + 2, 2), np.int64)
-    runs[0, 0], runs[0, 1] = first_face, small
-    return runs
-
-
-@compiled
-def raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: View, room: Room) -> bool:
+def _raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: View, room: Room) -> bool:
     """Raise pixels to those of some triangles that face the sensor; return whether there are any.
 
     ``runs`` (n, 2) are the first of some triangles and the one after the last; the last run is empty.
@@ -304,7 +182,7 @@ def raise_runs(heights: Float32, pool: Pool, number: int, runs: Int64, view: Vie
 
 @compiled
 def _prepare(heights: Float32, room: Room, view: View) -> None:
-    """Write of a batch of triangles which pixels they may cover, and the weights of their corners there.
+    """Write which pixels each triangle of a batch may cover, and the weights of its corners there.
 
     LLVM does several at once, because all have one number, and each result its own place in an array.
     """
@@ -316,14 +194,14 @@ def _prepare(heights: Float32, room: Room, view: View) -> None:
         cx, cy, cz = _seen(view, corners[6 * _BATCH + i], corners[7 * _BATCH + i], corners[8 * _BATCH + i])
         left, right = min(min(ax, bx), cx), max(max(ax, bx), cx)
         low, high = min(min(ay, by), cy), max(max(ay, by), cy)
-        first_column = max(np.ceil(left - _EDGE_PX), 0.0)
-        first_row = max(np.ceil(low - _EDGE_PX), 0.0)
+        first_column = max(np.ceil(left - EDGE_PX), 0.0)
+        first_row = max(np.ceil(low - EDGE_PX), 0.0)
         abx, aby, acx, acy = bx - ax, by - ay, cx - ax, cy - ay
         area = abx * acy - aby * acx
         # Triangles that do not face the sensor cover no pixel.
-        last_row = min(np.floor(high + _EDGE_PX), rows) if area > 0.0 else -1.0
+        last_row = min(np.floor(high + EDGE_PX), rows) if area > 0.0 else -1.0
         boxes[i] = np.int32(first_column)
-        boxes[_BATCH + i] = np.int32(min(np.floor(right + _EDGE_PX), columns))
+        boxes[_BATCH + i] = np.int32(min(np.floor(right + EDGE_PX), columns))
         boxes[2 * _BATCH + i] = np.int32(first_row)
         boxes[3 * _BATCH + i] = np.int32(last_row)
         per_area = 1.0 / area
@@ -407,7 +285,7 @@ def touch(
     """Bring sensors down where they are, and let the objects slip: for environments begin to end.
 
     ``window`` (6,) is pixels a metre, column and row of the middle, counted from the bottom, press depth and
-    thickness of the gel, and the least height of sensors, metres; ``motion`` is as of :func:`aim`; ``drift``
+    thickness of the gel, and the least height of sensors, metres; ``motion`` is as for :func:`aim`; ``drift``
     (3,) how objects slip afterwards, in their own frame, metres and radians; ``chosen`` which mesh of the
     pool each object is; ``lifts`` (n,) how much higher sensors are observed than they are, metres;
     ``heights`` (H, W + PADDING) room to work in. Of ``sensors`` (n, 3), metres, the observed height is
@@ -418,7 +296,7 @@ def touch(
     """
     greatest, room = np.empty(images.shape[2], np.float32), batch_room()
     heights[:, :] = 0.0
-    press_m, gel_m, least_m = window[3], window[4], window[5]
+    press_m, least_m = window[3], window[5]
     for i in range(begin, end):
         cosine, sine = math.cos(objects[i, 2]), math.sin(objects[i, 2])
         x_px = (objects[i, 0] - sensors[i, 0]) * window[0] + window[1]
@@ -426,28 +304,58 @@ def touch(
         placed = cosine, sine, x_px, y_px, window[0]
         is_near, highest = _raise_near(heights, pool, chosen[i], placed, room), np.float32(0.0)
         if is_near:
-            highest = _highest(heights, greatest)
+            highest = highest_of(heights, greatest)
         is_bare[i] = highest == 0.0
-        # The plate may hold the sensor up before the object is pressed in fully.
-        pressed = max(highest, np.float32(least_m - press_m))
-        _show(images[i], heights, pressed, gel_m - press_m)
-        if len(depths):
-            _measure(depths[i], heights, pressed, press_m)
+        draw_touch(i, images, depths, heights, highest, window, least_m)
         if is_near:
             heights[:, :] = 0.0
         sensors[i, 2] = max(highest + press_m + lifts[i], least_m)
-        for axis in range(3):
-            low, high = motion[axis], motion[axis + 3]
-            share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
-            positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
-        objects[i, 0] += cosine * drift[0] - sine * drift[1]
-        objects[i, 1] += sine * drift[0] + cosine * drift[1]
-        objects[i, 2] += drift[2]
+        leave(i, cosine, sine, motion, drift, sensors, objects, positions)
 
 
 @compiled
-def _highest(heights: Float32, greatest: Float32) -> np.float32:
-    """Return the greatest height of the columns that ``greatest`` has room for."""
+def draw_touch(
+    i: int,
+    images: Float32,
+    depths: Float32,
+    heights: Float32,
+    highest: np.float32,
+    window: Float64,
+    least_m: float,
+) -> None:
+    """Draw what sensor ``i`` sees, whose height along its axis is not below ``least_m``."""
+    press_m, gel_m = window[3], window[4]
+    # The plate may hold the sensor up before the object is pressed in fully.
+    pressed = max(highest, np.float32(least_m - press_m))
+    _show(images[i], heights, pressed, gel_m - press_m)
+    if len(depths):
+        _measure(depths[i], heights, pressed, press_m)
+
+
+@compiled
+def leave(
+    i: int,
+    cosine: float,
+    sine: float,
+    motion: Float64,
+    drift: Float64,
+    sensors: Float64,
+    objects: Float64,
+    positions: Float32,
+) -> None:
+    """Write the observed position of sensor ``i``, and let its object, whose rotation is given, slip."""
+    for axis in range(3):
+        low, high = motion[axis], motion[axis + 3]
+        share = (sensors[i, axis] - low) / (high - low) * 2.0 - 1.0
+        positions[i, axis] = np.float32(min(max(share, -1.0), 1.0))
+    objects[i, 0] += cosine * drift[0] - sine * drift[1]
+    objects[i, 1] += sine * drift[0] + cosine * drift[1]
+    objects[i, 2] += drift[2]
+
+
+@compiled
+def highest_of(heights: Float32, greatest: Float32) -> np.float32:
+    """Return the greatest height of the first columns, as many as ``greatest`` has room for."""
     # One greatest value for each column, and comparisons as selections: LLVM does several pixels at once.
     for column in range(len(greatest)):
         greatest[column] = heights[0, column]

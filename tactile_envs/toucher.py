@@ -67,7 +67,7 @@ class Toucher:
         self._threads: ThreadPoolExecutor | None = None
 
     def __getstate__(self) -> dict[str, object]:
-        """Leave threads behind."""
+        """Leave out threads, which a copy starts again."""
         return {**self.__dict__, "_threads": None}
 
     def touch(
@@ -95,7 +95,7 @@ class Toucher:
         return self.shared(len(numbers), press, with_depth=with_depth)
 
     def shared(self, count: int, press: Press, *, with_depth: bool) -> SensorReadings:
-        """Press sensors ``begin`` to ``end`` in many calls, on all threads; return the readings of all."""
+        """Press all sensors in parts, shared by the threads; return the readings of all."""
         shape = (count, *self._image_shape)
         depth_shape: Sequence[int] = (0, 0, 0)
         if with_depth:

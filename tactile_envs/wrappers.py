@@ -19,7 +19,7 @@ LOGIT_LIMIT = 5.0
 
 
 class FlatAction(gym.Wrapper, RecordConstructorArgs):
-    """One flat action, and observations and rewards as libraries want them.
+    """Environment with one flat action, and observations and rewards as libraries expect them.
 
     Parts of an action stand one after another, the prediction last. Nothing is scaled. Single numbers of
     observations become arrays of shape (1,).
@@ -35,7 +35,7 @@ class FlatAction(gym.Wrapper, RecordConstructorArgs):
     Raises
     ------
     InputError
-        A part of an action or observation is no box; or the limit is no positive number.
+        A part of an action or observation is not a box, or the limit is not a positive number.
     """
 
     def __init__(self, env: gym.Env[Any, Any], limit: float = LOGIT_LIMIT) -> None:
@@ -45,7 +45,7 @@ class FlatAction(gym.Wrapper, RecordConstructorArgs):
         self.action_space, self.observation_space = self._form.action_space, self._form.observation_space
 
     def reset(self, **options: Any) -> tuple[Observation, Info]:
-        """Begin an episode; as of the environment."""
+        """Begin an episode, as the environment does."""
         observation, info = self.env.reset(**options)
         return self._form.shaped(observation), info
 
@@ -56,14 +56,14 @@ class FlatAction(gym.Wrapper, RecordConstructorArgs):
 
 
 class FlatActionVector(gym.vector.VectorWrapper):
-    """:class:`FlatAction` of a vector.
+    """Vector of environments with flat actions, as :class:`FlatAction`.
 
     Parameters
     ----------
     env : gymnasium.vector.VectorEnv
         Environments of this package, or wrappers around them.
     limit : float
-        As of :class:`FlatAction`.
+        As for :class:`FlatAction`.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class FlatActionVector(gym.vector.VectorWrapper):
     Raises
     ------
     InputError
-        A part of an action or observation is no box; or the limit is no positive number.
+        A part of an action or observation is not a box, or the limit is not a positive number.
     """
 
     def __init__(self, env: gym.vector.VectorEnv[Any, Any, Any], limit: float = LOGIT_LIMIT) -> None:
@@ -86,7 +86,7 @@ class FlatActionVector(gym.vector.VectorWrapper):
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
 
     def reset(self, **options: Any) -> tuple[Observation, Info]:
-        """Begin episodes; as of the environments."""
+        """Begin episodes, as the environments do."""
         observation, info = self.env.reset(**options)
         return self._form.shaped(observation, self.num_envs), info
 
@@ -111,7 +111,7 @@ class _Part(NamedTuple):
 
 
 class _FlatForm:
-    """Spaces of flat actions and of observations without single numbers, and the way to and from them."""
+    """Spaces of flat actions and of observations without single numbers, and conversions to and from them."""
 
     def __init__(self, action: Space, observation: Space, limit: float) -> None:
         if not (isinstance(limit, (int, float)) and 0 < limit < np.inf):
@@ -166,7 +166,7 @@ def _boxes(space: Space, path: _Path = ()) -> Iterator[tuple[_Path, gym.spaces.B
 
 
 def _with_axis(box: gym.spaces.Box) -> gym.spaces.Box:
-    """Return a space of at least one axis."""
+    """Return a space with at least one axis."""
     if box.shape:
         return box
     return gym.spaces.Box(box.low.reshape(1), box.high.reshape(1), dtype=np.float32)

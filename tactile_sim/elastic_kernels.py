@@ -189,6 +189,23 @@ class _Shear(NamedTuple):
 
 
 @compiled
+def _in_contact(bound: Float32) -> tuple[Int64, Float32]:
+    """Return the places where there is a bound, and the bounds.
+
+    Element by element, as all else here: numba takes seconds to compile what works on whole arrays.
+    """
+    count = 0
+    for limit in bound:
+        count += limit > 0.0
+    places, bounds, number = np.empty(count, np.int64), np.empty(count, np.float32), 0
+    for at in range(len(bound)):
+        if bound[at] > 0.0:
+            places[number], bounds[number] = at, bound[at]
+            number += 1
+    return places, bounds
+
+
+@compiled
 def shear(
     q: Float32,
     bound: Float32,
@@ -207,13 +224,12 @@ def shear(
     at their limit.
     """
     keep_apart()
-    places = np.nonzero(bound > 0.0)[0]
+    places, bounds = _in_contact(bound)
     count = len(places)
-    pairs = (2, count)
-    kind = np.float32
+    pairs, kind = (2, count), np.float32
     state = _Shear(
         places,
-        bound[places],
+        bounds,
         np.empty(pairs, kind),
         np.empty(pairs, kind),
         np.empty(pairs, kind),
@@ -231,10 +247,11 @@ def shear(
             state.wanted[axis, number], state.q[axis, number] = wanted[axis, at], q[axis, at]
     largest = 0.0
     for number in range(count):
-        _project(state.q, state.bound, number, False)
+        _project(state.q, state.bound, number, state.slips[number])
         x, y = state.wanted[0, number], state.wanted[1, number]
         largest = max(largest, x * x + y * y)
-    q[:] = 0.0
+    for at in range(len(bound)):
+        q[0, at], q[1, at], slips[at] = 0.0, 0.0, False
     bend, old, step, since, is_stale = np.empty_like(q), 1.0, 0, 0, True
     while True:
         if is_stale:
@@ -256,7 +273,6 @@ def shear(
         if is_stale:
             for number in range(count):
                 _project(state.q, state.bound, number, state.slips[number])
-    slips[:] = False
     _put(state.q, q, state.places)
     for number in range(count):
         slips[places[number]] = state.slips[number]
@@ -389,15 +405,15 @@ def solve(
     one, two = (1, size), (2, size)
     p, u, lifted, before = np.zeros(one, kind), np.empty(one, kind), np.zeros(one, kind), np.zeros(one, kind)
     q, side, wanted = np.zeros(two, kind), np.empty(two, kind), np.empty(two, kind)
-    bound, slips = np.zeros(size, kind), np.zeros(size, np.bool_)
+    bound, slips, lowered = np.zeros(size, kind), np.zeros(size, np.bool_), np.empty(one, kind)
     _first_guess(p[0], below[0], target, is_force, start)
     steps, depth, error = 0, 0.0, 0.0
     for number in range(_MOST_PASSES):
         looseness = _FIRST_PASS if number == 0 and friction > 0.0 else 1.0
         press_tolerance, shear_tolerance = looseness * tolerance[0], looseness * tolerance[1]
-        depth, error, count = press(
-            p, u, below + lifted, target, is_force, layer, work, width, press_tolerance
-        )
+        for place in range(size):
+            lowered[0, place] = below[0, place] + lifted[0, place]
+        depth, error, count = press(p, u, lowered, target, is_force, layer, work, width, press_tolerance)
         steps += count
         respond(p, side, layer, work, width)
         if friction == 0.0:
@@ -409,7 +425,8 @@ def solve(
             wanted[0, place] = motion[0] - motion[2] * y - side[0, place]
             wanted[1, place] = motion[1] + motion[2] * x - side[1, place]
         steps += shear(q, bound, wanted, slips, layer, work, width, shear_tolerance)
-        before[:] = lifted
+        for place in range(size):
+            before[0, place] = lifted[0, place]
         respond(q, lifted, layer, work, width)
         change = 0.0
         for place in range(size):

@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeAlias, Unpack
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, Unpack
 
 import pyarrow as pa
 
@@ -71,6 +71,8 @@ class RowGenerator(ABC):
 
     kind: DatasetKind
     spec: Any  # has `to_dict`
+    kernels: ClassVar[tuple[str, ...]] = ()
+    """Modules with planned kernels (:func:`tactile_toolkit.compiled.planned`) that all rows need."""
 
     def manifest(self) -> JsonObject:
         """Return JSON values that identify the rows; two equal values give equal Parquet."""
@@ -108,6 +110,10 @@ class RowGenerator(ABC):
 
 def make_shard(generator: RowGenerator, shard: store.ShardName, items: AnyRows) -> store.ShardContent:
     """Make the rows of a shard, and list items that give none."""
+    if generator.kernels:
+        from tactile_toolkit.compiled import prepare  # numba
+
+        prepare(*generator.kernels)
     made = list(generator.make(shard.split, items))
     rows = [each for each in made if not isinstance(each, store.Skipped)]
     skipped = tuple(each for each in made if isinstance(each, store.Skipped))

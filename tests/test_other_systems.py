@@ -6,6 +6,7 @@ Python runs without the modules and functions missing on Windows, and without ``
 from __future__ import annotations
 
 import ast
+import io
 import json
 import os
 import re
@@ -14,6 +15,9 @@ import sys
 from pathlib import Path
 
 import pytest
+
+from cli import application
+from cli.output import Sink
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = sorted(
@@ -156,34 +160,33 @@ def test_every_test_file_is_collected_on_every_system() -> None:
 
 
 @pytest.mark.parametrize("encoding", ["cp1252", "ascii", "cp437", "utf-8"])
-def test_output_fits_every_encoding(tmp_path: Path, encoding: str) -> None:
+def test_output_fits_every_encoding(monkeypatch: pytest.MonkeyPatch, encoding: str) -> None:
     """A stream that is no console has an encoding of its own; what it lacks is written in ASCII."""
-    code = """
-import sys
-from cli import application
-from cli.output import Sink
-app = application.new_app("told", "Tells.")
-@application.command(app)
-def tell(*, sink: Sink) -> None:
-    "Tell."
-    sink.document({"name": "\\u03b1 \\u4e2d\\U0001f9ff"})
-    sink.table(["name", "size \\u2192 \\u00b5m"], [["\\u03b1", 1]])
-    sink.warn("3 \\u00d7 4 mm\\u2026 \\u4e2d")
-application.run(app)
-"""
+    app = application.new_app("told", "Tells.")
+
+    @application.command(app)
+    def tell(*, sink: Sink) -> None:
+        """Tell."""
+        sink.document({"name": "\u03b1 \u4e2d\U0001f9ff"})
+        sink.table(["name", "size \u2192 \u00b5m"], [["\u03b1", 1]])
+        sink.warn("3 \u00d7 4 mm\u2026 \u4e2d")
+
+    monkeypatch.setenv("TACTILE_TOOLKIT_DEBUG", "")
     printed = {}
     for option in ("--json", "--debug"):
-        printed[option] = subprocess.run(
-            [sys.executable, "-c", code, "tell", option],
-            cwd=ROOT,
-            env={**os.environ, "PYTHONIOENCODING": encoding},
-            capture_output=True,
-            check=False,
-        )
-        assert printed[option].returncode == 0, printed[option].stderr
-    document = json.loads(printed["--json"].stdout.decode(encoding))
+        streams = [io.TextIOWrapper(io.BytesIO(), encoding=encoding) for _ in range(2)]
+        with monkeypatch.context() as patch:
+            patch.setattr(sys, "argv", ["told", "tell", option])
+            patch.setattr(sys, "stdout", streams[0])
+            patch.setattr(sys, "stderr", streams[1])
+            with pytest.raises(SystemExit, match="0"):
+                application.run(app)
+        for stream in streams:
+            stream.flush()
+        printed[option] = [stream.buffer.getvalue().decode(encoding) for stream in streams]
+    document = json.loads(printed["--json"][0])
     assert document == {"name": "\u03b1 \u4e2d\U0001f9ff"}
-    table, told = (getattr(printed["--debug"], each).decode(encoding) for each in ("stdout", "stderr"))
+    table, told = printed["--debug"]
     if encoding == "utf-8":
         assert "\u2500\u2500" in table
         assert "\u03b1" in table

@@ -8,31 +8,33 @@ from pathlib import Path
 
 import pyarrow as pa
 
+from env_assets.wrench import shape, wrench_spec
 from env_assets.wrench.kind import KIND
-from env_assets.wrench.shape import wrench_mesh
-from env_assets.wrench.wrench_spec import WrenchSpec
-from tactile_toolkit import cards, generation, pictures, store
+from tactile_toolkit import cards, generation, pictures, rows, store
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import is_copy
 from tactile_toolkit.mesh import MeshRow, PrintReport, inspect, mesh_schema, write_mesh
-from tactile_toolkit.rows import column, meanings, row
 
 # Side of a pixel of the picture: the default wrench of 157.5 mm is 790 pixels long.
 _PITCH_M = 0.0002
 
 
-@row
+@rows.row
 class WrenchRow(MeshRow):
     """One wrench; columns in mm and degrees are lengths of its specification."""
 
-    id: int = column(pa.int64(), "", "0")
-    label: int = column(pa.int64(), "", "the one class")
-    volume_m3: float = column(pa.float64(), "m³", "enclosed volume")
-    opening_mm: float = column(pa.float64(), "mm", "width across flats of the nut that the first jaw takes")
-    second_opening_mm: float = column(pa.float64(), "mm", "the same of the second jaw")
-    length_mm: float = column(pa.float64(), "mm", "between the outermost points of the circles of both ends")
-    thickness_mm: float = column(pa.float64(), "mm", "height")
-    jaw_angle_deg: float = column(pa.float64(), "degrees", "between handle and jaws")
+    id: int = rows.column(pa.int64(), "", "0")
+    label: int = rows.column(pa.int64(), "", "the one class")
+    volume_m3: float = rows.column(pa.float64(), "m³", "enclosed volume")
+    opening_mm: float = rows.column(
+        pa.float64(), "mm", "width across flats of the nut that the first jaw takes"
+    )
+    second_opening_mm: float = rows.column(pa.float64(), "mm", "the same of the second jaw")
+    length_mm: float = rows.column(
+        pa.float64(), "mm", "between the outermost points of the circles of both ends"
+    )
+    thickness_mm: float = rows.column(pa.float64(), "mm", "height")
+    jaw_angle_deg: float = rows.column(pa.float64(), "degrees", "between handle and jaws")
 
 
 def wrench_schema(_manifest: object = None) -> pa.Schema:
@@ -44,7 +46,7 @@ def wrench_schema(_manifest: object = None) -> pa.Schema:
 class WrenchGenerator(generation.RowGenerator):
     """Makes the row of a wrench."""
 
-    spec: WrenchSpec
+    spec: wrench_spec.WrenchSpec
     kind = KIND
 
     def items(self) -> Mapping[str, range]:
@@ -62,7 +64,7 @@ class WrenchGenerator(generation.RowGenerator):
 
     def make(self, split: str, items: Sequence[int]) -> list[WrenchRow]:
         """Make the row."""
-        mesh, lengths = wrench_mesh(self.spec), self.spec.lengths()
+        mesh, lengths = shape.wrench_mesh(self.spec), self.spec.lengths()
         return [
             WrenchRow(
                 id=0,
@@ -76,7 +78,7 @@ class WrenchGenerator(generation.RowGenerator):
 
 
 def write_wrench(
-    spec: WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
+    spec: wrench_spec.WrenchSpec, out: str, *, mesh_file: str | Path | None = None, overwrite: bool = False
 ) -> store.Manifest:
     """Write a data set of one wrench.
 
@@ -111,16 +113,16 @@ def write_wrench(
     Equal specifications give byte-identical Parquet.
     """
     if mesh_file is not None:  # before the folder, so that a refusal leaves nothing behind
-        write_mesh(store.expanded(mesh_file), wrench_mesh(spec))
+        write_mesh(store.expanded(mesh_file), shape.wrench_mesh(spec))
     return generation.generate(WrenchGenerator(spec), out, overwrite=overwrite)
 
 
 def wrench_recipe(seed: int, per_class: int | None) -> generation.Recipe:
     """Return how the default wrench is made, which has neither a seed nor classes."""
-    return generation.Recipe(WrenchGenerator(WrenchSpec()))
+    return generation.Recipe(WrenchGenerator(wrench_spec.WrenchSpec()))
 
 
-def wrench_facts(spec: WrenchSpec, report: PrintReport) -> JsonDict:
+def wrench_facts(spec: wrench_spec.WrenchSpec, report: PrintReport) -> JsonDict:
     """Return lengths, solid and printability of a wrench as JSON values."""
     return {
         "spec": spec.lengths(),
@@ -134,7 +136,7 @@ def wrench_facts(spec: WrenchSpec, report: PrintReport) -> JsonDict:
 
 def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
     """Write ``README.md`` of the folder of a wrench and its picture."""
-    columns, title = meanings(WrenchRow), "Open-end wrench"
+    columns, title = rows.meanings(WrenchRow), "Open-end wrench"
     if is_copy(manifest):
         terms = {
             "licence_text": "MIT, as the toolkit.",
@@ -142,8 +144,8 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest) -> None:
         }
         cards.write_table_card(folder, manifest, KIND, title, columns, "mit", **terms)
         return
-    spec = WrenchSpec(**manifest.spec)
-    mesh = wrench_mesh(spec)
+    spec = wrench_spec.WrenchSpec(**manifest.spec)
+    mesh = shape.wrench_mesh(spec)
     report = inspect(mesh)
     drawn = pictures.png_bytes(pictures.relief(mesh.vertices_m, mesh.faces, _PITCH_M))
     cards.Card(

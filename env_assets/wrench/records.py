@@ -44,7 +44,4 @@ class WrenchDataset(mesh.SolidDataset[WrenchRecord]):
     things = "wrenches"
 
 
-def load(name: places.Name | places.Place, split: str = "train") -> WrenchDataset:
-    """Open a folder, a Parquet file or a repository of the Hub; raises as ``AssetProvider.meshes``."""
-    place = places.open_place(name)
-    return mesh.open_solids(place.shards(split, kind=KIND), place.name, WrenchDataset, KIND)
+load = places.loader(KIND, WrenchDataset, mesh.RecordStream[WrenchRecord])

@@ -54,8 +54,7 @@ class WrenchSpec:
         check_fields(self, "the wrench")
         if self.opening_mm == self.second_opening_mm:
             raise InputError(
-                f"both ends of the wrench are alike ({self.opening_mm:g} mm): turned about it would look the "
-                "same, so that its pose could not be found",
+                f"both ends of the wrench are alike ({self.opening_mm:g} mm), so its pose would be ambiguous",
                 next="choose another --second-opening-mm",
             )
 

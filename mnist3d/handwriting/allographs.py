@@ -8,10 +8,9 @@ edge near x = 0. A run may reach a little beyond, as the page scales the digit.
 
 from __future__ import annotations
 
-from mnist3d.handwriting.five_to_nine import FIVE_TO_NINE
-from mnist3d.handwriting.zero_to_four import ZERO_TO_FOUR
+from mnist3d.handwriting import five_to_nine, zero_to_four
 
-ALLOGRAPHS = ZERO_TO_FOUR + FIVE_TO_NINE
+ALLOGRAPHS = zero_to_four.ZERO_TO_FOUR + five_to_nine.FIVE_TO_NINE
 """For each digit its shapes, and the share of writers who prefer them; a seed depends on the order.
 
 The shapes are those in MNIST and in collections of pen strokes. Means, spreads and shares were chosen so that

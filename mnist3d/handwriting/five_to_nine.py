@@ -32,7 +32,7 @@ def five_one_stroke(vary: Vary, pen: float) -> list[Stroke]:
 
 
 def five_round(vary: Vary, pen: float) -> list[Stroke]:
-    """Draw a 5 near to an S."""
+    """Draw a 5 that is close to an S."""
     head = [(vary(0.589, 0.087), vary(-0.008, 0.03)), (0.28, vary(0.01, 0.01)), (vary(0.09, 0.02), 0.13)]
     neck = (vary(0.079, 0.034), vary(0.365, 0.035))
     return [[[*head, neck, *_belly(vary, (neck[0], neck[1] + 0.03))[2:]]]]

@@ -6,13 +6,11 @@ import math
 
 import numpy as np
 
-from mnist3d.handwriting.keyed_random import KeyedRng
-from mnist3d.handwriting.page_layout import PAGE_PX, SPACING_PX
-from mnist3d.handwriting.writer_style import WriterStyle
+from mnist3d.handwriting import keyed_random, page_layout, writer_style
 from tactile_toolkit.array_types import Float32, Float64, UInt8
 
 _CELL_PX = 4
-_NODES = PAGE_PX // _CELL_PX + 1
+_NODES = page_layout.PAGE_PX // _CELL_PX + 1
 # Cells between the nodes of the wide grain of the edge noise.
 _COARSE = 4
 # Distances are exact up to this far outside the ink; edge noise must stay below it.
@@ -29,7 +27,9 @@ _DRY, _WIDE = 0.75, 1.25
 _PRESSURE_WAVE_PX = 70.0
 
 
-def ink_paths(paths: list[Float64], pen_px: float, style: WriterStyle, rng: KeyedRng) -> UInt8:
+def ink_paths(
+    paths: list[Float64], pen_px: float, style: writer_style.WriterStyle, rng: keyed_random.KeyedRng
+) -> UInt8:
     """Ink evenly sampled paths with the pen of a writer.
 
     Each path has the shape (N, 2), in pixels. Returns the page, shape (500, 500), uint8, 0 for ink.
@@ -47,9 +47,11 @@ def ink_paths(paths: list[Float64], pen_px: float, style: WriterStyle, rng: Keye
     return page
 
 
-def _radii(path: Float64, half_px: float, style: WriterStyle, rng: KeyedRng) -> Float32:
+def _radii(
+    path: Float64, half_px: float, style: writer_style.WriterStyle, rng: keyed_random.KeyedRng
+) -> Float32:
     number = len(path)
-    knots = int(number * SPACING_PX / _PRESSURE_WAVE_PX) + 3
+    knots = int(number * page_layout.SPACING_PX / _PRESSURE_WAVE_PX) + 3
     at = np.arange(number) * ((knots - 1) / number)
     press = 1.0 + style.pressure * np.interp(at, np.arange(knots), rng.approx_normals(knots))
     step = path[np.minimum(np.arange(number) + 1, number - 1)] - path[np.maximum(np.arange(number) - 1, 0)]
@@ -64,7 +66,7 @@ def _stamp(field: Float32, path: Float32, radius: Float32) -> None:
     """Lower the field to the signed distance from the capsules between consecutive samples."""
     start, step = path[:-1], path[1:] - path[:-1]
     swell = radius[1:] - radius[:-1]
-    reach = int((float(radius.max()) + _BEYOND_PX + 0.5 * SPACING_PX) / _CELL_PX) + 1
+    reach = int((float(radius.max()) + _BEYOND_PX + 0.5 * page_layout.SPACING_PX) / _CELL_PX) + 1
     span = np.arange(-reach, reach + 1)
     node = np.floor((start + 0.5 * step) / _CELL_PX + np.float32(0.5)).astype(np.int64)
     column = np.clip(node[:, 0, None] + span, 0, _NODES - 1)
@@ -82,7 +84,7 @@ def _stamp(field: Float32, path: Float32, radius: Float32) -> None:
     np.minimum.at(field, (row[:, :, None] * _NODES + column[:, None, :]).ravel(), away.ravel())
 
 
-def _roughness(size_px: float, rng: KeyedRng) -> Float32:
+def _roughness(size_px: float, rng: keyed_random.KeyedRng) -> Float32:
     """Return edge noise of two grains on the grid, each within +-`size_px`."""
     wide = _NODES // _COARSE + 2
     coarse = rng.bytes(wide * wide).reshape(wide, wide)
@@ -110,7 +112,7 @@ def _rasterise(field: Float32) -> UInt8:
     grey *= np.float32(255.0)
     grey += np.float32(127.5)
     np.clip(grey, np.float32(0.0), np.float32(255.0), out=grey)
-    page = np.full((PAGE_PX, PAGE_PX), 255, dtype=np.uint8)
+    page = np.full((page_layout.PAGE_PX, page_layout.PAGE_PX), 255, dtype=np.uint8)
     part = page[top * _CELL_PX :, left * _CELL_PX :][: grey.shape[0], : grey.shape[1]]
     part[:] = grey[: part.shape[0], : part.shape[1]].astype(np.uint8)
     return page
@@ -120,8 +122,8 @@ def _add_speckles(
     page: UInt8,
     paths: list[Float64],
     radii: list[Float32],
-    style: WriterStyle,
-    rng: KeyedRng,
+    style: writer_style.WriterStyle,
+    rng: keyed_random.KeyedRng,
 ) -> None:
     """Add light speckles to the ink and dark ones next to it."""
     for number, light in ((style.gaps, True), (style.specks, False)):
@@ -133,12 +135,12 @@ def _add_speckles(
             _dot(page, paths[stroke][sample], aside, light, rng)
 
 
-def _dot(page: UInt8, at: Float64, aside: float, light: bool, rng: KeyedRng) -> None:
+def _dot(page: UInt8, at: Float64, aside: float, light: bool, rng: keyed_random.KeyedRng) -> None:
     lean_x, lean_y = rng.uniform(-1.0, 1.0), rng.uniform(-1.0, 1.0)
     norm = math.sqrt(lean_x * lean_x + lean_y * lean_y + 1e-9)
     x, y = float(at[0]) + aside * lean_x / norm, float(at[1]) + aside * lean_y / norm
     half_x, half_y = rng.uniform(0.7, 2.6), rng.uniform(0.7, 2.6)
-    low, high = _EDGE_PX + _DOT_PX, PAGE_PX - 1 - _EDGE_PX - _DOT_PX
+    low, high = _EDGE_PX + _DOT_PX, page_layout.PAGE_PX - 1 - _EDGE_PX - _DOT_PX
     column, row = int(min(max(x, low), high)), int(min(max(y, low), high))
     offsets = np.arange(-_DOT_PX, _DOT_PX + 1, dtype=np.float64)
     across, down = offsets / half_x, offsets / half_y

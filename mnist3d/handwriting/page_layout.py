@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from mnist3d.handwriting import keyed_random, writer_style
 from mnist3d.handwriting.curves import Stroke, Vary, resample, smooth_path, through
-from mnist3d.handwriting.keyed_random import KeyedRng
-from mnist3d.handwriting.writer_style import WriterStyle
 from tactile_toolkit.array_types import Float64
 
 PAGE_PX = 500
@@ -36,11 +35,11 @@ Paths = list[Float64]
 
 def on_page(
     strokes: list[Stroke],
-    style: WriterStyle,
+    style: writer_style.WriterStyle,
     height_px: float,
     pen_px: float,
     vary: Vary,
-    rng: KeyedRng,
+    rng: keyed_random.KeyedRng,
 ) -> Paths:
     """Bend, scale and place a shape as its writer would.
 
@@ -62,7 +61,7 @@ def on_page(
     return [np.floor((path + shift) * _GRID + 0.5) / _GRID for path in paths]
 
 
-def _bend(paths: Paths, style: WriterStyle, vary: Vary) -> Paths:
+def _bend(paths: Paths, style: writer_style.WriterStyle, vary: Vary) -> Paths:
     """Bend, stretch and slant the strokes like one sheet of rubber, so that joined strokes stay joined."""
     low, high = _bounds(paths)
     wide, tall = max(high[0] - low[0], 1e-6), high[1] - low[1]
@@ -86,7 +85,7 @@ def _bounds(paths: Paths) -> tuple[Float64, Float64]:
     return points.min(axis=0), points.max(axis=0)
 
 
-def _relax(path: Float64, style: WriterStyle, rng: KeyedRng) -> Float64:
+def _relax(path: Float64, style: writer_style.WriterStyle, rng: keyed_random.KeyedRng) -> Float64:
     path = resample(path, SPACING_PX)
     knots = int(len(path) * SPACING_PX / _WAVE_PX) + 3
     at = np.arange(len(path)) * ((knots - 1) / len(path))

@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
-from mnist3d.handwriting.allographs import ALLOGRAPHS
-from mnist3d.handwriting.curves import Vary
-from mnist3d.handwriting.keyed_random import KeyedRng, index_at
+from mnist3d.handwriting import allographs, curves, keyed_random
 
 DIGIT_STYLES = (
     (0.93, 0.12, 1.1),
@@ -53,7 +51,7 @@ class WriterStyle:
     fidelity: float  # chance that a digit takes the writer's preferred shape
 
 
-def draw_style(rng: KeyedRng) -> WriterStyle:
+def draw_style(rng: keyed_random.KeyedRng) -> WriterStyle:
     """Draw a writer's traits.
 
     The ranges of height and pen width are those of HWD+ (Beaulac and Rosenthal 2022): ink 250 to 330 px
@@ -79,7 +77,9 @@ def draw_style(rng: KeyedRng) -> WriterStyle:
     )
 
 
-def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float = 1.0) -> Vary:
+def variation(
+    writer: keyed_random.KeyedRng, digit: keyed_random.KeyedRng, jitter: float, freedom: float = 1.0
+) -> curves.Vary:
     """Return the function that gives each number of a shape its value for one writer and one digit.
 
     `writer` is the stream of this writer and shape, which all digits of this shape share. `jitter` is the
@@ -95,7 +95,7 @@ def variation(writer: KeyedRng, digit: KeyedRng, jitter: float, freedom: float =
     return vary
 
 
-def style_for_digit(style: WriterStyle, label: int, vary: Vary) -> WriterStyle:
+def style_for_digit(style: WriterStyle, label: int, vary: curves.Vary) -> WriterStyle:
     """Return a style for one digit: people write some digits wider or steeper than others."""
     width, lean, _ = DIGIT_STYLES[label]
     return replace(
@@ -107,13 +107,15 @@ def style_for_digit(style: WriterStyle, label: int, vary: Vary) -> WriterStyle:
     )
 
 
-def choose_allograph(label: int, writer: int, class_noise: KeyedRng, digit: KeyedRng, fidelity: float) -> int:
+def choose_allograph(
+    label: int, writer: int, class_noise: keyed_random.KeyedRng, digit: keyed_random.KeyedRng, fidelity: float
+) -> int:
     """Return the shape of `label` to draw: the writer's own with chance `fidelity`, else any.
 
     Writers take their shapes along a low-discrepancy sequence, so that a few dozen writers show every shape
     in about its share, with any seed. `class_noise` is the stream of this seed and label.
     """
-    weights = [weight for _, weight in ALLOGRAPHS[label]]
+    weights = [weight for _, weight in allographs.ALLOGRAPHS[label]]
     mark = (class_noise.unit() + writer * _STRIDES[label]) % 1.0
-    preferred, other = index_at(weights, mark), index_at(weights, digit.unit())
+    preferred, other = keyed_random.index_at(weights, mark), keyed_random.index_at(weights, digit.unit())
     return preferred if digit.unit() < fidelity else other

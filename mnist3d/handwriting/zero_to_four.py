@@ -120,7 +120,7 @@ def two_looped(vary: Vary, pen: float) -> list[Stroke]:
 
 
 def two_angular(vary: Vary, pen: float) -> list[Stroke]:
-    """Draw a 2 with a flat top, near to a Z."""
+    """Draw a 2 with a flat top, close to a Z."""
     right, corner = vary(0.519, 0.055), (vary(0.037, 0.034), 1.0)
     top = [(vary(0.02, 0.03), vary(0.094, 0.036)), (0.55 * right, 0.0), (right, vary(0.14, 0.03))]
     down = [(0.80 * right, vary(0.422, 0.03)), (0.45 * right, 0.72), corner]

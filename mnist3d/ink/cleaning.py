@@ -80,7 +80,7 @@ def _without_small(mask: Bool, min_px: float, *, first_stays: bool = False) -> B
 def _pieces(mask: Bool) -> tuple[Int64, Int64]:
     """Return the runs of marked pixels, (row, begin, end) each, and for each the first run of its piece."""
     runs, touching = runs_of(mask)
-    return runs, mesh.connected(touching[:, 0], touching[:, 1], len(runs))
+    return runs, mesh.connected(touching[0], touching[1], len(runs))
 
 
 def _without_attached_specks(mask: Bool, min_px: float) -> Bool:

@@ -13,14 +13,9 @@ import numpy as np
 from PIL import Image
 from scipy import ndimage
 
+from mnist3d.ink import colours, grey_levels, one_digit, page_outline, printed_lines, refusals
 from mnist3d.ink.coarse_pictures import WIDEST_STROKE, eroded, fine_mask, to_coarse
-from mnist3d.ink.colours import coloured_ink
-from mnist3d.ink.grey_levels import SMALL_PX, margin
-from mnist3d.ink.one_digit import NEAR_PX, find_drawing, find_one_digit
-from mnist3d.ink.page_outline import find_page
-from mnist3d.ink.printed_lines import without_lines
 from mnist3d.ink.reflectance import Ink, find_ink, ink_is_light, reflectance, without_shadows
-from mnist3d.ink.refusals import refuse
 from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import ItemError
 
@@ -52,12 +47,12 @@ def is_clean(levels: UInt8) -> bool:
     Images whose shorter side has less than 64 px are clean. A sheet on a desk of one level is not, since no
     stroke is as wide as a sheet.
     """
-    if min(levels.shape) < SMALL_PX:
+    if min(levels.shape) < grey_levels.SMALL_PX:
         return True
-    paper = int(np.median(margin(levels)))
+    paper = int(np.median(grey_levels.margin(levels)))
     other = (levels < max(0, paper - CLEAN_LEVELS)) | (levels > min(255, paper + CLEAN_LEVELS))
     most = (1 - _CLEAN_IMAGE) * other.size
-    if margin(other).mean() > 1 - _CLEAN_MARGIN or np.count_nonzero(other) > most:
+    if grey_levels.margin(other).mean() > 1 - _CLEAN_MARGIN or np.count_nonzero(other) > most:
         return False
     few = other[:: max(1, other.shape[0] // 128), :: max(1, other.shape[1] // 128)]
     return not ndimage.minimum_filter(few, max(2, int(_SHEET * min(few.shape))), mode="constant").any()
@@ -108,7 +103,7 @@ def _views(picture: Image.Image) -> UInt8:
 
 
 def _even_out(views: UInt8, ink: str, whole: bool) -> UInt8:
-    page = find_page(views.min(axis=0))
+    page = page_outline.find_page(views.min(axis=0))
     if ink == "light" or (ink == "auto" and ink_is_light(to_coarse(views[0]), page)):
         views = 255 - views
     if whole:
@@ -132,7 +127,7 @@ def _across_shadow(views: UInt8, page: Bool) -> UInt8:
     levels = _ink_on(views, np.ones_like(page))
     outline = fine_mask(page & ~eroded(page, 2), levels.shape)
     if (levels[outline] < 128).mean() >= _CROSSED:
-        refuse("cut-off")
+        refusals.refuse("cut-off")
     return levels
 
 
@@ -146,7 +141,7 @@ def _under_fingers(views: UInt8, page: Bool) -> UInt8:
     wide = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
     core = wide.mask & (wide.reflectance < wide.ink + _CORE * (1 - wide.ink))
     if (levels[core] < 128).mean() <= _KEPT:
-        refuse("no-ink", sentence="empty-page")
+        refusals.refuse("no-ink", sentence="empty-page")
     return levels
 
 
@@ -157,7 +152,9 @@ def _ink_on(views: UInt8, page: Bool, widest: float = WIDEST_STROKE) -> UInt8:
     """Return the levels of the one digit on a page."""
     inside = fine_mask(eroded(page, 2), views[0].shape)
     found = find_ink(reflectance(views, page, widest), inside)
-    digit = find_one_digit(without_lines(without_shadows(found), inside), inside, found)
+    digit = one_digit.find_one_digit(
+        printed_lines.without_lines(without_shadows(found), inside), inside, found
+    )
     return _levels_of(digit, found)
 
 
@@ -165,11 +162,11 @@ def _drawing_on(views: UInt8, page: Bool) -> UInt8:
     """Return the levels of all ink on a page."""
     inside = fine_mask(eroded(page, 2), views[0].shape)
     found = find_ink(reflectance(views, page, WIDEST_STROKE), inside)
-    inked = without_lines(without_shadows(found), inside)
+    inked = printed_lines.without_lines(without_shadows(found), inside)
     if len(views) > 1:
         channels = np.stack([reflectance(view[None], page, _WIDEST_PART) for view in views[1:]])
-        inked |= coloured_ink(channels) & inside
-    return _levels_of(find_drawing(inked, inside, found), found)
+        inked |= colours.coloured_ink(channels) & inside
+    return _levels_of(one_digit.find_drawing(inked, inside, found), found)
 
 
 def _levels_of(inked: Bool, found: Ink) -> UInt8:
@@ -179,6 +176,6 @@ def _levels_of(inked: Bool, found: Ink) -> UInt8:
     """
     gain = _GAIN * 255 / (1 - found.ink)
     levels = np.rint(127.5 + gain * (found.reflectance - (1 + found.ink) / 2))
-    near = ndimage.binary_dilation(inked, iterations=NEAR_PX) & ~found.mask
+    near = ndimage.binary_dilation(inked, iterations=one_digit.NEAR_PX) & ~found.mask
     shown = np.where(near, np.clip(levels, 128, 255), 255)
     return np.where(inked, np.clip(levels, 0, 127), shown).astype(np.uint8)

@@ -12,18 +12,18 @@ from __future__ import annotations
 
 from typing import Literal, NamedTuple
 
-from mnist3d.ink.binarisation import binarise, ink_of_levels
-from mnist3d.ink.cleaning import count_bodies_and_holes
-from mnist3d.ink.refusals import refuse
+from mnist3d.ink import binarisation, cleaning, refusals
+from mnist3d.solid import (
+    literal,
+    marching_cubes,
+    picture_ink,
+    smoothing,
+    solid_size,
+)
 from mnist3d.solid.decimation import BUDGET_SLACK, decimate, without_flat_vertices
 from mnist3d.solid.erosion_and_stacking import erode, stack
 from mnist3d.solid.lattice import Lattice, lattice_of
-from mnist3d.solid.literal import literal_solid
-from mnist3d.solid.marching_cubes import half_surface
 from mnist3d.solid.mirroring_and_scaling import fit_to_size, mirror, scale
-from mnist3d.solid.picture_ink import PictureLike, SizedInk, for_strokes, sized_ink
-from mnist3d.solid.smoothing import smooth
-from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid.surface import Surface, bodies_and_holes
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import Bool, Float32, UInt8
@@ -32,7 +32,7 @@ from tactile_toolkit.mesh import Mesh, on_base_plate
 
 
 def solidify(
-    picture: PictureLike,
+    picture: picture_ink.PictureLike,
     spec: SolidSpec | None = None,
     *,
     height_mm: float | None = None,
@@ -87,15 +87,15 @@ def solidify(
     """
     if method not in ("fast", "literal"):
         raise InputError(f"method is {method!r}; expected 'fast' or 'literal'")
-    size = SolidSize(height_mm, width_mm, pixel_mm)
-    sized = sized_ink(picture, spec, size, which=ink, threshold=threshold)
+    size = solid_size.SolidSize(height_mm, width_mm, pixel_mm)
+    sized = picture_ink.sized_ink(picture, spec, size, which=ink, threshold=threshold)
     return solid_of_ink(sized, base_mm, method)
 
 
-def solid_of_ink(sized: SizedInk, base_mm: float | None = None, method: str = "fast") -> Mesh:
+def solid_of_ink(sized: picture_ink.SizedInk, base_mm: float | None = None, method: str = "fast") -> Mesh:
     """Build the solid of ink on its sheet; see :func:`solidify`."""
     if method == "literal":
-        made = literal_solid(sized.mask, sized.spec)
+        made = literal.literal_solid(sized.mask, sized.spec)
     else:
         made = solid_steps(sized.mask, sized.spec).mesh
     if sized.is_fine:
@@ -110,8 +110,8 @@ def solid_of_sheet(pixels: UInt8, spec: SolidSpec, *, is_drawing: bool = False) 
     Of a drawing, parts that are as thin as its strokes are kept, such as the dot of an i.
     """
     if is_drawing:
-        spec = for_strokes(ink_of_levels(pixels, spec.threshold), spec)
-    return solid_steps(binarise(pixels, spec, ink="dark"), spec).mesh
+        spec = picture_ink.for_strokes(binarisation.ink_of_levels(pixels, spec.threshold), spec)
+    return solid_steps(binarisation.binarise(pixels, spec, ink="dark"), spec).mesh
 
 
 class SolidSteps(NamedTuple):
@@ -141,18 +141,18 @@ def solid_steps(ink: Bool, spec: SolidSpec) -> SolidSteps:
     Raises ItemError ``topology`` or ``vertex-budget``.
     """
     lattice = lattice_of(ink, spec)
-    counts = count_bodies_and_holes(lattice.ink)
+    counts = cleaning.count_bodies_and_holes(lattice.ink)
     while True:
         layers = [erode(lattice, height_px, spec) for height_px in lattice.heights_px(spec)]
         upper_half = stack(layers)
-        surface = half_surface(upper_half, lattice)
-        smoothed = smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
+        surface = marching_cubes.half_surface(upper_half, lattice)
+        smoothed = smoothing.smooth(surface, spec.smoothing_iterations, spec.smoothing_factor)
         found = bodies_and_holes(len(smoothed.vertices_px), smoothed.faces, len(smoothed.rim))
         if found == counts:
             break
         finer = lattice.finer(layers[0] > 0)
         if finer is None:
-            refuse("topology", *counts, *found)
+            refusals.refuse("topology", *counts, *found)
         lattice = finer
     mesh = scale(mirror(smoothed), ink.shape, spec)
     # With a given pitch, the number of vertices follows from it.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
+import manifold3d
 import numpy as np
 
 from mnist3d.ink.refusals import refuse
@@ -75,7 +75,7 @@ def without_flat_vertices(mesh: Mesh) -> Mesh:
     return mesh
 
 
-def _mesh_of(solid: Any) -> Mesh:
+def _mesh_of(solid: manifold3d.Manifold) -> Mesh:
     mesh = Mesh.from_manifold(solid)
     mesh.vertices_m[:, 2] -= mesh.vertices_m[:, 2].min()
     return Mesh(mesh.vertices_m.astype(np.float32), mesh.faces)
@@ -85,7 +85,7 @@ def _crosses_itself(mesh: Mesh, bodies: int) -> bool:
     return self_crossing(mesh.vertices_mm, mesh.faces.astype(np.int64), bodies) is not None
 
 
-def _keeps_topology(solid: Any, counts: tuple[int, int]) -> bool:
+def _keeps_topology(solid: manifold3d.Manifold, counts: tuple[int, int]) -> bool:
     """Return whether a symmetric solid has these bodies and holes, and none of its walls have met."""
     if bodies_and_holes(solid.num_vert(), np.asarray(solid.to_mesh64().tri_verts)) != counts:
         return False

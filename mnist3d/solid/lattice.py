@@ -11,10 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mnist3d.compiled_loops import narrow_pixels, signed_distance_px
+from mnist3d import compiled_loops, solid_spec
 from mnist3d.solid.node_sampling import FACTOR_GRAIN_PX, linear, on_grid, sampled
 from mnist3d.solid.profile import half_height_px
-from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit.array_types import Bool, Float32, Float64, Int64
 
 # The default budget needs 3.9 to 5.7 px, so two rounds are enough.
@@ -71,7 +70,7 @@ class Lattice:
         """Least depth of a node, pixels."""
         return np.float32(MIN_NODE_DEPTH * self.pitch_px)
 
-    def heights_px(self, spec: SolidSpec) -> Float32:
+    def heights_px(self, spec: solid_spec.SolidSpec) -> Float32:
         """Return the heights of the layers from the mid-plane to beyond the top of the solid, shape (L, 1).
 
         Each height is an array: numpy squares scalars by another function, whose last bit may differ.
@@ -138,16 +137,18 @@ class Lattice:
         return np.asarray(left * before + right * after)
 
 
-def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
+def lattice_of(ink: Bool, spec: solid_spec.SolidSpec) -> Lattice:
     """Lay a lattice over clean ink (:func:`mnist3d.ink.clean`) that shows all narrow parts."""
     # Two nodes of paper on each side even at the coarsest pitch, so that the surface closes.
     margin_px = math.ceil(2 * LARGEST_PITCH_PX)
     (top, bottom), (left, right) = (np.flatnonzero(ink.any(axis=axis))[[0, -1]].tolist() for axis in (1, 0))
     crop = np.pad(ink[top : bottom + 1, left : right + 1], margin_px)
     # Deeper than the half thickness, the surface is flat; 4 px more keep the cut-off out of the blur.
-    distance = signed_distance_px(crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX)
+    distance = compiled_loops.signed_distance_px(
+        crop, math.ceil(spec.half_thickness_px) + 4, 2 * LARGEST_PITCH_PX
+    )
     distance = on_grid(distance, FACTOR_GRAIN_PX)
-    narrow = narrow_pixels(distance, NARROW_PX, NARROW_REACH_PX)
+    narrow = compiled_loops.narrow_pixels(distance, NARROW_PX, NARROW_REACH_PX)
     pitch_px = _first_pitch_px(distance, spec)
     rows, columns = (np.arange(0.0, side - 1, pitch_px) for side in distance.shape)
     corner_px = top - margin_px, left - margin_px
@@ -155,7 +156,7 @@ def lattice_of(ink: Bool, spec: SolidSpec) -> Lattice:
     return Lattice(crop, corner_px, distance, narrow, rows, columns, pitch_px, s_px).fitted()
 
 
-def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
+def _first_pitch_px(distance: Float32, spec: solid_spec.SolidSpec) -> float:
     """Return the given pitch, or the one at which marching cubes meet the vertex budget.
 
     A vertex lies on every edge of the lattice that crosses the surface, so their number is known before the
@@ -171,7 +172,7 @@ def _first_pitch_px(distance: Float32, spec: SolidSpec) -> float:
     return pitch
 
 
-def _crossed_edges(s_px: Float32, pitch_px: float, spec: SolidSpec) -> int:
+def _crossed_edges(s_px: Float32, pitch_px: float, spec: solid_spec.SolidSpec) -> int:
     """Count the edges that cross the whole surface, beside and above the nodes; those of the rim once."""
     layers = np.ceil(half_height_px(s_px, spec) / np.float32(pitch_px)).astype(np.int32)
     beside = np.abs(np.diff(layers, axis=0)).sum() + np.abs(np.diff(layers, axis=1)).sum()

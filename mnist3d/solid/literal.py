@@ -6,13 +6,10 @@ budget. Slow and plain on purpose.
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 from scipy import ndimage
 
-from mnist3d.ink.cleaning import count_bodies_and_holes
-from mnist3d.ink.refusals import refuse
+from mnist3d.ink import cleaning, refusals
 from mnist3d.solid.decimation import decimate
 from mnist3d.solid.erosion_and_stacking import stack
 from mnist3d.solid.marching_cubes import isosurface
@@ -35,10 +32,10 @@ def literal_solid(ink: Bool, spec: SolidSpec, *, decimated: bool = True) -> Mesh
     volume = np.concatenate([upper_half[:, :, ::-1], upper_half], axis=2)
     # A margin of empty voxels closes the surface; the corner undoes the shift by one pixel.
     surface = Surface(*isosurface(np.pad(volume, 1), 0.5), corner_px=(-1, -1, -1))
-    counts = count_bodies_and_holes(ink)
+    counts = cleaning.count_bodies_and_holes(ink)
     found = bodies_and_holes(len(surface.vertices_px), surface.faces)
     if found != counts:
-        refuse("topology", *found, *counts, sentence="layers")
+        refusals.refuse("topology", *found, *counts, sentence="layers")
     smoothed = smooth(surface, spec.literal_smoothing_iterations, spec.smoothing_factor)
     mesh = scale(smoothed, ink.shape, spec)
     if decimated:
@@ -63,5 +60,5 @@ def eroded_by_disc(ink: Bool, radius_px: float) -> Bool:
     more. ``SolidSpec.erosion`` chooses between them through the radii of :func:`erosion_radii_px`.
     """
     # One transform serves any radius; repeated small erosions would draw polygons.
-    distance: Any = ndimage.distance_transform_edt(np.pad(ink, 1))
+    distance = np.asarray(ndimage.distance_transform_edt(np.pad(ink, 1)))
     return np.asarray(ink & (distance[1:-1, 1:-1] >= radius_px + 0.5))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 import os
-from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any, NamedTuple, TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from PIL import Image
@@ -19,11 +18,11 @@ from mnist3d.ink.bridges import thinnest_stroke_px
 from mnist3d.ink.grey_levels import MOST_DRAWN
 from mnist3d.solid.solid_size import SolidSize
 from mnist3d.solid_spec import LARGEST_HALF_THICKNESS_PX, SolidSpec
-from mnist3d.sources.picture_files import pages_of, size_of_page, upright_levels
-from mnist3d.sources.picture_levels import picture_levels, read_picture
+from mnist3d.sources import picture_files, picture_levels
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Bool, Int32, UInt8
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonObject
 from tactile_toolkit.wording import with_count
 
 PictureLike: TypeAlias = "str | os.PathLike[str] | Image.Image | AnyArray"
@@ -49,7 +48,7 @@ _NODES_PER_STROKE = 4.0
 # Most nodes of the lattice of a drawing; each takes some 20 bytes.
 _MOST_NODES = 3e7
 
-NO_CHANGES: Mapping[str, Any] = MappingProxyType({})
+NO_CHANGES: JsonObject = MappingProxyType({})
 """The parameters of a specification as they are."""
 
 
@@ -70,7 +69,7 @@ def sized_ink(
     spec: SolidSpec | None,
     size: SolidSize,
     *,
-    changes: Mapping[str, Any] = NO_CHANGES,
+    changes: JsonObject = NO_CHANGES,
     which: str = "auto",
     threshold: str = "auto",
     page: int = 0,
@@ -117,12 +116,14 @@ def _levels(
     if isinstance(picture, (str, os.PathLike)):
         return _levels_of_file(store.expanded(os.fspath(picture)), which, threshold, page)
     if isinstance(picture, Image.Image):
-        levels = picture_levels(upright_levels(picture), which, threshold, "the picture", whole=True)
+        levels = picture_levels.picture_levels(
+            picture_files.upright_levels(picture), which, threshold, "the picture", whole=True
+        )
         return levels, None, []
     array = np.asarray(picture)
     if array.ndim == 3:
         image = _image_of(array)
-        return picture_levels(image, which, threshold, "the picture", whole=True), None, []
+        return picture_levels.picture_levels(image, which, threshold, "the picture", whole=True), None, []
     if threshold == "local":
         return ink.even_out(ink.as_levels(array), which, whole=True), None, []
     if threshold == "global" and which == "auto":
@@ -132,14 +133,14 @@ def _levels(
 
 
 def _levels_of_file(path: Path, which: str, threshold: str, page: int) -> tuple[UInt8, None, list[str]]:
-    pages = pages_of(path)
+    pages = picture_files.pages_of(path)
     if page not in pages:
         raise InputError(
             f"{path} has no page {page}; it has {with_count(len(pages), 'pages')}, counted from 0",
             next="give the number of one of them",
         )
-    levels = read_picture(path, which, threshold, page, whole=True)
-    stored, notes = size_of_page(path, page), []
+    levels = picture_levels.read_picture(path, which, threshold, page, whole=True)
+    stored, notes = picture_files.size_of_page(path, page), []
     if max(stored) > max(levels.shape):
         height, width = levels.shape
         notes = [f"the picture of {stored[0]:,} x {stored[1]:,} pixels was reduced to {width:,} x {height:,}"]

@@ -8,9 +8,8 @@ import numpy as np
 from PIL import Image
 
 from mnist3d.ink.binarisation import binarise
-from mnist3d.solid.algorithm import solid_steps
+from mnist3d.solid import algorithm, mirroring_and_scaling
 from mnist3d.solid.lattice import Lattice
-from mnist3d.solid.mirroring_and_scaling import scale
 from mnist3d.solid_spec import SolidSpec
 from tactile_toolkit import pictures
 from tactile_toolkit.arithmetic import inverse_affine
@@ -36,12 +35,12 @@ def draw_steps(pixels: AnyArray, spec: SolidSpec, title: str) -> UInt8:
     """
     try:
         ink = binarise(pixels, spec, ink="dark")
-        steps = solid_steps(ink, spec)
+        steps = algorithm.solid_steps(ink, spec)
     except ItemError as error:
         raise ItemError(error.reason, f"{title}: {error}") from error
     window, lattice, solid = _window(ink), steps.lattice, steps.mesh
     layers = _layers_px(lattice, steps.upper_half > 0, window)
-    upper = scale(steps.surface, ink.shape, spec)
+    upper = mirroring_and_scaling.scale(steps.surface, ink.shape, spec)
     px_per_mm = _PANEL_PX / (max(layers[0].shape) * spec.pixel_pitch_mm)
     views = [
         pictures.draw_bodies((pictures.DrawnBody(mesh, CLAY),), (_PANEL_PX, _PANEL_PX), px_per_mm * MM_PER_M)

@@ -20,9 +20,8 @@ import numpy as np
 
 import mnist3d.ink
 from mnist3d.sources.digit_source import NO_WRITER, DigitCatalog, DigitImage, require_known
-from tactile_toolkit import store
+from tactile_toolkit import bounds, store
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import HubError, InputError, needs_extra
 from tactile_toolkit.wording import with_count
 
@@ -136,7 +135,7 @@ def download_mnist(root: str) -> None:
     if all(_find(root, prefix, kind) for prefix, kind in product(_PREFIXES.values(), _KINDS)):
         return
     with needs_extra("Downloading MNIST", "torchvision", "torch"):
-        from torchvision.datasets import MNIST
+        from torchvision.datasets import MNIST  # an extra, which takes seconds to import
     try:
         # torchvision writes to stdout, which belongs to the results of a command.
         with redirect_stdout(sys.stderr):
@@ -190,7 +189,7 @@ def read_idx(path: Path, magic: int) -> UInt8:
             found, *shape = struct.unpack(f">{start // 4}I", header)
             if found != magic:
                 raise _unusable(path, f"magic number {found}", magic)
-            require_unpackable(prod(shape), str(path))
+            bounds.require_unpackable(prod(shape), str(path))
             data = stream.read(prod(shape) + 1)
     except (EOFError, OSError, zlib.error) as error:
         problem = getattr(error, "strerror", None) or "damaged or cut off"

@@ -10,10 +10,8 @@ from pathlib import Path
 
 from PIL import Image, ImageOps, UnidentifiedImageError, features
 
-from tactile_toolkit import store
-from tactile_toolkit.bounds import require_unpackable
+from tactile_toolkit import bounds, store, touch
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError, install_line
-from tactile_toolkit.touch import require_bounded_jpeg
 
 _ENDINGS = {
     "PNG": (".png", ".apng"),
@@ -158,7 +156,7 @@ def _require_bounded(picture: Image.Image, path: Path) -> None:
     if picture.format not in ("JPEG", "MPO"):
         return
     try:
-        require_bounded_jpeg(path.read_bytes())
+        touch.require_bounded_jpeg(path.read_bytes())
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -168,12 +166,12 @@ def _reduced(picture: Image.Image) -> Image.Image:
     width, height = picture.size
     what = f"a picture of {width} x {height} pixels"
     try:
-        require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
+        bounds.require_unpackable(width * height * _BYTES_PER_PIXEL.get(picture.mode, 24), what)
     except InputError:
         # JPEG is decoded at 1/2, 1/4 or 1/8 of its size.
         picture.draft(None, (_REDUCED_PX // 2, _REDUCED_PX // 2))
         width, height = picture.size
-        require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
+        bounds.require_unpackable(width * height * _BYTES_HELD.get(picture.mode, 4), what)
         factor = -(-max(width, height) // _REDUCED_PX)
         if picture.mode in ("1", "P"):
             return picture.convert("L" if picture.mode == "1" else "RGB").reduce(factor)

@@ -15,9 +15,8 @@ from typing import ClassVar, NamedTuple
 import numpy as np
 
 import mnist3d.ink
+from mnist3d.sources import picture_files, picture_levels
 from mnist3d.sources.digit_source import DIGITS, NO_WRITER, DigitCatalog, DigitImage, require_known
-from mnist3d.sources.picture_files import is_picture_name, pages_of
-from mnist3d.sources.picture_levels import read_picture
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.parsed_text import natural_key
@@ -86,7 +85,9 @@ class FolderSource:
         picture = listing.pictures[digit_id]
         is_whole = listing.class_names != DIGITS
         path = Path(self.root, picture.name)
-        pixels = mnist3d.ink.fit(read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole))
+        pixels = mnist3d.ink.fit(
+            picture_levels.read_picture(path, self.ink, self.threshold, picture.page, whole=is_whole)
+        )
         return DigitImage(digit_id, picture.label, pixels, picture.writer, picture.file)
 
     def fingerprint(self) -> dict[str, object]:
@@ -245,6 +246,6 @@ def _problem_of(path: Path, base: Path) -> str:
 def _pages(path: Path) -> tuple[int, ...]:
     """Return the pages of a picture; one for an unreadable picture, none for files of other types."""
     try:
-        return pages_of(path)
+        return picture_files.pages_of(path)
     except ItemError:
-        return (0,) if is_picture_name(path.name) else ()
+        return (0,) if picture_files.is_picture_name(path.name) else ()

@@ -19,7 +19,7 @@ from mnist3d.ink.grey_levels import (
     require_paper_around,
 )
 from mnist3d.sources.picture_files import decode_page
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import Bool, UInt8
 from tactile_toolkit.errors import ItemError
 
 # Possible levels of white in integers: cameras and scanners store 10, 12 or 14 bits in 16.
@@ -68,10 +68,9 @@ def picture_levels(
     """Return the ink of a picture as grey levels from 0 (ink) to 255 (paper), in its own size.
 
     Transparency shows paper. The light of photographs and scans is evened out (``mnist3d.ink.even_out``).
-    The grey levels of clean images are stretched so that paper is white and ink black. Black on white stays
-    unchanged, and a picture without contrast (an empty page) is not stretched. With ``"auto"`` the margin of
-    a clean image is paper, on either side of Otsu's threshold. Where grey levels lose colours that differ
-    from the paper, these are ink, too (:mod:`mnist3d.ink.colours`).
+    The grey levels of clean images are stretched so that paper is white and ink black, unless there is no
+    contrast (an empty page). With ``"auto"`` the margin of a clean image is paper, on either side of Otsu's
+    threshold. Colours that grey levels lose are ink, too (:mod:`mnist3d.ink.colours`).
 
     Parameters
     ----------
@@ -121,6 +120,11 @@ def picture_levels(
     if is_flat or dark.all() or not dark.any():
         return grey
     require_paper_around(dark, most_ink)
+    return _stretched(grey, dark)
+
+
+def _stretched(grey: UInt8, dark: Bool) -> UInt8:
+    """Stretch grey levels so that dark ink becomes 0 and the rest, paper, 255."""
     # Ink of thin strokes is mostly edge, so its median would be too light; single dark pixels are specks.
     darkest, paper = float(np.percentile(grey[dark], 10)), float(np.median(grey[~dark]))
     table = np.clip((np.arange(256) - darkest) * (255 / (paper - darkest)), 0, 255)

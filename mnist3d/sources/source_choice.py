@@ -2,15 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
-from mnist3d.sources.digit_source import DigitSource
-from mnist3d.sources.hwdplus import HwdPlusSource
-from mnist3d.sources.mnist import MnistSource, download_mnist
-from mnist3d.sources.picture_folder import FolderSource
-from mnist3d.sources.synthetic import HWD_PLUS_COUNT, SyntheticSource
+from mnist3d.sources import digit_source, hwdplus, mnist, picture_folder, synthetic
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonObject
 
 _NEEDED = {
     "synthetic": (),
@@ -32,7 +26,7 @@ _UNCOMPARED = ("writers_sha256", "left_out")
 """Parts of a fingerprint that do not affect solids."""
 
 
-def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource:
+def chosen_source(name: str, given: JsonObject, seed: int) -> digit_source.DigitSource:
     """Return the source that options ask for; InputError for a missing option, or one of another source."""
     for option in _NEEDED[name]:
         if option not in given:
@@ -46,17 +40,19 @@ def chosen_source(name: str, given: Mapping[str, Any], seed: int) -> DigitSource
                 next=f"leave it out, or name its source (--source {owners})",
             )
     if name == "synthetic":
-        return SyntheticSource(seed, given.get("digits", HWD_PLUS_COUNT))
+        return synthetic.SyntheticSource(seed, given.get("digits", synthetic.HWD_PLUS_COUNT))
     if name == "hwdplus":
-        return HwdPlusSource(**given)
+        return hwdplus.HwdPlusSource(**given)
     if name == "folder":
-        return FolderSource(given["images"], given.get("foreground", "auto"), given.get("threshold", "auto"))
+        return picture_folder.FolderSource(
+            given["images"], given.get("foreground", "auto"), given.get("threshold", "auto")
+        )
     if given.get("download"):
-        download_mnist(given["images"])
-    return MnistSource(given["images"])
+        mnist.download_mnist(given["images"])
+    return mnist.MnistSource(given["images"])
 
 
-def source_again(described: Mapping[str, Any], **files: str | None) -> DigitSource:
+def source_again(described: JsonObject, **files: str | None) -> digit_source.DigitSource:
     """Return the source that a fingerprint describes; ``files`` are the present paths of its files.
 
     Raises InputError if files are missing, or differ from those that the data set was made from.

@@ -8,10 +8,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from mnist3d.handwriting.allographs import ALLOGRAPHS
-from mnist3d.handwriting.inking import ink_paths
-from mnist3d.handwriting.keyed_random import KeyedRng
-from mnist3d.handwriting.page_layout import on_page
+from mnist3d.handwriting import allographs, inking, keyed_random, page_layout
 from mnist3d.handwriting.writer_style import (
     DIGIT_STYLES,
     WriterStyle,
@@ -97,7 +94,7 @@ class SyntheticSource:
 
     def hand(self, writer: int) -> WriterStyle:
         """Return the traits of a writer, counted from 0; all digits of the writer share them."""
-        return draw_style(KeyedRng(_HAND, self.seed, writer))
+        return draw_style(keyed_random.KeyedRng(_HAND, self.seed, writer))
 
     def image(self, digit_id: int) -> DigitImage:
         """Draw one digit, 500 x 500 px.
@@ -112,18 +109,18 @@ class SyntheticSource:
         digit_id = index(digit_id)
         require_known(digit_id, self.count, "the synthetic source")
         writer, label = digit_id // _PER_WRITER, digit_id % _PER_WRITER // _PER_CLASS
-        style, rng = self.hand(writer), KeyedRng(_DIGIT, self.seed, digit_id)
+        style, rng = self.hand(writer), keyed_random.KeyedRng(_DIGIT, self.seed, digit_id)
         height_px = style.height_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
         pen_px = style.pen_px * (1.0 + _SIZE_JITTER * style.jitter * rng.approx_normal())
-        class_noise = KeyedRng(_CLASS_NOISE, self.seed, label)
+        class_noise = keyed_random.KeyedRng(_CLASS_NOISE, self.seed, label)
         choice = choose_allograph(label, writer, class_noise, rng, style.fidelity)
-        writer_noise = KeyedRng(_WRITER_NOISE, self.seed, writer, label, choice)
+        writer_noise = keyed_random.KeyedRng(_WRITER_NOISE, self.seed, writer, label, choice)
         vary = variation(writer_noise, rng, style.jitter, DIGIT_STYLES[label][2])
         style = style_for_digit(style, label, vary)
-        shape, _ = ALLOGRAPHS[label][choice]
+        shape, _ = allographs.ALLOGRAPHS[label][choice]
         # The width of the pen as a share of the height between middle lines, larger in narrow hands.
         strokes = shape(vary, pen_px / (height_px - pen_px) / min(style.aspect, 1.0))
-        paths = on_page(strokes, style, height_px, pen_px, vary, rng)
+        paths = page_layout.on_page(strokes, style, height_px, pen_px, vary, rng)
         # Ink has a stream of its own, so that it does not depend on how many numbers the shape took.
-        pixels = ink_paths(paths, pen_px, style, KeyedRng(_INK, self.seed, digit_id))
+        pixels = inking.ink_paths(paths, pen_px, style, keyed_random.KeyedRng(_INK, self.seed, digit_id))
         return DigitImage(digit_id, label, pixels, writer)

@@ -10,8 +10,8 @@ import numpy as np
 from tactile_toolkit.array_types import Float32
 
 _LEAK = np.float32(0.1)
-_RATE, _MOST_ROWS = 100_000  # from which mean and spread of inputs are taken
-_BATCH = 5e-3, 4096
+_RATE, _BATCH = 5e-3, 4096
+_MOST_ROWS = 100_000  # from which mean and spread of inputs are taken
 _DECAYS = (0.9, 0.999)  # Adam (Kingma and Ba 2015), whose numbers these are
 _BLOCK = 1 << 14  # rows that stay in the processor's cache
 

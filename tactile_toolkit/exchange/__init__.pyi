@@ -12,6 +12,7 @@ from .download import (
     run_download as run_download,
 )
 from .flat_tables import (
+    Choices as Choices,
     plan_tables as plan_tables,
 )
 from .upload_options import (

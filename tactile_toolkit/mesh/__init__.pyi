@@ -67,7 +67,6 @@ from .records import (
     RecordStream as RecordStream,
     SolidDataset as SolidDataset,
     SolidRecord as SolidRecord,
-    open_solids as open_solids,
 )
 from .crossings import (
     self_crossing as self_crossing,

@@ -10,19 +10,15 @@ import numpy as np
 
 from tactile_toolkit import read
 from tactile_toolkit.array_types import Float32, Float64, Int32
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import DatasetKind
 from tactile_toolkit.mesh.files import write_mesh
 from tactile_toolkit.mesh.mesh import Mesh
-from tactile_toolkit.mesh.mesh_columns import FACES, VERTICES, require_mesh_columns
+from tactile_toolkit.mesh.mesh_columns import FACES, VERTICES
 
 if TYPE_CHECKING:
     import trimesh
 
 R = TypeVar("R", bound=read.Record)
 S = TypeVar("S", bound="SolidRecord")
-D = TypeVar("D", bound=read.AnyRecords)
-W = TypeVar("W", bound="RecordStream[Any]")
 
 
 class SolidRecord(read.Record):
@@ -128,28 +124,3 @@ class RecordStream(read.RowStream[read.RowSource], Generic[R]):
         for shard, index in self.row_groups():
             for block in shard.blocks(index):
                 yield from (self._record(read.Row(block, row)) for row in range(len(block.table)))
-
-
-def open_solids(
-    shards: tuple[read.Shard, ...],
-    name: str,
-    dataset: type[D],
-    kind: DatasetKind,
-    stream: type[W] | None = None,
-) -> D | W:
-    """Open shards as a data set of a kind, or as a stream where a class of streams is given.
-
-    ``name`` is the name of the data set, for messages. Raises InputError when a mesh column is missing, or
-    several files have different classes.
-    """
-    table = read.ShardedTable(shards)
-    schemas = table.schemas
-    for schema in schemas:
-        require_mesh_columns(schema, name, kind.made_by)
-    names = list(dict.fromkeys(read.class_names(each, kind.class_names, name) for each in schemas))
-    if len(names) > 1:
-        shown = " and ".join(", ".join(each) for each in names[:2])
-        raise InputError(f"{name!r} has the classes {shown}", next="open files of one data set together")
-    if stream is not None:
-        return stream(shards, dataset.record_class, kind.class_names)
-    return dataset(table, label_names=names[0])

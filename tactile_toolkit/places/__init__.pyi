@@ -7,6 +7,10 @@ from .kinds_of_rows import (
     kind_of_rows as kind_of_rows,
     require_kind as require_kind,
 )
+from .loading import (
+    MeshLoader as MeshLoader,
+    loader as loader,
+)
 from .opening import (
     Name as Name,
     folder_place as folder_place,

@@ -5,6 +5,7 @@ Separate from the runners, because every command imports it and needs no :mod:`m
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections import deque
@@ -57,16 +58,40 @@ def limit_threads() -> None:
     for name in _THREAD_VARIABLES:
         os.environ.setdefault(name, "1")
     # oneTBB, which manifold3d uses, has no setting for this: when it first works, it counts the processors
-    # that the process may use. Other systems cannot be told which.
-    if sys.platform == "linux" and hasattr(os, "sched_setaffinity"):
-        allowed = os.sched_getaffinity(0)
-        os.sched_setaffinity(0, {min(allowed)})
-        try:
+    # that the process may use. On macOS it counts all, which nothing can change.
+    if sys.platform in ("linux", "win32"):
+        with _on_one_processor():
             import manifold3d
 
             manifold3d.Manifold.cube((1.0, 1.0, 1.0)).status()
+
+
+@contextlib.contextmanager
+def _on_one_processor() -> Iterator[None]:
+    """Let this process use the first of its processors only, meanwhile."""
+    if sys.platform == "win32":
+        import ctypes  # not for every command line
+
+        system = ctypes.WinDLL("kernel32")
+        process, allowed, installed = ctypes.c_void_p(-1), ctypes.c_size_t(), ctypes.c_size_t()
+        system.GetProcessAffinityMask(process, ctypes.byref(allowed), ctypes.byref(installed))
+        bits = allowed.value  # 0 for a process on more than 64 processors
+        if bits:
+            system.SetProcessAffinityMask(process, ctypes.c_size_t(bits & -bits))
+        try:
+            yield
         finally:
-            os.sched_setaffinity(0, allowed)
+            if bits:
+                system.SetProcessAffinityMask(process, ctypes.c_size_t(bits))
+    elif sys.platform == "linux" and hasattr(os, "sched_setaffinity"):
+        processors = os.sched_getaffinity(0)
+        os.sched_setaffinity(0, {min(processors)})
+        try:
+            yield
+        finally:
+            os.sched_setaffinity(0, processors)
+    else:
+        yield
 
 
 def keep_memory() -> None:

@@ -136,7 +136,7 @@ def test_it_shows_what_it_sends_and_sends_nothing_twice(server, folder, capsys):
     assert re.search(r"5 of 5 files to send, [\d.]+ kB of [\d.]+ kB, 0 to remove", printed.out)
     assert "sent 5 files, removed 0; all 5 compared by checksum" in printed.out
     assert "tag set: v1" in printed.out
-    assert "left out, as they are no part of the data set: notes.txt" in printed.err
+    assert "left out, not part of the data set: notes.txt" in printed.err
     assert call("starstruck", "upload", folder, NAME, "--yes") == 0
     assert "someone/stars holds all files already, compared by checksum; nothing was sent" in (
         capsys.readouterr().out

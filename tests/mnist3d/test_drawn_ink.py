@@ -127,12 +127,22 @@ def test_specks_that_are_left_out_are_counted() -> None:
     assert inked(word(), width_mm=100).notes == ()
 
 
-def test_a_picture_of_108_megapixels_is_reduced_with_a_note(tmp_path: Path) -> None:
-    large = Image.new("L", (12_000, 9_000), 255)
-    ImageDraw.Draw(large).line([(3000, 2000), (9000, 2000), (5000, 7000)], fill=10, width=500)
+@pytest.mark.parametrize(
+    ("reduction", "memory"), [(2, "64"), pytest.param(4, None, marks=pytest.mark.thorough)]
+)
+def test_a_picture_of_up_to_108_megapixels_is_reduced_with_a_note(
+    reduction: int, memory: str | None, tmp_path: Path, monkeypatch: Any
+) -> None:
+    if memory is not None:
+        monkeypatch.setenv("TACTILE_TOOLKIT_UNPACKED_MIB", memory)
+    large = Image.new("L", (3_000 * reduction, 2_250 * reduction), 255)
+    corners = [(750, 500), (2250, 500), (1250, 1750)]
+    line = [(reduction * x, reduction * y) for x, y in corners]
+    ImageDraw.Draw(large).line(line, fill=10, width=125 * reduction)
     large.convert("RGB").save(tmp_path / "large.jpg", quality=60)
     found = inked(tmp_path / "large.jpg")
-    assert found.notes == ("the picture of 12,000 x 9,000 pixels was reduced to 3,000 x 2,250",)
+    size = f"{large.width:,} x {large.height:,}"
+    assert found.notes == (f"the picture of {size} pixels was reduced to 3,000 x 2,250",)
     small = inked(large.resize((1200, 900)))
     assert found.spec.pixel_pitch_mm == pytest.approx(small.spec.pixel_pitch_mm)
     assert np.count_nonzero(found.mask ^ small.mask) < 0.02 * np.count_nonzero(small.mask)

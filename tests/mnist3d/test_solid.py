@@ -341,7 +341,7 @@ def checkerboard(rng: np.random.Generator, side: int) -> np.ndarray:
     return (np.add.outer(np.arange(side) // step, np.arange(side) // step) % 2).astype(bool)
 
 
-@settings(max_examples=30, derandomize=True)
+@settings(max_examples=settings.default.max_examples // 2, derandomize=True)
 @given(
     st.sampled_from([blobs, strokes, noise, checkerboard]),
     st.integers(0, 10_000),

@@ -53,7 +53,7 @@ def sets(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, int | None]
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-@pytest.mark.parametrize("label", LABELS)
+@pytest.mark.parametrize("label", [None, pytest.param(-1, marks=pytest.mark.thorough)])
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_command_takes_a_set_of_pictures_alone(
     kind: str, label: int | None, name: str, sets: Any, tmp_path: Path, capsys: Any

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from copy import deepcopy
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -36,6 +38,11 @@ def recorded(
     seed: int = 0, rounds: int = 6, size: tuple[int, int] = SIZE, touches: int = TOUCHES
 ) -> list[RoundTruth]:
     """Make rounds as a camera sees them: with noise, so that no two pictures are equal."""
+    return deepcopy(_recorded(seed, rounds, size, touches))
+
+
+@cache
+def _recorded(seed: int, rounds: int, size: tuple[int, int], touches: int) -> list[RoundTruth]:
     numbers = range(20 * seed, 20 * seed + rounds)
     return [factories.make_round(number, touches, size, FRAMES, noise=1.0) for number in numbers]
 

@@ -17,6 +17,7 @@ from tests.gallery_browser import browser, opened
 from tests.gallery_files import column, content_of, files_of, index_of
 from tests.realtouch import factories
 from tests.realtouch.factories import Layout
+from tests.realtouch.test_extras import LENGTHS, of_frames
 
 
 def touches_of(site: Path, number: int) -> dict:
@@ -94,6 +95,20 @@ def test_a_set_without_poses_is_shown_without_contact(single_rows, tmp_path):
     build_site(plan_gallery(str(tmp_path / "bare")), str(tmp_path / "site"))
     assert column(index_of(tmp_path / "site"), "Touches with contact") == [["unknown"]] * 3
     assert {entry["contact"] for entry in touches_of(tmp_path / "site", 0)["list"]} == {None}
+
+
+def test_notes_say_what_further_columns_hold(tmp_path):
+    """Ranges of numbers and different texts, also where each frame has a value and clips differ in length."""
+    factories.bare_set(tmp_path / "set", "seq", extras=of_frames)
+    build_site(plan_gallery(str(tmp_path / "set"), RowFilter("train")), str(tmp_path / "site"))
+    last = max(10 * touch + length - 1 for touch, length in enumerate(LENGTHS["train"][0]))
+    notes = dict(content_of(tmp_path / "site", 0)["notes"])
+    assert {name: notes[name] for name in ("force_n", "time.ms", "vector")} == {
+        "force_n": "1.5 to 3.25",
+        "time.ms": f"1 to {last}",
+        "vector": f"-{last} to {last}",
+    }
+    assert notes["state"].startswith("at 1, at 2, ")
 
 
 @pytest.mark.browser

@@ -13,7 +13,7 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from scipy.spatial.transform import Rotation
 
 import realtouch
@@ -209,7 +209,6 @@ def test_values_that_are_no_pose(value: Any, options: dict[str, Any], words: str
 
 
 @given(st.lists(st.floats(0, 1e5), min_size=1, max_size=9), st.sampled_from(["s", "ms", "us", "ns"]))
-@settings(max_examples=50, deadline=None)
 def test_times_are_read_to_a_microsecond(seconds: list[float], unit: str) -> None:
     scale = {"s": 1, "ms": 1e3, "us": 1e6, "ns": 1e9}[unit]
     start = 1.7e9
@@ -446,7 +445,6 @@ _VALUES: tuple[Any, ...] = (
 
 
 @given(st.data())
-@settings(max_examples=80, deadline=None)
 def test_extra_values_come_back_as_they_were(data: st.DataObject) -> None:
     """Of touches and of pictures, as JSON and as the text of tables; what is missing stays missing."""
     kind = data.draw(st.sampled_from(_VALUES))

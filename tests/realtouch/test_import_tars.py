@@ -136,7 +136,7 @@ _VALUES = st.one_of(
 
 
 @given(st.lists(_VALUES | st.lists(_VALUES, max_size=3), max_size=12))
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=2 * settings.default.max_examples)
 def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
     fields = {f"{number}": value for number, value in enumerate(values)}
     with tarfile.open(fileobj=io.BytesIO(tar_of([("a.jpg", b"", fields)]))) as tar:
@@ -145,7 +145,6 @@ def test_fields_are_written_as_json_writes_them(values: list[Any]) -> None:
 
 
 @given(st.lists(st.tuples(st.text("abü/.", min_size=1, max_size=120), st.binary(max_size=1500)), max_size=12))
-@settings(max_examples=40, deadline=None)
 def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]]) -> None:
     stream = io.BytesIO()
     fields = [{"number": number, "name": "ü", "third": 1 / 3} for number in range(len(samples))]
@@ -164,7 +163,7 @@ def test_tars_are_written_as_tarfile_writes_them(samples: list[tuple[str, bytes]
 
 
 @given(st.data())
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=2 * settings.default.max_examples)
 def test_headers_of_tars_are_read_as_tarfile_reads_them(data: st.DataObject) -> None:
     """Also where bytes of them were changed, with a sum that fits."""
     stream = io.BytesIO()

@@ -109,6 +109,7 @@ def test_the_page_describes_every_family() -> None:
     assert set(re.findall(r"episodes/(\w+)\.webp", text)) == set(episodes.EPISODES)
 
 
+@pytest.mark.thorough
 def test_a_moving_picture_shows_an_episode(
     provider: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -158,7 +158,7 @@ def test_a_large_set_is_packed_by_several_processes_as_by_one(tmp_path, monkeypa
     for name, value in {"_CHUNK": 2, "_FEW_CHUNKS": 1}.items():
         monkeypatch.setattr(f"tactile_envs.mesh_pool.{name}", value)
     # In this process, in any order: workers would import the module anew.
-    monkeypatch.setattr("tactile_envs.mesh_pool.runner_for", lambda _: _Backwards())
+    monkeypatch.setattr("tactile_toolkit.run.runner_for", lambda _: _Backwards())
     found, expected = MeshPool.of(meshes), MeshPool.packed(meshes)
     for name in ("vertices", "faces", "starts", "hulls", "grids", "measures"):
         np.testing.assert_array_equal(getattr(found, name), getattr(expected, name))

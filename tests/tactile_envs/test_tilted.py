@@ -246,7 +246,7 @@ def test_upright_it_sees_what_upright_sensors_see(solids):
         np.testing.assert_allclose(one, other, atol=2e-5 if one is seen[0][1] else 2e-6)
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=settings.default.max_examples // 4)
 @given(
     seed=st.integers(0, 2**31),
     most_rad=st.floats(0, MOST_RAD),

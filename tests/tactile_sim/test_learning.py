@@ -374,7 +374,16 @@ def test_two_processes_of_torchrun_train_together(pairs, tmp_path, monkeypatch):
         model = CycleGan(config, "cpu")
         model.load_state(state, pool)
         assert repr(model.pool_state()) == repr(pool)
-    assert repr(state["pools"][0]) != repr(state["pools"][1])
+    drawn: list[str] = []
+    monkeypatch.setattr(CycleGan, "load_state", lambda _self, _state, pool: drawn.append(repr(pool)))
+    for name in ("init_process_group", "barrier", "destroy_process_group"):
+        monkeypatch.setattr(torch.distributed, name, lambda *_, **__: None)
+    for rank in ("0", "1"):
+        for name, value in {**shared, "RANK": rank, "LOCAL_RANK": rank}.items():
+            monkeypatch.setenv(name, value)
+        assert train(pairs, out, config, device="cpu").taken == 0
+    assert drawn == [repr(pool) for pool in state["pools"]]
+    assert drawn[0] != drawn[1]
 
 
 def test_generators_are_compiled_where_that_is_asked_for(pairs, tmp_path, monkeypatch):

@@ -281,17 +281,14 @@ def test_a_sensor_is_named_or_read_from_a_file(tmp_path: Path, capsys: Any) -> N
     assert "add --optics depth" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("workers", [1, 2])
-def test_depth_images_have_grey_noise_of_the_deviation_that_was_asked_for(
-    workers: int, tmp_path: Path
-) -> None:
+def test_depth_images_have_grey_noise_of_the_deviation_that_was_asked_for(tmp_path: Path) -> None:
     noise = tactile_sim.SensorNoise.named("0.02")
     plan = tactile_sim.TouchPlan(4, 4, "object", seed=1, turn_rad=0.0)
     clean = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan, image_format="png")
     noisy = tactile_sim.GenerateSpec((64, 64), "depth", plan=plan, image_format="png", noise=noise)
     solids = {"ball": ball(0.01), "larger": ball(0.02)}
     images = []
-    for spec, count in ((clean, 1), (noisy, workers), (noisy, 1)):
+    for spec, count in ((clean, 1), (noisy, 2), (noisy, 1)):
         out = tmp_path / f"out-{len(images)}"
         tactile_sim.generate(solids, spec, out, workers=count)
         images.append(np.stack([row.sensor_image[:] for row in realtouch.load(out)]).astype(float))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -30,6 +31,7 @@ def as_given(made: Recording, *, has_backgrounds: bool = True) -> Recordings:
     )
 
 
+@cache
 def record(
     family: Family = "phong", mistake: str | None = None, seed: int = 3, touches: int = 20
 ) -> Recording:

@@ -11,8 +11,8 @@ from tactile_toolkit.cards import Card
 from tactile_toolkit.checked_fields import check_fields, integer, real
 from tactile_toolkit.generation import Recipe, RowGenerator, StorageLayout
 from tactile_toolkit.kind import DatasetKind, lazy
-from tactile_toolkit.mesh import MeshRow, SolidDataset, mesh_schema, open_solids
-from tactile_toolkit.places import open_place
+from tactile_toolkit.mesh import MeshRow, RecordStream, SolidDataset, mesh_schema
+from tactile_toolkit.places import loader
 from tactile_toolkit.rows import column, meanings, row
 from tactile_toolkit.store import ParquetStyle, Skipped
 
@@ -97,5 +97,4 @@ def write_card(folder, manifest):
     ).write(folder, manifest, KIND)
 
 
-def load(name, split="train"):
-    return open_solids(open_place(name).shards(split), name, SolidDataset, KIND)
+load = loader(KIND, SolidDataset, RecordStream)

@@ -38,6 +38,7 @@ def rows_of(folder: Path) -> list[dict[str, Any]]:
     return [row for file in sorted((folder / "data").iterdir()) for row in pq.read_table(file).to_pylist()]
 
 
+@pytest.mark.one_at_a_desk
 @pytest.mark.parametrize(
     ("program", "make", "load"),
     [("starstruck", scenes, starstruck_gen.load), ("realtouch", touches, realtouch.load)],

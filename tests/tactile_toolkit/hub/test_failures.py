@@ -130,7 +130,10 @@ PART = "pa55"
             f"https://user:{PART}/word@127.0.0.1:9",
             "the variable HF_ENDPOINT is not an address",
         ),
-        ("HF_ENDPOINT", "http://[::1", "the variable HF_ENDPOINT is not an address"),
+        pytest.param(
+            *("HF_ENDPOINT", "http://[::1", "the variable HF_ENDPOINT is not an address"),
+            marks=pytest.mark.thorough,
+        ),
         ("HTTPS_PROXY", f"http://user:{PART}/word@host:9", "the variable HTTPS_PROXY is not an address"),
         ("all_proxy", f"nothing://{PART}@host:9", "cannot be set up (ValueError); set are "),
     ],

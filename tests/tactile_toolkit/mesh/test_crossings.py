@@ -229,12 +229,13 @@ def test_bodies_that_touch_and_a_body_that_touches_itself_are_solids() -> None:
     assert self_crossing(*surface_of(chain)) is None
 
 
-def test_the_proof_keeps_what_lies_over_or_under_an_overhang() -> None:
-    """Two cones on one rim, of which one leans over it: where it does, faces may cross."""
+@pytest.mark.parametrize("tip_mm", [14.0, 10.01])
+def test_the_proof_keeps_what_lies_over_or_under_an_overhang(tip_mm: float) -> None:
+    """Two cones on one rim, of which one leans over it, the second only just: there faces may cross."""
     turn = np.linspace(0, 2 * np.pi, 24, endpoint=False)
     here, following = np.arange(24), np.roll(np.arange(24), -1)
     rim = np.stack([10 * np.cos(turn), 10 * np.sin(turn), np.zeros(24)], axis=1)
-    vertices = np.concatenate([rim, [[14, 0, 5], [0, 0, -5]]])
+    vertices = np.concatenate([rim, [[tip_mm, 0, 5], [0, 0, -5]]])
     faces = np.concatenate(
         [
             np.stack([np.full(24, 24), here, following], axis=1),

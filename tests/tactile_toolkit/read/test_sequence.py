@@ -57,7 +57,7 @@ def rows(folder: Path) -> Rows:
 def every_set(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     """A small data set of each kind, and what has no files."""
     place = tmp_path_factory.mktemp("kinds")
-    spec = mnist3d.SolidSpec(target_vertices=2_000)
+    spec = mnist3d.SolidSpec(target_vertices=400)
     made = mnist3d.DigitSetSpec(SyntheticSource(), spec, per_class=1)
     mnist3d.generate(made, place / "digits", splits=("test",))
     starstruck_gen.generate(starstruck_gen.SceneSetSpec(scenes=(("train", 12),)), place / "scenes")
