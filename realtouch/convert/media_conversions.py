@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from typing import Unpack
+from typing import Any, Unpack
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
-from realtouch import contact
+from realtouch import contact, depth_maps
 from realtouch.avi import write_avi
 from realtouch.convert import conversion, shard_tasks, touch_pictures
 from realtouch.schema import (
@@ -17,6 +18,7 @@ from realtouch.schema import (
     POSE_COLUMN,
     bytes_lists,
     column_type,
+    extra_columns,
     extra_type,
     flat_row,
     number_lists,
@@ -25,13 +27,16 @@ from realtouch.sensor_images import SensorImages
 from realtouch.stored_round import StoredRound
 from realtouch.touch_clips import SensorClips, TouchClip
 from tactile_toolkit import places, read, store
-from tactile_toolkit.array_types import UInt8
+from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
 _POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
+_SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
+# Further columns with columns and rows in pixels, and where the middle of the first pixel is: 0 of a motion.
+_MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
 _SEQ_ONLY = (
     "video_length_frames",
     "time_stamp_rel_seq",
@@ -169,6 +174,8 @@ def resize(
 ) -> store.Manifest:
     """Write the same data set with images or clips of another size.
 
+    Maps of depth get the size of their images, and ``marker_positions_px`` and ``marker_flow_px`` are scaled.
+
     Parameters
     ----------
     source, out, split, limit, workers, overwrite, on_progress
@@ -184,7 +191,9 @@ def resize(
 
     Raises
     ------
-    InputError, SpecMismatchError, StorageError
+    InputError
+        A further column of other pixels, whose name ends in ``_px``; or as :func:`clips_to_images`.
+    SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
     if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
@@ -194,6 +203,13 @@ def resize(
         )
 
     def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
+        others = [name for name in extra_columns(read.column_types(opened.schema)) if name.endswith("_px")]
+        unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
+        if unknown:
+            raise InputError(
+                f"{opened.name!r} has pixels in {', '.join(unknown)}, which would be those of the old pictures",
+                next=f"import it again without them (--map {unknown[0]}=), or under a name without _px",
+            )
         options = {"width": width, "height": height, "quality": quality, "limit": limit}
         step = ResizeMedia(width, height, quality)
         return conversion.Conversion(opened, "resize", options, step, conversion.first_rows(opened, limit))
@@ -203,7 +219,10 @@ def resize(
 
 @dataclass(frozen=True)
 class ResizeMedia:
-    """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again."""
+    """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again.
+
+    Maps of depth, and columns and rows in pixels, follow the pictures.
+    """
 
     width: int
     height: int
@@ -215,17 +234,46 @@ class ResizeMedia:
 
     def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
-        name, suffix = "sensor_video", "avi"
-        if row.has("sensor_image"):
-            name, suffix = "sensor_image", "jpg"
+        flat, kind = flat_row(row), row.kind
+        if kind == "single":
             images = SensorImages(row)
+            sizes = list(map(images.size, range(len(images))))
             blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
+            sizes = [clip.size for clip in SensorClips(row)]
             blobs = [self._clip(clip) for clip in SensorClips(row)]
-        flat = flat_row(row)
-        index = flat.schema.get_field_index(name)
-        field = flat.schema.field(index)
-        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type)), {}
+        made = {
+            MEDIA_COLUMN[kind]: bytes_lists(
+                [blobs], _SUFFIX[kind], flat.schema.field(MEDIA_COLUMN[kind]).type
+            )
+        }
+        for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
+            maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
+            made[name] = bytes_lists([maps], depth_maps.SUFFIX, flat.schema.field(name).type)
+        for name, stored in extra_columns(flat.column_names).items():
+            if name in _MIDDLE_OF_FIRST_PX:
+                entries = row.extra_entries(stored).to_pylist()
+                with row.naming(stored):
+                    moved = [
+                        self._moved(name, each, size) for each, size in zip(entries, sizes, strict=False)
+                    ]
+                made[stored] = pa.array([moved], flat.schema.field(stored).type)
+        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
+        return pa.table(list(columns.values()), schema=flat.schema), {}
+
+    def _moved(self, name: str, values: list[Any] | None, size: tuple[int, int]) -> list[Any] | None:
+        """Return columns and rows in pixels of pictures of a size, (height, width), as they are in the new one."""
+        if values is None or any(isinstance(each, list) for each in values):
+            return values and [self._moved(name, each, size) for each in values]
+        scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]
+        pairs = np.array(values, np.float64).reshape(-1, 2)
+        moved: list[Any] = ((pairs + first) * scale - first).ravel().tolist()
+        return moved
+
+    def _map(self, depth_m: Float32) -> Float32:
+        smaller = self.height <= depth_m.shape[0] and self.width <= depth_m.shape[1]
+        method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
+        return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
 
     def _image(self, images: SensorImages, touch: int) -> bytes | memoryview:
         if images.size(touch) == (self.height, self.width):

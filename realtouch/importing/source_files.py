@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby
 from operator import attrgetter
@@ -12,6 +14,7 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
 from realtouch.import_columns import ImportColumns
 from realtouch.importing.found_touches import FoundTouches, Place
@@ -30,6 +33,7 @@ NUMBERED = "label"
 _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
 _MOST_LINES = 1 << 21  # of a table of touches
+_VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
@@ -114,7 +118,7 @@ def read_table(
     """Read a table; InputError if it cannot be read.
 
     Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
-    ``names``; other columns have types.
+    ``names``; other columns have types, and lists of numbers in brackets are vectors.
     """
     if name.lower().endswith(TYPED_ENDINGS):
         table = column_table(folder, name)
@@ -133,11 +137,20 @@ def read_table(
     for each, values in zip(text.names, text.columns(), strict=True):
         column = column_types.without_blanks(pa.array(values, pa.string()))
         if each not in kept:
-            column = column_types.from_text(column, decimal_commas=commas)
+            column = _vectors_in(column_types.from_text(column, decimal_commas=commas))
         if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
             column = column_types.words_of(column, decimal_commas=commas)
         made[each] = column
     return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
+
+
+def _vectors_in(column: pa.Array) -> pa.Array:
+    """Return a column of text as vectors if each text is one, as programs write them into CSV: ``[1.5, 2]``."""
+    if not pa.types.is_string(column.type) or not pc.all(pc.match_substring_regex(column, _VECTOR)).as_py():
+        return column
+    with suppress(ValueError):
+        return column_types.from_values([text and json.loads(text) for text in column.to_pylist()])
+    return column
 
 
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
