@@ -10,10 +10,9 @@ import realtouch
 from cli.options import Making, argument, out_folder
 from cli.output import Sink
 from cli.runs import make_with_progress, print_left_out, print_set
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.kind import KIND
-from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, LEFT_OUT, STREAM_HEADER, STREAMS
+from realtouch.touch_options import CLIPS, IMPORT_LAYOUTS, LEFT_OUT, STREAM_HEADER, STREAMS, Alignment
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
 from tactile_toolkit.kind import DatasetKind

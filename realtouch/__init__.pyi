@@ -1,6 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .alignment_options import Alignment as Alignment
+from .touch_options import Alignment as Alignment, CheckLimits as CheckLimits
 from .contact_picture import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
@@ -49,8 +49,7 @@ from .touch_dataset import (
     TouchStream as TouchStream,
     dataset_of as dataset_of,
 )
-from .import_columns import ImportColumns as ImportColumns
-from .touch_options import CheckLimits as CheckLimits
+from .importing.import_columns import ImportColumns as ImportColumns
 from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 

@@ -24,7 +24,7 @@ _HEAD, _HALF_HEAD_RAD = 0.35, 0.45  # of an arrow
 def force_views(touch: Touch) -> list[UInt8]:
     """Return the picture of a touch, and those of pressure and of the motion of markers that it has.
 
-    They are of one size. Maps of another size than the image, such as after a change of its size, are left out.
+    They are of one size. Maps of another size than the image, as after `realtouch resize`, are left out.
     """
     image, extra = touch.image, touch.extra
     height, width = image.shape[:2]

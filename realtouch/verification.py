@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from realtouch.convert.conversion import files_of, parts_of
+from realtouch import convert
 from realtouch.integrity import agreeing_files, checked_rows, modal_touch_count, stated_class_names
 from realtouch.kind import KIND
 from realtouch.stored_columns import Damage
@@ -49,7 +49,7 @@ def check_index(
             if "frames" in shard.types and "touch" not in shard.types:
                 # In a LeRobotDataset of single images a row is a round, and a frame is a touch.
                 touches += sum(table["frames"].to_pylist()) - len(table)
-            files: dict[str, str | None] = {**files_of(folder, record)}
+            files: dict[str, str | None] = {**convert.files_of(folder, record)}
             # The manifest lists these, so that they were compared already.
             compared = dict.fromkeys(manifest.files.keys() & files.keys())
             for path, sha256 in ({**files, **compared} or {record.shard.data_path: None}).items():
@@ -164,7 +164,7 @@ def verify(
             counts = check_index(place.folder, place.manifest, findings, on_progress, decode=not quick)
         return TouchVerification(*counts, tuple(findings))
     splits = []
-    for part in parts_of(place, split):
+    for part in convert.parts_of(place, split):
         splits.append(agreeing_files(place.shards(part), place.name, findings))
         findings += _lacking_columns(splits[-1])
     rounds, touches = _check_rounds(splits, findings, on_progress, decode=not quick, workers=workers)

@@ -207,7 +207,7 @@ def resize(
         unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
         if unknown:
             raise InputError(
-                f"{opened.name!r} has pixels in {', '.join(unknown)}, which would be those of the old pictures",
+                f"{opened.name!r} has pixels in {', '.join(unknown)}, which would be of the old pictures",
                 next=f"import it again without them (--map {unknown[0]}=), or under a name without _px",
             )
         options = {"width": width, "height": height, "quality": quality, "limit": limit}
@@ -262,7 +262,7 @@ class ResizeMedia:
         return pa.table(list(columns.values()), schema=flat.schema), {}
 
     def _moved(self, name: str, values: list[Any] | None, size: tuple[int, int]) -> list[Any] | None:
-        """Return columns and rows in pixels of pictures of a size, (height, width), as they are in the new one."""
+        """Return columns and rows in pixels of a picture, (height, width), in that of the new size."""
         if values is None or any(isinstance(each, list) for each in values):
             return values and [self._moved(name, each, size) for each in values]
         scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]

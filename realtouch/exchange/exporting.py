@@ -5,9 +5,8 @@ from __future__ import annotations
 from os import PathLike
 from typing import Literal, Unpack, get_args
 
+from realtouch import convert
 from realtouch.contact import require_method
-from realtouch.convert.conversion import Conversion, Source, first_rows
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
 from realtouch.touch_options import require_layout
 from tactile_toolkit import places, store
 from tactile_toolkit.kind import lazy
@@ -22,7 +21,7 @@ def export(
     layout: ExportLayout,
     *,
     frame: str = "contact_end",
-    **job: Unpack[JobOptions],
+    **job: Unpack[convert.JobOptions],
 ) -> store.Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
 
@@ -64,9 +63,9 @@ def export(
     """
     plan, method = require_layout(layout, EXPORTS), require_method(frame)
 
-    def planned(opened: Source, limit: int | None) -> Conversion:
+    def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}
-        conversion: Conversion = plan(opened, first_rows(opened, limit), method, options)
+        conversion: convert.Conversion = plan(opened, convert.first_rows(opened, limit), method, options)
         return conversion
 
-    return write_conversion(source, out, planned, **job)
+    return convert.write_conversion(source, out, planned, **job)

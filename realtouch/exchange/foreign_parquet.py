@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 import pyarrow as pa
 
+from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from realtouch.importing.found_touches import Place
 from tactile_toolkit import column_types, read, store
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
@@ -202,7 +202,7 @@ def _named_values(place: str) -> Iterator[None]:
         raise IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def stored_pictures(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def stored_pictures(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the pictures of each place, whose ``part`` is their column of a Parquet file."""
     for (home, path, name), group in groupby(places, key=itemgetter(0, 1, 2)):
         rows = (row for place in group for row in range(place.start, place.start + max(1, place.frames)))

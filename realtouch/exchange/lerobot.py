@@ -13,11 +13,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
+from realtouch import convert
 from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import Choices, Conversion, Made, Source, with_files
 from realtouch.exchange import lerobot_depth
-from realtouch.exchange.episode_numbers import EpisodeNumbers
-from realtouch.exchange.episodes import DEPTH, Episodes
+from realtouch.exchange.episodes import DEPTH, EpisodeNumbers, Episodes
 from realtouch.exchange.lerobot_info import FILE_BYTES, FILES_PER_CHUNK, FOLDER, META_STYLE, WriteMeta
 from realtouch.exchange.lerobot_statistics import columns_of_episodes
 from realtouch.touch_dataset import dataset_of
@@ -31,8 +30,8 @@ _OF_READERS = ("round_id", "touch")
 
 
 def plan_lerobot(
-    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-) -> Conversion:
+    source: convert.Source, choices: convert.Choices, method: ContactMethod, options: Mapping[str, object]
+) -> convert.Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
     rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
@@ -44,7 +43,7 @@ def plan_lerobot(
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
         frame_bytes += lerobot_depth.NUMBER_BYTES * math.prod(step.size)
-    return Conversion(
+    return convert.Conversion(
         source,
         "export",
         {**options, "fps": step.fps, "image_size": [step.size[1], step.size[0]]},
@@ -66,7 +65,9 @@ class _PackEpisodes:
     tasks: tuple[str, ...]
     rows_per_group: int
 
-    def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
+    def __call__(
+        self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
+    ) -> convert.Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
         Raises IntegrityError if a round was left out, or lengths were not as stated.
@@ -98,7 +99,7 @@ class _PackEpisodes:
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
         index |= {name: rows[name].take(firsts) for name in _OF_EPISODE if name in rows.schema.names}
-        return with_files(
+        return convert.with_files(
             pa.table(index),
             {
                 f"{FOLDER}/data/{place}": store.encode_parquet(frames, style),

@@ -14,14 +14,11 @@ from itertools import groupby
 import numpy as np
 import pyarrow as pa
 
-from realtouch import video
+from realtouch import importing, video
 from realtouch.exchange import video_import
 from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
 from realtouch.exchange.lerobot_mark import as_ours
 from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches, Place
-from realtouch.importing.recordings import Recording
 from tactile_toolkit import column_types, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import IntegrityError, ItemError
@@ -30,7 +27,9 @@ _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 
 
-def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
+def find_lerobot(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
     """Yield each episode, with the pictures of the only camera or of that named; InputError for several.
 
     An episode that cannot be used is a recording with a problem.
@@ -41,7 +40,7 @@ def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | No
     yield from map(reader.recording, read_episodes(home, info, camera))
 
 
-def describe_conversion(touches: FoundTouches) -> str:
+def describe_conversion(touches: importing.FoundTouches) -> str:
     """Return what was done to the pictures; empty if they are stored as they were."""
     places = touches.take(np.flatnonzero(touches.is_usable)[:1])
     if not len(places) or places[0].path.endswith(_ROWS):
@@ -50,7 +49,7 @@ def describe_conversion(touches: FoundTouches) -> str:
     return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the pictures of places in order, from rows or videos."""
     for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
         yield from (stored_pictures if are_rows else video_import.encoded_frames)(group)
@@ -68,18 +67,18 @@ class _Episodes:
         self._columns: dict[str, pa.Array] = {}
         self._picture_bytes = 0
 
-    def recording(self, episode: Episode) -> Recording:
+    def recording(self, episode: Episode) -> importing.Recording:
         """Return an episode; one that cannot be used has a problem, and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
         place = self.home.address(), episode.data_path, self.camera
-        found = Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
+        found = importing.Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
         try:
             found = self._read(found, episode)
         except (ItemError, IntegrityError) as error:
             return replace(found, problem=ItemError(getattr(error, "reason", "file"), error.what))
         return found if self.info.realtouch is None else as_ours(found, self.info.realtouch)
 
-    def _read(self, found: Recording, episode: Episode) -> Recording:
+    def _read(self, found: importing.Recording, episode: Episode) -> importing.Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {

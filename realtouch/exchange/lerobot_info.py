@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from realtouch.convert.conversion import checksums, files_of, write_changed
+from realtouch import convert
 from realtouch.exchange import lerobot_depth
 from realtouch.exchange.episodes import ACTION, DEPTH, STATE, Episodes
 from realtouch.exchange.lerobot_mark import Mark
@@ -37,8 +37,8 @@ class WriteMeta:
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
-        files = checksums(folder, manifest)
-        placed = [list(files_of(folder, record)) for record in manifest.shards if record.rows]
+        files = convert.checksums(folder, manifest)
+        placed = [list(convert.files_of(folder, record)) for record in manifest.shards if record.rows]
         frames, episodes = (
             [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
         )
@@ -48,7 +48,7 @@ class WriteMeta:
             "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
             "tasks.parquet": store.encode_parquet(_task_table(self.tasks), META_STYLE),
         }
-        return files | write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
+        return files | convert.write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         step = self.step

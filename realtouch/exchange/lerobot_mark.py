@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import msgspec
 
+from realtouch import importing
 from realtouch.exchange.episodes import ACTION, STATE, TIME
 from realtouch.exchange.zarr_recordings import name_ours, with_contact
-from realtouch.importing.recordings import Recording
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 
@@ -38,7 +38,7 @@ class Mark(msgspec.Struct, frozen=True):
         return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
 
 
-def as_ours(found: Recording, mark: Mark) -> Recording:
+def as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     every = found.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}

@@ -10,10 +10,9 @@ from typing import Annotated, Any
 
 import msgspec
 
+from realtouch import importing
 from realtouch.exchange.foreign_parquet import ForeignParquet
 from realtouch.exchange.lerobot_mark import Mark
-from realtouch.importing.fields import shown
-from realtouch.importing.source_files import open_source
 from tactile_toolkit import store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.wording import did_you_mean
@@ -118,7 +117,7 @@ def read_info(home: store.DataFolder) -> Info:
     with _refused(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _VERSION.fullmatch(info.codebase_version):
-        problem = f"{home.address(_INFO)!r} states version {shown(info.codebase_version)!r}"
+        problem = f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}"
         raise InputError(
             f"{problem}; expected v2.0, v2.1 or v3.0", next="convert it with the tools of LeRobot"
         )
@@ -132,7 +131,7 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
     for line in _lines(home, path) if home.exists(path) else ():
         number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
-            raise InputError(f"{home.address(path)!r}: {shown(line)}; expected a number and a text")
+            raise InputError(f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text")
         tasks[number] = texts[0]
     return tasks
 
@@ -190,7 +189,7 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[Mapping[str, Any]]:
 
 
 def _content(home: store.DataFolder, path: str) -> bytes:
-    with open_source(home, path) as stream:
+    with importing.open_source(home, path) as stream:
         content = stream.read(_MOST_BYTES + 1)
     if len(content) > _MOST_BYTES:
         raise InputError(

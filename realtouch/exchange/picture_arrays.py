@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch import importing
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
@@ -156,7 +156,7 @@ OpenPictures = Callable[[str, str, str], PictureArray]
 """Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
 
 
-def encoded_pictures(places: Iterable[Place], opened: OpenPictures) -> Iterator[bytes]:
+def encoded_pictures(places: Iterable[importing.PicturePlace], opened: OpenPictures) -> Iterator[bytes]:
     """Yield each picture of some places in order, images as PNG, those of clips as JPEG.
 
     A block of an array is read once.
@@ -169,7 +169,7 @@ def encoded_pictures(places: Iterable[Place], opened: OpenPictures) -> Iterator[
             yield encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
 
 
-def described_pictures(touches: FoundTouches, opened: OpenPictures) -> str:
+def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
     """Return what is done to the pictures of some touches; empty if they are taken as they are."""
     first = touches[0]
     words = [opened(first.home, first.path, first.part).described()]

@@ -12,22 +12,8 @@ from functools import partial
 
 import pyarrow as pa
 
+from realtouch import convert
 from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import (
-    Choices,
-    Conversion,
-    Made,
-    RowChoice,
-    Source,
-    WriteFiles,
-    checksums,
-    marked_repetitions,
-    schema_of,
-    stem_of_id,
-    table_of_columns,
-    with_files,
-)
-from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
 from realtouch.schema import POSE_COLUMN
 from realtouch.stored_images import image_column, require_intact
 from realtouch.stored_round import StoredRound
@@ -45,7 +31,7 @@ _MOST_ROWS_PER_GROUP = 1 << 14
 NamedImage = tuple[str, memoryview]
 """The name of the file of an image, and its bytes as they are stored."""
 
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], Made]
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
 """Makes files of the touches of a shard, given their plain columns and images; returns an index, too."""
 
 
@@ -59,22 +45,26 @@ class TouchFormat:
 
     folder: str = ""
     pack: PackTouches | None = None
-    write_files: WriteFiles = checksums
+    write_files: convert.WriteFiles = convert.checksums
     no_gaps: bool = False
 
     def plan(
-        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-    ) -> Conversion:
+        self,
+        source: convert.Source,
+        choices: convert.Choices,
+        method: ContactMethod,
+        options: Mapping[str, object],
+    ) -> convert.Conversion:
         """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
         if source.kind == "seq":
             source.require_frame(method)
             options = {**options, "frame": method}
-        return Conversion(
+        return convert.Conversion(
             source,
             "export",
             options,
             _Touches(method, source.class_names),
-            marked_repetitions(source, choices),
+            convert.marked_repetitions(source, choices),
             rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
@@ -83,7 +73,7 @@ class TouchFormat:
 
     def _pack_shard(
         self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
-    ) -> Made:
+    ) -> convert.Made:
         """Return the files of a shard, and plain columns as its index; an empty shard has no files."""
         index = rows.drop_columns([_IMAGE])
         if len(rows):
@@ -94,7 +84,7 @@ class TouchFormat:
                 "without gaps; nothing of this file was written",
                 next="leave it out (`realtouch select`)",
             )
-        return with_files(index, {})
+        return convert.with_files(index, {})
 
 
 def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
@@ -129,13 +119,13 @@ class _Touches:
             **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
             **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return pa.schema([*schema_of(source, wanted), *plain_extras(source).values()])
+        return pa.schema([*convert.schema_of(source, wanted), *convert.plain_extras(source).values()])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
-        shown = list(shown_touches(row, self.method))
-        columns = columns_of_touches(row, shown, self.names)
+        shown = list(convert.shown_touches(row, self.method))
+        columns = convert.columns_of_touches(row, shown, self.names)
         name = row.name()
         images: list[memoryview] = []
         where = _WHERE[row.kind]
@@ -147,6 +137,6 @@ class _Touches:
                 with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                     raise
         columns["id"] = [touch_id(name, each.touch) for each in shown]
-        stem = stem_of_id(name)
+        stem = convert.stem_of_id(name)
         columns[_IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
-        return table_of_columns(self.schema(row.group.table.schema), columns), {}
+        return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

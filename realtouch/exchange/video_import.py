@@ -13,13 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from realtouch import video, video_files
-from realtouch.import_columns import ImportColumns
-from realtouch.importing import source_files
-from realtouch.importing.cut_tables import RECORDING_COLUMNS
-from realtouch.importing.found_touches import FoundTouches, Place
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import NUMBERED, SourceTable, path_of, source_of
+from realtouch import importing, video, video_files
 from tactile_toolkit import store
 from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
 from tactile_toolkit.errors import InputError, ItemError
@@ -27,7 +21,9 @@ from tactile_toolkit.errors import InputError, ItemError
 _FILE = "file"
 
 
-def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
+def find_video(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
     A table says something of each: the one that was named, or the only one in the folder whose column of
@@ -41,7 +37,7 @@ def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None
     if lines is not None:
         said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
-    for row, path in enumerate(() if lines is None else map(path_of, lines.texts(column))):
+    for row, path in enumerate(() if lines is None else map(importing.path_of, lines.texts(column))):
         problem = None if lines is None else lines.problem(row)
         if path in seen:
             problem = ItemError("duplicate", "the same file as in an earlier line of the table")
@@ -59,10 +55,10 @@ def _recording(
     said: Mapping[str, object],
     problem: ItemError | None,
     stems: Mapping[str, int],
-) -> Recording:
+) -> importing.Recording:
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    whole = Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
+    whole = importing.Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
     try:
         if problem is not None:
             raise problem
@@ -80,7 +76,7 @@ def _stem(path: str) -> str:
 
 def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
     """Return a folder and the paths of the videos in it, or where the file lies that was named."""
-    folder, name = source_files.file_or_folder(home)
+    folder, name = importing.file_or_folder(home)
     if name:
         return folder, [name]
     paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
@@ -94,33 +90,39 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
     folders = {path: path.split("/")[0] for path in paths if path.count("/") == 1}
     if len(folders) < len(paths) or len({*folders.values()}) < 2:
         return {}
-    return {path: {NUMBERED: name} for path, name in folders.items()}
+    return {path: {importing.NUMBERED: name} for path, name in folders.items()}
 
 
 def _lines(
-    home: store.DataFolder, columns: ImportColumns, image: str, table: str | None, paths: Sequence[str]
-) -> SourceTable | None:
+    home: store.DataFolder,
+    columns: importing.ImportColumns,
+    image: str,
+    table: str | None,
+    paths: Sequence[str],
+) -> importing.SourceTable | None:
     """Return the table of the videos; None if there is none."""
 
-    def read(folder: store.DataFolder, name: str) -> SourceTable:
-        found = source_files.read_table(folder, name, columns, [image])
-        source_files.require_columns(found.names, [image], folder.address(name))
+    def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
+        found = importing.read_table(folder, name, columns, [image])
+        importing.require_columns(found.names, [image], folder.address(name))
         return found
 
     if table is not None:
-        return read(*source_of(table))
+        return read(*importing.source_of(table))
     found, refused = {}, None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in source_files.visible_files(home, COLUMN_TABLE_ENDINGS):
+    for name in importing.visible_files(home, COLUMN_TABLE_ENDINGS):
         if name.startswith(streams):
             continue
         first = _first_row(home, name)
         if image in first:
             lines = read(home, name)
-            if {*map(path_of, lines.texts(image))}.intersection(paths):
+            if {*map(importing.path_of, lines.texts(image))}.intersection(paths):
                 found[name] = lines
-        elif not {*RECORDING_COLUMNS}.intersection(first):  # no table of cuts
-            other = [column for column, value in first.items() if value and path_of(str(value)) in paths]
+        elif not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
+            other = [
+                column for column, value in first.items() if value and importing.path_of(str(value)) in paths
+            ]
             refused = refused or (other and (name, other[0]))
     if len(found) > 1:
         words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
@@ -135,16 +137,16 @@ def _lines(
 def _first_row(home: store.DataFolder, name: str) -> dict[str, Any]:
     """Return the first row of a table, which may be long, or no table at all."""
     with suppress(InputError):
-        return source_files.column_table(home, name).first_row()
+        return importing.column_table(home, name).first_row()
     return {}
 
 
-def describe_conversion(touches: FoundTouches) -> str:
+def describe_conversion(touches: importing.FoundTouches) -> str:
     """Return what is done to the pictures of videos; empty if they are stored as they are."""
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the pictures of each place in order; those of one file are read in one go."""
     for (home, path), group in groupby(places, key=attrgetter("file")):
         ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]

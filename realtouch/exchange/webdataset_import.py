@@ -15,16 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import (
-    IMAGE_ENDINGS,
-    open_source,
-    path_of,
-    require_columns,
-    source_of,
-    visible_files,
-)
+from realtouch import importing
 from realtouch.tars import files_of_tar
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
@@ -36,8 +27,8 @@ _MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
 def find_webdataset(
-    home: store.DataFolder, columns: ImportColumns, table: str | None
-) -> Iterator[FoundTouches]:
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar as touches, by their headers and JSON files alone."""
     if table is not None:
         raise InputError(
@@ -52,10 +43,10 @@ def find_webdataset(
             yield _touches(folder, name, samples)
             known |= dict.fromkeys(field for sample in samples for field in sample.values)
     if known:
-        require_columns(list(known), columns.found_in(known).names(), home.address())
+        importing.require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
-def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> FoundTouches:
+def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
     """Return the samples of a tar; of those of one key, which many writers number anew in each, the first."""
     problems: dict[int, ItemError] = {}
     seen = set[str]()
@@ -78,7 +69,7 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
         if pa.types.is_string(column.type) and any(field in sample.texts for sample in samples):
             column = column_types.from_text(column)
         said[field.encode(errors="backslashreplace").decode()] = column
-    return FoundTouches.of(
+    return importing.FoundTouches.of(
         [sample.key for sample in samples],
         folder.address(),
         name,
@@ -91,11 +82,11 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
 
 def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = visible_files(home, ".tar")
+    names = importing.visible_files(home, ".tar")
     place = home.address()
     is_file = Path(place).is_file() if home.is_local else place.lower().endswith(".tar")
     if is_file and not names:
-        return [source_of(place)]
+        return [importing.source_of(place)]
     if not names:
         raise InputError(f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars")
     return [(home, name) for name in names]
@@ -116,12 +107,12 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
-        with open_source(folder, name) as stream:
+        with importing.open_source(folder, name) as stream:
             if stream.read(4).startswith(_PACKED):
                 raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
             stream.seek(0)
             for member in files_of_tar(stream, folder.size_bytes(name)):
-                start, path = member.offset_data, path_of(member.name)
+                start, path = member.offset_data, importing.path_of(member.name)
                 if store.is_hidden(path):  # as archives of a Mac have, one for each file
                     continue
                 directory, slash, base = path.rpartition("/")
@@ -141,7 +132,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
 @lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
     """Return whether an ending is that of an image; there may be several: ``rgb.jpg``."""
-    return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
+    return ending.lower().rpartition(".")[2] in importing.IMAGE_ENDINGS
 
 
 class _Sample(NamedTuple):
@@ -154,7 +145,7 @@ class _Sample(NamedTuple):
     problems: Sequence[ItemError]
 
 
-def _sample(key: str, members: Sequence[_Member], columns: ImportColumns) -> _Sample:
+def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColumns) -> _Sample:
     """Combine the files of one key."""
     problems: list[ItemError] = []
     named = store.problem_of_name(key)
@@ -164,7 +155,7 @@ def _sample(key: str, members: Sequence[_Member], columns: ImportColumns) -> _Sa
     wanted = columns.image_name.lower()
     images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
     if not images:
-        expected = wanted or ", ".join(IMAGE_ENDINGS)
+        expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
         problems.append(ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
         found = ", ".join(each.ending for each in images)

@@ -10,28 +10,33 @@ as ours, so that its poses are known to be some.
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import IO
+from typing import IO, Any
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch import convert
 from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import Choices, Conversion, Source
 from realtouch.exchange.episode_extras import FEATURE
 from realtouch.exchange.episodes import ACTION, CONTACT, IMAGE, STATE, TIME, Episodes
-from realtouch.exchange.zarr_writer import ZarrWriter, rows_of_chunk
 from realtouch.schema import EXTRA_PREFIX
 from realtouch.stored_images import decoded
 from realtouch.stored_round import stored_rows
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
+CHUNK_BYTES = 2 << 20
+_LEVEL = 1
 ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+
 ROUND, TOUCH = "round_id", "touch"
 """Arrays of ``meta`` with an entry an episode; the second, if episodes are clips."""
 
@@ -51,6 +56,54 @@ AddArrays = Callable[[Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, obj
 """Adds arrays of ``data`` to those of columns, given a row a frame; returns attributes of ``meta``."""
 
 
+def rows_of_chunk(row_bytes: int) -> int:
+    """Return how many rows a chunk holds."""
+    return max(1, CHUNK_BYTES // row_bytes)
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays, whose chunks follow each other along the first axis."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        super().__init__(stream, "w")
+        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
+            self.add_json(path, {"zarr_format": 2})
+
+    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
+        """Write a file of JSON."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
+    def add_array(self, path: str, values: AnyArray) -> None:
+        """Write an array; where it is a zero that is repeated, without any chunk."""
+        rows = max(1, min(len(values), rows_of_chunk(values[:1].nbytes)))
+        starts = range(0, len(values) if any(values.strides) else 0, rows)
+        blocks = (values[start : start + rows] for start in starts)
+        self.add_blocks(path, values.shape, values.dtype, rows, blocks)
+
+    def add_blocks(
+        self, path: str, shape: Sequence[int], dtype: np.dtype[Any], rows: int, blocks: Iterable[AnyArray]
+    ) -> None:
+        """Write an array that is made block by block, each a chunk of so many rows; the last has fewer."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": [rows, *shape[1:]],
+            "dtype": dtype.str,
+            "order": "C",
+            "compressor": {"id": "zlib", "level": _LEVEL},
+            "fill_value": "" if dtype.kind == "U" else 0,
+            "filters": None,
+        }
+        self.add_json(f"{path}/.zarray", stated, indent=4)
+        for number, block in enumerate(blocks):
+            content = block.tobytes().ljust(rows * block[:1].nbytes, b"\0")  # zeros follow the last row
+            name = ".".join([str(number), *"0" * (len(shape) - 1)])
+            self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
+
+
 @dataclass(frozen=True)
 class GroupFormat:
     """A format of groups: its name and folder, its arrays, and the type of poses.
@@ -68,13 +121,17 @@ class GroupFormat:
     number: pa.DataType = pa.float32()  # noqa: RUF009 - a constant
 
     def plan(
-        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-    ) -> Conversion:
+        self,
+        source: convert.Source,
+        choices: convert.Choices,
+        method: ContactMethod,
+        options: Mapping[str, object],
+    ) -> convert.Conversion:
         """Plan a group; reads footers and one header. InputError for several splits."""
         step = Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
-        return Conversion(
+        return convert.Conversion(
             source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
         )
 

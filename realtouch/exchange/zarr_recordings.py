@@ -12,13 +12,11 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
+from realtouch import importing
 from realtouch.exchange.episodes import CONTACT
 from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
 from realtouch.exchange.zarr_arrays import ZarrGroup
 from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.recordings import TIME_S, Recording
-from realtouch.importing.source_files import NUMBERED, source_of
 from realtouch.touch import touch_id
 from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import column_types, store
@@ -40,7 +38,7 @@ _OUR_VALUES = ("label", "label_name", "object_id", *POSITION_COLUMNS)
 def group_in(home: store.DataFolder) -> ZarrGroup:
     """Return the group that a folder or zip is, or the only one that it holds."""
     if home.address().lower().endswith(".zip"):
-        return ZarrGroup(*source_of(home.address()))
+        return ZarrGroup(*importing.source_of(home.address()))
     if home.exists(".zgroup") or home.exists("zarr.json"):
         return ZarrGroup(home, "")
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
@@ -73,8 +71,8 @@ def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str
 
 
 def recordings_of(
-    group: ZarrGroup, names: Iterable[str], pictures: tuple[str, int | None], columns: ImportColumns
-) -> Iterator[Recording]:
+    group: ZarrGroup, names: Iterable[str], pictures: tuple[str, int | None], columns: importing.ImportColumns
+) -> Iterator[importing.Recording]:
     """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
 
     InputError for pictures that are none, and for a column that was named and is not one. What this toolkit
@@ -87,11 +85,11 @@ def recordings_of(
     of_meta = {
         each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
     }
-    wanted = {*columns.found_in(arrays).names(), NUMBERED}
+    wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
     found, left_out = columns_of(arrays, len(shown), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
-    whole = Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
     ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
     said, _ = columns_of(of_meta, len(ends), ())
     kept = stated.get(COLUMNS)
@@ -130,18 +128,18 @@ def episode_ends(group: ZarrGroup, frames: int) -> Int64:
     return ends
 
 
-def of_episodes(whole: Recording, columns: ImportColumns) -> set[str]:
+def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
     """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
     known = columns.found_in(whole.per_frame)
-    stated = {NUMBERED, known.label, known.object_id, known.round, known.split}
+    stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
     return {
         name for name, column in whole.per_frame.items() if name in stated or pa.types.is_string(column.type)
     }
 
 
 def episodes_of(
-    whole: Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
-) -> Iterator[Recording]:
+    whole: importing.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
+) -> Iterator[importing.Recording]:
     """Divide a recording into episodes, by default called ``episode-000000`` and so on.
 
     What ``of_episode`` names is a value of each episode, if it never changes within one.
@@ -158,8 +156,8 @@ def episodes_of(
     time = next((name for name in TIMES if _rises(per_frame.get(name), starts)), None)
     times = None if time is None else per_frame[time].to_numpy()
     per_frame = {name: column for name, column in per_frame.items() if name not in constant}
-    if time == TIME_S:
-        per_frame.pop(TIME_S, None)
+    if time == importing.TIME_S:
+        per_frame.pop(importing.TIME_S, None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
         values = {name: each[number].as_py() for name, each in constant.items()}
         yield replace(
@@ -196,8 +194,8 @@ def _texts(stated: Mapping[str, object], name: str) -> list[str]:
 
 
 def name_ours(
-    whole: Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
-) -> Recording:
+    whole: importing.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
+) -> importing.Recording:
     """Return a recording that this toolkit wrote with its columns named as in its tables."""
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
@@ -206,15 +204,17 @@ def name_ours(
                 values = column_types.floats_of(per_frame.pop(name))
                 columns = np.atleast_2d(values.T)
                 per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
-    label = per_frame.get(NUMBERED)
+    label = per_frame.get(importing.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
         numbers, known = label.to_numpy(), pa.array([*class_names, None], pa.string())
         is_known = (numbers >= 0) & (numbers < len(class_names))
-        per_frame[f"{NUMBERED}_name"] = known.take(pa.array(np.where(is_known, numbers, len(class_names))))
+        per_frame[f"{importing.NUMBERED}_name"] = known.take(
+            pa.array(np.where(is_known, numbers, len(class_names)))
+        )
     return replace(whole, per_frame=per_frame)
 
 
-def with_contact(found: Recording) -> Recording:
+def with_contact(found: importing.Recording) -> importing.Recording:
     """Return a clip that this toolkit wrote with its first and last picture of contact, if it states them."""
     per_frame = dict(found.per_frame)
     stated = per_frame.pop(CONTACT, None)

@@ -11,6 +11,7 @@ from functools import partial
 import numpy as np
 
 from realtouch import (
+    convert,
     integrity,
     kind,
     picture_views,
@@ -20,7 +21,6 @@ from realtouch import (
     touch_dataset,
     touch_options,
 )
-from realtouch.convert import conversion
 from realtouch.faults import comparisons, rules
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
 from realtouch.finding import MOST_NAMED, RecordingFinding
@@ -122,7 +122,7 @@ def check(
     place = places.open_place(name).require(kind.KIND, "check").require_complete(split)
     files = {
         each: integrity.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
-        for each in conversion.parts_of(place, split)
+        for each in convert.parts_of(place, split)
     }
     shards = [shard for each in files.values() for shard in each]
     total = sum(map(len, shards))

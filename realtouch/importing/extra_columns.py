@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.import_columns import ImportColumns, is_extra_name
 from realtouch.importing.found_touches import FoundTouches, one_chunk
+from realtouch.importing.import_columns import ImportColumns, is_extra_name
 from realtouch.importing.recordings import TIME_S
 from realtouch.importing.source_files import NUMBERED
 from realtouch.schema import EXTRA_PREFIX

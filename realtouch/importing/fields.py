@@ -9,8 +9,8 @@ from contextlib import suppress
 import numpy as np
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns, expected_counts
 from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.import_columns import ImportColumns, expected_counts
 from realtouch.importing.source_files import NUMBERED
 from realtouch.poses import bad_pose
 from tactile_toolkit import column_types, spatial

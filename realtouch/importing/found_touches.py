@@ -37,7 +37,7 @@ File = tuple[str, str]
 """Address of a source, and a path below it."""
 
 
-class Place(NamedTuple):
+class PicturePlace(NamedTuple):
     """Where the pictures of a touch are: all that the reader of a format needs.
 
     Attributes
@@ -67,13 +67,13 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundTouches(Sequence[Place]):
+class FoundTouches(Sequence[PicturePlace]):
     """Touches to import; as a sequence, the places of their pictures.
 
     Attributes
     ----------
     where : pyarrow.Table
-        A row a touch. ``name``: what messages call it. ``home`` to ``frames``: see :class:`Place`.
+        A row a touch. ``name``: what messages call it. ``home`` to ``frames``: see :class:`PicturePlace`.
         ``contact``: first and last picture of a clip that show contact, if that is known. ``time_s``: time of
         each picture of a clip, if known, seconds; rises. ``reason``, ``problem``: why it cannot be used, if
         it cannot. ``number`` among all touches of the source; ``round``: in which it will be stored.
@@ -131,16 +131,18 @@ class FoundTouches(Sequence[Place]):
         return len(self.where)
 
     @overload
-    def __getitem__(self, number: int) -> Place: ...
+    def __getitem__(self, number: int) -> PicturePlace: ...
     @overload
     def __getitem__(self, number: slice) -> FoundTouches: ...
-    def __getitem__(self, number: int | slice) -> Place | FoundTouches:
+    def __getitem__(self, number: int | slice) -> PicturePlace | FoundTouches:
         if isinstance(number, slice):
             return self.take(np.arange(len(self))[number])
         return next(iter(self.take(np.array([range(len(self))[number]]))))
 
-    def __iter__(self) -> Iterator[Place]:
-        return map(Place._make, zip(*(self.where[name].to_pylist() for name in _OF_PLACES), strict=True))
+    def __iter__(self) -> Iterator[PicturePlace]:
+        return map(
+            PicturePlace._make, zip(*(self.where[name].to_pylist() for name in _OF_PLACES), strict=True)
+        )
 
     def take(self, rows: Int64) -> FoundTouches:
         """Return some touches, in this order, which no longer hold the others in memory."""

@@ -11,13 +11,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import kept_sources
 from realtouch.importing.formats import IMPORTS
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.importing.imported_rows import extras_in
 from realtouch.importing.touch_import import Arranged, arranged
+from realtouch.touch_options import Alignment
 from tactile_toolkit import store
 from tactile_toolkit.shown_text import printable
 from tactile_toolkit.touch import MEDIA_TYPE

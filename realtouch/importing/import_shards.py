@@ -15,11 +15,11 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import not_kept
 from realtouch.importing.fields import each_of, labels_of, objects_of, poses, positions
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import File, FoundTouches, one_chunk
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.importing.import_sources import Version, version_of
 from realtouch.importing.imported_clips import ImportedClip, clip_of
 from realtouch.importing.imported_rows import StoredTouches, extras_in, table_of

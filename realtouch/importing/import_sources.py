@@ -9,17 +9,16 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
 from realtouch.importing.cuts import Cutter
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.formats import IMPORTS
 from realtouch.importing.found_touches import File, FoundTouches, one_chunk
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.importing.recognised import Recognised, recognised
 from realtouch.importing.recordings import CUTS, TIME_S, Recording
 from realtouch.importing.source_files import NUMBERED, require_columns
 from realtouch.importing.streams import Aligner, StreamReport
-from realtouch.touch_options import require_layout
+from realtouch.touch_options import Alignment, require_layout
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.touch import MAX_IMAGE_BYTES

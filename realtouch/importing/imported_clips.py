@@ -10,9 +10,9 @@ import pyarrow as pa
 
 from realtouch.avi import write_avi
 from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.import_columns import ImportColumns
 from realtouch.importing.fields import Fields, each_of, poses, positions, times_s
 from realtouch.importing.found_touches import FoundTouches
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.stored_images import as_jpeg
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError

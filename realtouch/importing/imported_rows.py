@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns
 from realtouch.importing.extra_columns import extra_arrays, extra_types
 from realtouch.importing.found_touches import FoundTouches, one_chunk
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.importing.imported_clips import ImportedClip
 from realtouch.schema import POSE_COLUMN, extra_columns
 from tactile_toolkit.array_types import AnyArray, Float64, Int64

@@ -10,7 +10,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch.importing.found_touches import FoundTouches, PicturePlace
 from tactile_toolkit import column_types
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import ItemError
@@ -93,10 +93,10 @@ class Recording:
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
 
-    def place(self, start: int, stop: int) -> Place:
+    def place(self, start: int, stop: int) -> PicturePlace:
         """Return where some of its pictures are."""
         size, count = self.frame_bytes * (stop - start), stop - start
-        return Place(self.home, self.path, self.part, self.first + start, size, count)
+        return PicturePlace(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
         """Return the recording, with a problem if it has no picture, or times that run back."""

@@ -16,8 +16,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch.importing.found_touches import FoundTouches, PicturePlace
+from realtouch.importing.import_columns import ImportColumns
 from tactile_toolkit import column_types, run, store
 from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
@@ -197,11 +197,11 @@ def image_files(
     return FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
-ReadContents = Callable[[Iterable[Place]], Iterator[bytes | ItemError]]
+ReadContents = Callable[[Iterable[PicturePlace]], Iterator[bytes | ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
 
-def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def contents_of(places: Iterable[PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
@@ -217,7 +217,7 @@ def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
 
 
 def _contents(
-    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], places: Sequence[Place]
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], places: Sequence[PicturePlace]
 ) -> list[bytes | ItemError]:
     found: list[Any] = []
     try:

@@ -15,12 +15,18 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow.compute as pc
 
-from realtouch.alignment_options import Alignment
-from realtouch.convert.conversion import write_changed
-from realtouch.import_columns import ImportColumns
+from realtouch import convert
 from realtouch.importing.fields import UNKNOWN, integer_text, shown
 from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import FoundTouches, Place, add_values, one_chunk, ranges_of, texts_in
+from realtouch.importing.found_touches import (
+    FoundTouches,
+    PicturePlace,
+    add_values,
+    one_chunk,
+    ranges_of,
+    texts_in,
+)
+from realtouch.importing.import_columns import ImportColumns
 from realtouch.importing.import_shards import ImportTouches
 from realtouch.importing.import_sources import FoundSource, Reading, find_source
 from realtouch.importing.imported_rows import touch_schema
@@ -28,7 +34,7 @@ from realtouch.importing.source_files import NUMBERED, ReadContents
 from realtouch.kind import KIND
 from realtouch.stored_images import require_intact
 from realtouch.touch_card import write_card
-from realtouch.touch_options import LEFT_OUT, STREAMS
+from realtouch.touch_options import LEFT_OUT, STREAMS, Alignment
 from tactile_toolkit import catalog, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
@@ -216,7 +222,7 @@ class _WritePictures:
 
     def __call__(self, folder: store.DataFolder, _manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each picture by its path."""
-        return write_changed(folder, self.pictures)
+        return convert.write_changed(folder, self.pictures)
 
 
 def _listing_digest(touches: FoundTouches) -> str:
@@ -340,7 +346,7 @@ def common_size(
     where some, spread over all, differ: to read each twice takes long.
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
-    places, counts = list[Place](), dict[Place, int]()
+    places, counts = list[PicturePlace](), dict[PicturePlace, int]()
     if is_one_a_file:
         of_files = usable.where.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
@@ -356,7 +362,7 @@ def common_size(
 
 
 def _sizes(
-    places: Sequence[Place], read: ReadContents, counts: Mapping[Place, int]
+    places: Sequence[PicturePlace], read: ReadContents, counts: Mapping[PicturePlace, int]
 ) -> Counter[tuple[int, int]]:
     """Count the sizes of images, each as often as its file; those that are not intact do not count."""
     sizes = Counter[tuple[int, int]]()

@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.exchange.flat_import import find_flat, stored_images
+from realtouch.exchange.flat import find_flat, stored_images
 from realtouch.importing.found_touches import FoundTouches
 from tactile_toolkit import read, store
 from tactile_toolkit.errors import InputError, ToolkitError

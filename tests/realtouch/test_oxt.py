@@ -86,7 +86,7 @@ def test_the_contract_holds_for_what_is_written(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the loader of FTP-1 opens it, by the package zarr: rows a frame, four members of each group."""
-    monkeypatch.setattr("realtouch.exchange.zarr_writer.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")
     path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
     with zipfile.ZipFile(path) as archive:
