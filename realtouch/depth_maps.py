@@ -15,9 +15,9 @@ import numpy as np
 from PIL import Image
 
 from realtouch.stored_round import StoredRound
+from tactile_toolkit import read
 from tactile_toolkit.array_types import Float32, Floating
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
@@ -73,16 +73,16 @@ class DepthMaps(Sequence[Float32]):
         found, start, stop = row.entries_of(column)  # refuses a round with more or less than T maps
         self.row = row
         self._column, self._start, self._count = column, start, stop - start
-        self._blobs: BytesColumn = found.values
+        self._blobs: read.BytesColumn = found.values
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
         """Decode one map, or some of one size; IntegrityError where one is damaged."""
-        if picks_several(index):
-            return np.stack([self._decode(touch) for touch in positions(index, self._count).tolist()])
-        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+        if read.picks_several(index):
+            return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def __iter__(self) -> Iterator[Float32]:
         return map(self._decode, range(self._count))

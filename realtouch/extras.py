@@ -9,10 +9,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import read
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import did_you_mean
 
 _MOST_EXACT = 1 << 53  # below which float64 holds every integer
 
@@ -23,7 +22,8 @@ class UnknownExtraError(InputError, KeyError):
     def __init__(self, name: object, path: str, known: Collection[str]) -> None:
         found = ", ".join(map(repr, known)) or "none"
         super().__init__(
-            f"{path!r} has no further column {name!r}; it has {found}{did_you_mean(str(name), known)}",
+            f"{path!r} has no further column {name!r}; it has {found}"
+            f"{wording.did_you_mean(str(name), known)}",
             next="name one of these, or import it again with that column",
         )
         self.args = (name, path, tuple(known))  # by which it crosses process borders

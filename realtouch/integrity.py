@@ -7,11 +7,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch import schema
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
-from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
-from realtouch.touch_clips import TouchClip
+from realtouch import schema, sensor_images, stored_columns, stored_round, touch_clips
 from tactile_toolkit import catalog, read, run
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
@@ -20,7 +16,7 @@ _NAMES_SHOWN = 12
 
 
 def agreeing_files(
-    shards: Iterable[read.Shard], where: str, left_out: list[Damage] | None = None
+    shards: Iterable[read.Shard], where: str, left_out: list[stored_columns.Damage] | None = None
 ) -> list[read.Shard]:
     """Return the files of a data set that can be read and agree with the first of them.
 
@@ -39,7 +35,7 @@ def agreeing_files(
         except (InputError, IntegrityError) as error:
             if left_out is None or (isinstance(error, InputError) and not files):
                 raise
-            left_out.append(unreadable_file(shard.path, error))
+            left_out.append(stored_columns.unreadable_file(shard.path, error))
     return files
 
 
@@ -90,7 +86,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
     counts: Counter[int] = Counter()
     for shard, index in read.row_groups(shards):
         with suppress(IntegrityError):
-            counts.update(stored_touch_counts(shard, index).tolist())
+            counts.update(stored_round.stored_touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 
@@ -101,42 +97,46 @@ def checked_rows(
     *,
     decode: bool = True,
     workers: int = 1,
-) -> Iterator[tuple[StoredRound | None, list[Damage]]]:
+) -> Iterator[tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]]:
     """Yield all rows of row groups with what is wrong with each; None for unreadable rows.
 
     Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
     """
 
-    def checked(found: StoredRound | Damage) -> tuple[StoredRound | None, list[Damage]]:
-        if isinstance(found, Damage):
+    def checked(
+        found: stored_round.StoredRound | stored_columns.Damage,
+    ) -> tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]:
+        if isinstance(found, stored_columns.Damage):
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
     return run.in_threads(checked, readable_rows(groups), workers)
 
 
-def readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[StoredRound | Damage]:
+def readable_rows(
+    groups: Iterable[tuple[read.Shard, int]],
+) -> Iterator[stored_round.StoredRound | stored_columns.Damage]:
     """Yield all rows, and for unreadable ones their damage."""
     for shard, index in groups:
         try:
-            yield from rows_of(shard.blocks(index))
+            yield from stored_round.rows_of(shard.blocks(index))
         except IntegrityError as error:
-            yield unreadable_rows(shard, index, error)
+            yield stored_columns.unreadable_rows(shard, index, error)
 
 
 def check_round(
-    row: StoredRound,
+    row: stored_round.StoredRound,
     expected_touches: int | None = None,
     *,
     decode: bool = True,
     class_names: Sequence[str] | None = None,
-) -> list[Damage]:
+) -> list[stored_columns.Damage]:
     """List the damage of one round: one entry per field of it, and one per field of each touch.
 
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
     ``class_names``, where those are stated. Without ``decode``, headers of images and frames are read only.
     """
-    found: list[Damage] = []
+    found: list[stored_columns.Damage] = []
     noted = partial(_noted, found, row)
     scalars: dict[str, Callable[[], object]] = {
         "id": row.name,
@@ -160,7 +160,7 @@ def check_round(
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
         problem = f"{count} touches; expected {expected_touches} as in the other rounds"
-        found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
+        found.append(stored_columns.Damage(row.path, row.number, None, "pos_in_cell", problem))
     for name in schema.extra_columns(row.group.names):
         with noted():
             row.extra_values(name)
@@ -188,16 +188,16 @@ def check_round(
 
 
 @contextmanager
-def _noted(found: list[Damage], row: StoredRound) -> Iterator[None]:
+def _noted(found: list[stored_columns.Damage], row: stored_round.StoredRound) -> Iterator[None]:
     """Add what is wrong to a list instead of raising it."""
     try:
         yield
-    except DamagedRoundError as error:
+    except stored_columns.DamagedRoundError as error:
         found.append(error.damage)
     except (InputError, IntegrityError) as error:
-        found.append(Damage(row.path, row.number, None, "", error.what))
+        found.append(stored_columns.Damage(row.path, row.number, None, "", error.what))
     except ValueError as error:
-        found.append(Damage(row.path, row.number, None, "", str(error)))
+        found.append(stored_columns.Damage(row.path, row.number, None, "", str(error)))
 
 
 def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
@@ -207,18 +207,20 @@ def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
 
 _SizeOf = Callable[[memoryview], tuple[int, int]]
 _Noted = Callable[[], AbstractContextManager[None]]
-_PictureSize = Callable[[StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
+_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
-def _image_size(row: StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted) -> tuple[int, ...]:
+def _image_size(
+    row: stored_round.StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted
+) -> tuple[int, ...]:
     """Return height and width of an image."""
     with row.naming("sensor_image", touch):
-        return size_of(SensorImages(row).encoded(touch))
+        return size_of(sensor_images.SensorImages(row).encoded(touch))
 
 
-def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
     """Return height and width of all frames of a clip; nothing of a clip without frames."""
-    clip = TouchClip(row, touch)
+    clip = touch_clips.TouchClip(row, touch)
     with noted():
         if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
             _ = clip.contact_window
@@ -234,14 +236,16 @@ def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) ->
     return first
 
 
-def _odd_sizes(row: StoredRound, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
+def _odd_sizes(
+    row: stored_round.StoredRound, sizes: dict[int, tuple[int, ...]], media: str
+) -> Iterator[stored_columns.Damage]:
     """List the touches whose pictures differ in size from most of the round, on a tie the first."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
         if size != modal:
             problem = f"{_describe(size)}; expected {_describe(modal)} as of the other touches"
-            yield Damage(row.path, row.number, touch, media, problem)
+            yield stored_columns.Damage(row.path, row.number, touch, media, problem)
 
 
 def _describe(size: tuple[int, ...]) -> str:

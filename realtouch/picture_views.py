@@ -8,10 +8,10 @@ from contextlib import suppress
 
 import numpy as np
 
+from tactile_toolkit import touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
-from tactile_toolkit.touch import resized
 
 MOST_TILES = 32
 """Touches that a notebook shows of a round."""
@@ -28,7 +28,7 @@ def evenly_spaced(count: int, most: int) -> list[int]:
 
 def fitted(image: UInt8, width: int) -> UInt8:
     """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
-    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
+    return touch.resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
 
 
 def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _TILE_WIDTH) -> UInt8:
@@ -37,7 +37,7 @@ def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _
     All get the proportions of the first.
     """
     height = fitted(images[0], tile_width).shape[0]
-    tiles = [Tile(resized(image, tile_width, height)) for image in images]
+    tiles = [Tile(touch.resized(image, tile_width, height)) for image in images]
     return sheet(tiles, min(columns, len(images)), gap_px=_GAP, margin_px=_GAP)
 
 

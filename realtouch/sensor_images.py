@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from realtouch.stored_round import StoredRound
+from tactile_toolkit import read
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -73,7 +73,7 @@ class SensorImages(Sequence[UInt8]):
         column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
         self.row = row
-        self._blobs: BytesColumn = column.values
+        self._blobs: read.BytesColumn = column.values
         self._start, self._count = start, stop - start
 
     def __len__(self) -> int:
@@ -85,9 +85,9 @@ class SensorImages(Sequence[UInt8]):
         Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
         file, row and touch.
         """
-        if picks_several(index):
+        if read.picks_several(index):
             return self.batch(index)
-        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def __iter__(self) -> Iterator[UInt8]:
         return (self._decode(touch) for touch in range(self._count))
@@ -115,7 +115,7 @@ class SensorImages(Sequence[UInt8]):
         IntegrityError
             As for indexing; or the images exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        touches = positions(index, self._count).tolist()
+        touches = read.positions(index, self._count).tolist()
         first, size = [*touches, 0][0], (0, 0)
         if self._count:
             size = self.size(first)
@@ -130,7 +130,7 @@ class SensorImages(Sequence[UInt8]):
 
     def encoded(self, touch: int) -> memoryview:
         """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
-        place = checked_index(touch, self._count, "touch", "touches")
+        place = read.checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
             raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)

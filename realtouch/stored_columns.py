@@ -15,9 +15,7 @@ from typing import Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch import schema
-from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.extras import UnknownExtraError, array_with_gaps
+from realtouch import avi, extras, schema
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
@@ -39,7 +37,7 @@ _COUNTED = (
 
 _UNREADABLE = (ValueError, pa.ArrowException)
 
-_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
+_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {avi.MAX_CLIP_FRAMES:,}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +227,7 @@ class StoredColumns(Row):
         """
         values = self.per_touch("video_length_frames")
         # False for NaN, which stands for a missing one.
-        possible = (values >= 0) & (values <= MAX_CLIP_FRAMES) & whole_numbers(values)
+        possible = (values >= 0) & (values <= avi.MAX_CLIP_FRAMES) & whole_numbers(values)
         self.require_each("video_length_frames", possible, None, _TOO_LONG, values)
         return values.astype(np.int64, copy=False)
 
@@ -237,7 +235,7 @@ class StoredColumns(Row):
         """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
         column, place, _ = self.entries_of("video_length_frames", touch)
         frames = column.values[place]
-        if not (0 <= frames <= MAX_CLIP_FRAMES and int(frames) == frames):
+        if not (0 <= frames <= avi.MAX_CLIP_FRAMES and int(frames) == frames):
             raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
         return int(frames)
 
@@ -285,11 +283,11 @@ class StoredColumns(Row):
         """
         known = schema.extra_columns(self.group.names)
         if name not in known:
-            raise UnknownExtraError(name, self.path, known)
+            raise extras.UnknownExtraError(name, self.path, known)
         stored, values = known[name], self.extra_entries(known[name])
         if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
-                return array_with_gaps(values)
+                return extras.array_with_gaps(values)
         found = []
         for touch, length in enumerate(self.clip_lengths().tolist()):
             frames = values[touch].values
@@ -298,7 +296,7 @@ class StoredColumns(Row):
             if len(frames) < length:
                 raise self.damaged(stored, f"{len(frames)} frames; expected at least {length}", touch)
             with self.naming(stored, touch):
-                found.append(array_with_gaps(frames.slice(0, length)))
+                found.append(extras.array_with_gaps(frames.slice(0, length)))
         return tuple(found)
 
     def plain_value(self, name: str) -> Any:

@@ -10,10 +10,8 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch.contacts import contact_rule_text
+from realtouch import contacts, schema, touch_dataset
 from realtouch.rounds import TouchRound
-from realtouch.schema import POSE_COLUMN, extra_columns, extra_type_text
-from realtouch.touch_dataset import AnyDataset
 from realtouch.touches import AnyTouches
 from tactile_toolkit import read
 from tactile_toolkit.errors import InputError
@@ -76,7 +74,7 @@ class Summary:
         return asdict(self)
 
 
-def summarise(dataset: AnyDataset) -> Summary:
+def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
     """Count what a data set holds; reads small columns and one image or clip.
 
     Parameters
@@ -105,7 +103,7 @@ def summarise(dataset: AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_rule=contact_rule_text(dataset.column_names),
+        contact_rule=contacts.contact_rule_text(dataset.column_names),
         extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )
@@ -115,7 +113,7 @@ def summarise(dataset: AnyDataset) -> Summary:
         found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
     if dataset.has_column("object_id"):
         found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
-    if dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position"):
+    if dataset.has_column(f"{schema.POSE_COLUMN[dataset.kind]}.position"):
         share = float(touches.in_contact().mean())
         rules = dict.fromkeys(map(str, dataset.contact_rules()))
         found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
@@ -126,10 +124,10 @@ def summarise(dataset: AnyDataset) -> Summary:
     return found
 
 
-def _extra_types(dataset: AnyDataset) -> dict[str, str]:
+def _extra_types(dataset: touch_dataset.AnyDataset) -> dict[str, str]:
     types = read.column_types(dataset.table.schemas[0])
-    columns = extra_columns(dataset.column_names)
-    return {name: extra_type_text(stored, types[stored]) for name, stored in columns.items()}
+    columns = schema.extra_columns(dataset.column_names)
+    return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
 
 
 def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
@@ -170,7 +168,7 @@ class PaperNumber:
         return asdict(self)
 
 
-def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
+def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperNumber]:
     """Measure what the paper states about real touches; reads one picture only.
 
     Parameters

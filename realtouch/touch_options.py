@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from tactile_toolkit import catalog
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real
+from tactile_toolkit import catalog, checked_fields
 from tactile_toolkit.errors import InputError
 
 T = TypeVar("T")
@@ -62,15 +61,15 @@ ALIGN_METHODS = ("nearest", "linear")
 class TouchPreviewSpec:
     """Which pictures of touches to draw; the grid where no kind is asked for."""
 
-    kinds: tuple[str, ...] = choice(
+    kinds: tuple[str, ...] = checked_fields.choice(
         (),
         ("grid", "overlay", "all"),
         name="--kind",
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
     )
     split: str | None = catalog.ONE_SPLIT
-    round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
-    touches: int = integer(32, 1, help="Number of touches in a grid.")
+    round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
+    touches: int = checked_fields.integer(32, 1, help="Number of touches in a grid.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,15 +96,21 @@ class CheckLimits:
         touches that are ten times as far from all others.
     """
 
-    frozen: int = integer(3, 2, help="So many equal pictures in a row are frozen.")
-    gap: float = real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
-    exposure: float = real(12.0, 1, 255, help="Step of the brightness of a picture, grey levels.")
-    drift: float = real(10.0, 1, 255, help="Change of the bare gel over the session, grey levels.")
-    motion_mm: float = real(0.5, above=0, help="Motion of the gel while its picture is frozen.")
-    jump_mm: float = real(10.0, above=0, help="Step of the position from frame to frame.")
+    frozen: int = checked_fields.integer(3, 2, help="So many equal pictures in a row are frozen.")
+    gap: float = checked_fields.real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
+    exposure: float = checked_fields.real(
+        12.0, 1, 255, help="Step of the brightness of a picture, grey levels."
+    )
+    drift: float = checked_fields.real(
+        10.0, 1, 255, help="Change of the bare gel over the session, grey levels."
+    )
+    motion_mm: float = checked_fields.real(
+        0.5, above=0, help="Motion of the gel while its picture is frozen."
+    )
+    jump_mm: float = checked_fields.real(10.0, above=0, help="Step of the position from frame to frame.")
 
     def __post_init__(self) -> None:
-        check_fields(self, "the limits")
+        checked_fields.check_fields(self, "the limits")
 
 
 def require_layout(layout: str, known: Mapping[str, T]) -> T:
@@ -133,21 +138,21 @@ class Alignment:
         Added to the times of all streams, seconds.
     """
 
-    method: str = choice(
+    method: str = checked_fields.choice(
         "nearest",
         ALIGN_METHODS,
         name="--align",
         help="Value of a picture from a stream of another rate: the nearest sample, or between two.",
     )
-    max_gap_ms: float = real(
+    max_gap_ms: float = checked_fields.real(
         100.0,
         above=0,
         metavar="MS",
         help="Longest gap of a stream in which pictures get values.",
     )
-    time_offset_s: float = real(
+    time_offset_s: float = checked_fields.real(
         0.0, -1e12, 1e12, metavar="S", help="Added to the times of streams, where their clock is another one."
     )
 
     def __post_init__(self) -> None:
-        check_fields(self, "the alignment")
+        checked_fields.check_fields(self, "the alignment")

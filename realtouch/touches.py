@@ -13,10 +13,9 @@ import numpy as np
 from realtouch import schema, sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit import builtin_values, checked_fields, kind, read, system
+from tactile_toolkit import builtin_values, checked_fields, kind, read, system, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from datasets import Dataset
@@ -386,7 +385,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def description(self) -> list[str]:
         """Return what the data set holds, and where it is from, in words."""
         of_rounds, *further = self.dataset.description()
-        return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
+        return [f"{wording.with_count(len(self), self.things)} of {of_rounds}", *further]
 
 
 AnyTouches = Touches[Any]

@@ -12,10 +12,9 @@ from typing import IO
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError, ToolkitError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
@@ -162,9 +161,9 @@ class Video:
 
 def kept_jpeg(jpeg: bytes) -> bytes | ItemError:
     """Return a JPEG as it is, or why it cannot be used."""
-    if len(jpeg) <= MAX_IMAGE_BYTES:
+    if len(jpeg) <= touch.MAX_IMAGE_BYTES:
         return jpeg
-    return ItemError("image", f"a picture of more than {MAX_IMAGE_BYTES:,} bytes")
+    return ItemError("image", f"a picture of more than {touch.MAX_IMAGE_BYTES:,} bytes")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:

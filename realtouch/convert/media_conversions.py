@@ -10,8 +10,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import contact, depth_maps
-from realtouch.avi import write_avi
+from realtouch import avi, contact, depth_maps, sensor_images, stored_round, touch_clips
 from realtouch.convert import conversion, shard_tasks, touch_pictures
 from realtouch.schema import (
     EXTRA_PREFIX,
@@ -23,9 +22,6 @@ from realtouch.schema import (
     flat_row,
     number_lists,
 )
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_round import StoredRound
-from realtouch.touch_clips import SensorClips, TouchClip
 from tactile_toolkit import places, read, store
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.errors import InputError
@@ -134,7 +130,9 @@ class TakeContactFrames:
                 fields.append(pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count)))
         return pa.schema([*fields, pa.field("sensor_image", pa.list_(MEDIA_TYPE, count))])
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
@@ -232,16 +230,18 @@ class ResizeMedia:
         """Return the schema of the source: only the pixels change."""
         return source
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
         flat, kind = flat_row(row), row.kind
         if kind == "single":
-            images = SensorImages(row)
+            images = sensor_images.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
             blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
-            sizes = [clip.size for clip in SensorClips(row)]
-            blobs = [self._clip(clip) for clip in SensorClips(row)]
+            sizes = [clip.size for clip in touch_clips.SensorClips(row)]
+            blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
         made = {
             MEDIA_COLUMN[kind]: bytes_lists(
                 [blobs], _SUFFIX[kind], flat.schema.field(MEDIA_COLUMN[kind]).type
@@ -275,15 +275,17 @@ class ResizeMedia:
         method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
         return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
 
-    def _image(self, images: SensorImages, touch: int) -> bytes | memoryview:
+    def _image(self, images: sensor_images.SensorImages, touch: int) -> bytes | memoryview:
         if images.size(touch) == (self.height, self.width):
             return images.encoded(touch)
         return self._encode(images[touch])
 
-    def _clip(self, clip: TouchClip) -> bytes | memoryview:
+    def _clip(self, clip: touch_clips.TouchClip) -> bytes | memoryview:
         if clip.size == (self.height, self.width):
             return clip.data
-        return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
+        return avi.write_avi(
+            [self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps
+        )
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)

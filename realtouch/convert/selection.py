@@ -15,13 +15,9 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import schema
+from realtouch import contacts, schema, stored_round, touch_dataset
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
-from realtouch.contacts import BY_IMAGE
-from realtouch.convert import conversion
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.stored_round import StoredRound
-from realtouch.touch_dataset import dataset_of
+from realtouch.convert import conversion, shard_tasks
 from tactile_toolkit import catalog, places, read, store
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict, JsonObject
@@ -38,7 +34,7 @@ def select(
     labels: Iterable[int | str] = (),
     objects: Iterable[int | tuple[int, int]] = (),
     per_class: int | None = None,
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
@@ -87,14 +83,14 @@ def select(
     }
     if per_class is not None:
         chosen["per_class"] = conversion.require_limit(per_class, "per_class")
-    return write_conversion(source, out, partial(_selection, chosen), **job)
+    return shard_tasks.write_conversion(source, out, partial(_selection, chosen), **job)
 
 
 def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
     options = {**chosen, "limit": limit}
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
-        options["contact_rule"] = BY_IMAGE
+        options["contact_rule"] = contacts.BY_IMAGE
     elif options["min_height_m"] is None:
         options["min_height_m"] = MIN_CONTACT_HEIGHT_M
         if options["contact"]:
@@ -103,7 +99,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     if options["contact"] and not any(choices.values()):
         if by_image:
             raise InputError(
-                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {BY_IMAGE})",
+                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contacts.BY_IMAGE})",
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
@@ -111,7 +107,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
 
 
 def _no_contact(source: conversion.Source, height_m: float) -> InputError:
-    heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    heights_m = [touch_dataset.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
     return InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
@@ -122,7 +118,7 @@ def _no_contact(source: conversion.Source, height_m: float) -> InputError:
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = dataset_of(source.shards[split]), options["limit"]
+    dataset, limit = touch_dataset.dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
         raise InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",
@@ -187,7 +183,9 @@ class KeepTouches:
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Return a row with the chosen touches; no image or clip is decoded."""
         flat = schema.flat_row(row)
         if choice.touches is None:

@@ -12,9 +12,8 @@ from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch import convert, importing
+from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from realtouch.stored_images import as_jpeg, background_of
 from tactile_toolkit import column_types, read, store
 from tactile_toolkit.errors import InputError, ItemError
 
@@ -37,9 +36,9 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage])
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
         home = f"{_FOLDER}/{IMAGES}/{shard.split}-{convert.stem_of_id(name)}/{FRAMES}"
-        found = {f"{home}/{touch:010d}.jpg": as_jpeg(image) for _, touch, (_, image) in touches}
+        found = {f"{home}/{touch:010d}.jpg": stored_images.as_jpeg(image) for _, touch, (_, image) in touches}
         background = f"{home}/{_BACKGROUND}"
-        files |= {**found, background: background_of(list(found.values()), list(found))}
+        files |= {**found, background: stored_images.background_of(list(found.values()), list(found))}
         paths += found
         backgrounds += [background] * len(found)
     return convert.with_files(index, files, [paths, backgrounds])

@@ -5,14 +5,13 @@ from __future__ import annotations
 from os import PathLike
 from typing import Literal, Unpack, get_args
 
-from realtouch import convert
-from realtouch.contact import require_method
-from realtouch.touch_options import require_layout
-from tactile_toolkit import places, store
-from tactile_toolkit.kind import lazy
+from realtouch import contact, convert, touch_options
+from tactile_toolkit import kind, places, store
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"]
-EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
+EXPORTS = {
+    layout: kind.lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)
+}
 
 
 def export(
@@ -61,7 +60,7 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan, method = require_layout(layout, EXPORTS), require_method(frame)
+    plan, method = touch_options.require_layout(layout, EXPORTS), contact.require_method(frame)
 
     def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}

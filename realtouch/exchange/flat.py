@@ -10,14 +10,11 @@ from collections.abc import Iterator
 import numpy as np
 
 from realtouch import importing
-from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture
-from realtouch.exchange.touch_rows import TouchFormat
-from tactile_toolkit import column_types, store
+from realtouch.exchange import foreign_parquet, touch_rows
+from tactile_toolkit import column_types, store, touch, wording
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch import MEDIA_COLUMN
-from tactile_toolkit.wording import did_you_mean
 
-plan_flat = TouchFormat().plan
+plan_flat = touch_rows.TouchFormat().plan
 
 
 _ENDING = ".parquet"
@@ -34,7 +31,7 @@ def find_flat(
     home, paths = _files(home)
     for path in paths:
         try:
-            parquet = ForeignParquet(home, path)
+            parquet = foreign_parquet.ForeignParquet(home, path)
         except ItemError as error:
             raise InputError(f"{home.address(path)!r}: {error.what}") from error
         column = _picture_column(parquet, columns.image_name)
@@ -52,21 +49,25 @@ def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
     return home, paths
 
 
-def _picture_column(parquet: ForeignParquet, name: str) -> str:
+def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
     """Return the column of pictures: that named, or the only one (InputError)."""
-    for stored in MEDIA_COLUMN.values():
-        if stored in parquet.types and not is_picture(parquet.types[stored]):  # a list, an entry a touch
+    for stored in touch.MEDIA_COLUMN.values():
+        if stored in parquet.types and not foreign_parquet.is_picture(
+            parquet.types[stored]
+        ):  # a list, an entry a touch
             raise InputError(
                 f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
                 "which needs no import",
                 next="open the data set by its folder, as with `realtouch info`",
             )
-    known: list[str] = [column for column, data_type in parquet.types.items() if is_picture(data_type)]
+    known: list[str] = [
+        column for column, data_type in parquet.types.items() if foreign_parquet.is_picture(data_type)
+    ]
     chosen = [column for column in known if name in ("", column)]
     if len(chosen) == 1:
         return chosen[0]
     found = ", ".join(known) or f"none among {', '.join(parquet.types)}"
-    expected = f"{name!r}{did_you_mean(name, known)}" if name else "one"
+    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
     raise InputError(
         f"{parquet.place!r} has the columns of pictures {found}; expected {expected}",
         next="choose one with --map image=NAME",
@@ -74,9 +75,9 @@ def _picture_column(parquet: ForeignParquet, name: str) -> str:
 
 
 def _touches(
-    home: store.DataFolder, path: str, parquet: ForeignParquet, column: str
+    home: store.DataFolder, path: str, parquet: foreign_parquet.ForeignParquet, column: str
 ) -> importing.FoundTouches:
-    names = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+    names = [name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)]
     size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
     shard = store.ShardName.parse(path.rpartition("/")[2])
     left_out = _OF_ORDER if {*names} >= _OURS else ()

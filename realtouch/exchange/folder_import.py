@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import pyarrow as pa
 
 from realtouch import importing
-from tactile_toolkit import store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
+from tactile_toolkit import column_tables, store
 from tactile_toolkit.errors import InputError, ItemError
 
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
@@ -28,7 +27,7 @@ def find_folder(
     if table is not None:
         folder, found = importing.source_of(table)
     else:
-        folder, tables = home, importing.visible_files(home, COLUMN_TABLE_ENDINGS)
+        folder, tables = home, importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS)
         images = [] if tables or columns.image_name else _images(home)
         if images:
             yield _labelled(home, images)

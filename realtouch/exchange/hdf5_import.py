@@ -17,9 +17,7 @@ from typing import Any
 import numpy as np
 
 from realtouch import importing
-from realtouch.exchange.hdf5_arrays import dataset_in, in_words, kind_of_member, open_file
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
+from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
@@ -43,8 +41,8 @@ def find_hdf5(
     image = columns.image_name.strip("/")
     for name in names:
         place = home.address(name)
-        with importing.open_source(home, name) as stream, in_words(place):
-            root = open_file(stream)
+        with importing.open_source(home, name) as stream, hdf5_arrays.in_words(place):
+            root = hdf5_arrays.open_file(stream)
             kinds = dict(islice(_members(place, root, "", _DEEPEST), _MOST_OBJECTS + 1))
             if len(kinds) > _MOST_OBJECTS:
                 raise InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
@@ -59,7 +57,7 @@ def _members(place: str, group: Any, path: str, deepest: int) -> Iterator[tuple[
     if not deepest:
         raise InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
     for name in group:
-        kind = kind_of_member(group, name)
+        kind = hdf5_arrays.kind_of_member(group, name)
         yield f"{path}{name}", kind
         if kind == "Group":
             yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
@@ -93,13 +91,13 @@ def _recording(
     place = home.address(path)
     below = {each.removeprefix(group): kind for each, kind in kinds.items() if each.startswith(group)}
     inside = {
-        each: partial(dataset_in, place, root, f"{group}{each}")
+        each: partial(hdf5_arrays.dataset_in, place, root, f"{group}{each}")
         for each, kind in below.items()
         if kind == "Dataset"
     }
-    pictures = PictureArray.of(inside.pop(image)())
+    pictures = picture_arrays.PictureArray.of(inside.pop(image)())
     wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
-    found, left_out = columns_of(inside, len(pictures), wanted)
+    found, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
@@ -114,19 +112,19 @@ def _recording(
     part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
     about = (part, 0, len(pictures), size, values, per_frame)
     whole = importing.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
-    constant = of_episodes(whole, columns).intersection(wanted)
-    return next(episodes_of(whole, np.array([len(pictures)]), [title], constant))
+    constant = zarr_recordings.of_episodes(whole, columns).intersection(wanted)
+    return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
 
 
-def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, name = part.split(" ", 1)
     folder = store.open_folder(home)
-    with ExitStack() as closing, in_words(folder.address(path)):
-        root = open_file(closing.enter_context(importing.open_source(folder, path)))
-        array = dataset_in(folder.address(path), root, name)
+    with ExitStack() as closing, hdf5_arrays.in_words(folder.address(path)):
+        root = hdf5_arrays.open_file(closing.enter_context(importing.open_source(folder, path)))
+        array = hdf5_arrays.dataset_in(folder.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
-    return PictureArray(array, float(divisor))
+    return picture_arrays.PictureArray(array, float(divisor))
 
 
-encoded_frames = partial(encoded_pictures, opened=_open_pictures)
-describe_conversion = partial(described_pictures, opened=_open_pictures)
+encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

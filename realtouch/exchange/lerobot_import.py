@@ -15,10 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import importing, video
-from realtouch.exchange import video_import
-from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
-from realtouch.exchange.lerobot_mark import as_ours
-from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
+from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
 from tactile_toolkit import column_types, store
 from tactile_toolkit.array_types import Float64
 from tactile_toolkit.errors import IntegrityError, ItemError
@@ -34,10 +31,10 @@ def find_lerobot(
 
     An episode that cannot be used is a recording with a problem.
     """
-    info = read_info(home)
+    info = lerobot_metadata.read_info(home)
     camera = info.camera(columns.image_name, home.address())
-    reader = _Episodes(home, info, camera, read_tasks(home, info))
-    yield from map(reader.recording, read_episodes(home, info, camera))
+    reader = _Episodes(home, info, camera, lerobot_metadata.read_tasks(home, info))
+    yield from map(reader.recording, lerobot_metadata.read_episodes(home, info, camera))
 
 
 def describe_conversion(touches: importing.FoundTouches) -> str:
@@ -52,13 +49,15 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
 def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the pictures of places in order, from rows or videos."""
     for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
-        yield from (stored_pictures if are_rows else video_import.encoded_frames)(group)
+        yield from (foreign_parquet.stored_pictures if are_rows else video_import.encoded_frames)(group)
 
 
 class _Episodes:
     """Reads the episodes of one camera; the columns of the file read last are kept."""
 
-    def __init__(self, home: store.DataFolder, info: Info, camera: str, tasks: Mapping[int, str]) -> None:
+    def __init__(
+        self, home: store.DataFolder, info: lerobot_metadata.Info, camera: str, tasks: Mapping[int, str]
+    ) -> None:
         self.home = home
         self.info = info
         self.camera = camera
@@ -67,7 +66,7 @@ class _Episodes:
         self._columns: dict[str, pa.Array] = {}
         self._picture_bytes = 0
 
-    def recording(self, episode: Episode) -> importing.Recording:
+    def recording(self, episode: lerobot_metadata.Episode) -> importing.Recording:
         """Return an episode; one that cannot be used has a problem, and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
         place = self.home.address(), episode.data_path, self.camera
@@ -76,9 +75,9 @@ class _Episodes:
             found = self._read(found, episode)
         except (ItemError, IntegrityError) as error:
             return replace(found, problem=ItemError(getattr(error, "reason", "file"), error.what))
-        return found if self.info.realtouch is None else as_ours(found, self.info.realtouch)
+        return found if self.info.realtouch is None else lerobot_mark.as_ours(found, self.info.realtouch)
 
-    def _read(self, found: importing.Recording, episode: Episode) -> importing.Recording:
+    def _read(self, found: importing.Recording, episode: lerobot_metadata.Episode) -> importing.Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {
@@ -99,12 +98,14 @@ class _Episodes:
         """Read all columns of a file but pictures, unless it was read last."""
         if path == self._path:
             return
-        parquet = ForeignParquet(self.home, path)
+        parquet = foreign_parquet.ForeignParquet(self.home, path)
         if self.info.features[self.camera].dtype == "image":
-            if not is_picture(parquet.types.get(self.camera)):
+            if not foreign_parquet.is_picture(parquet.types.get(self.camera)):
                 raise ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
-        plain = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+        plain = [
+            name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)
+        ]
         columns = parquet.columns([name for name in plain if name not in self.info.pictures])
         for name, column in columns.items():
             lengths = column_types.lengths_of(column)
@@ -127,7 +128,7 @@ class _Episodes:
         return {}
 
 
-def _rows_of(episode: Episode, columns: Mapping[str, pa.Array]) -> slice:
+def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array]) -> slice:
     """Return where the frames of an episode stand in a file; ItemError unless all do, one after another."""
     stated = columns.get("episode_index", pa.nulls(0))
     numbers = np.empty(0, np.int64)

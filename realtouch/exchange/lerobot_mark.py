@@ -7,13 +7,11 @@ from dataclasses import replace
 
 import msgspec
 
-from realtouch import importing
-from realtouch.exchange.episodes import ACTION, STATE, TIME
-from realtouch.exchange.zarr_recordings import name_ours, with_contact
+from realtouch import importing, touch_options
+from realtouch.exchange import episodes, zarr_recordings
 from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 
-_VECTORS = {STATE: POSE_COLUMNS, ACTION: POSITION_COLUMNS}
+_VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")
 
 
@@ -43,8 +41,8 @@ def as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
     every = found.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
     values, time_s = dict(found.values), found.time_s
-    if TIME in columns:
-        time_s = columns.pop(TIME).to_numpy(zero_copy_only=False)
+    if episodes.TIME in columns:
+        time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
     touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
@@ -52,10 +50,10 @@ def as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
         name, cut = found.name, "whole"
         if isinstance(touch, int):
             name = touch_id(round_id, touch)
-        of_episode += [*POSITION_COLUMNS, *mark.per_touch]
+        of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
-    found = with_contact(found)
-    ours = name_ours(found, _VECTORS, mark.class_names).per_frame
+    found = zarr_recordings.with_contact(found)
+    ours = zarr_recordings.name_ours(found, _VECTORS, mark.class_names).per_frame
     # Later, as a further column may have the name of one of ours.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
     values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}

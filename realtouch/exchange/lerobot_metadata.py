@@ -11,11 +11,9 @@ from typing import Annotated, Any
 import msgspec
 
 from realtouch import importing
-from realtouch.exchange.foreign_parquet import ForeignParquet
-from realtouch.exchange.lerobot_mark import Mark
-from tactile_toolkit import store
+from realtouch.exchange import foreign_parquet, lerobot_mark
+from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.wording import did_you_mean
 
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
@@ -51,7 +49,7 @@ class Info(msgspec.Struct, frozen=True):
     video_path: str | None = None
     chunks_size: Annotated[int, msgspec.Meta(gt=0, lt=1 << 50)] = 1000
     splits: Mapping[str, str] | None = None
-    realtouch: Mark | None = None
+    realtouch: lerobot_mark.Mark | None = None
 
     @property
     def pictures(self) -> list[str]:
@@ -73,7 +71,7 @@ class Info(msgspec.Struct, frozen=True):
         if len(chosen) == 1:
             return chosen[0]
         found = ", ".join(cameras) or f"none; its features are {', '.join(self.features)}"
-        expected = f"{name!r} among them{did_you_mean(name, cameras)}" if name else "one"
+        expected = f"{name!r} among them{wording.did_you_mean(name, cameras)}" if name else "one"
         raise InputError(
             f"{where!r} has the cameras {found}; expected {expected}", next="choose one with --map image=NAME"
         )
@@ -184,7 +182,7 @@ def _lines(home: store.DataFolder, path: str) -> Iterator[Mapping[str, Any]]:
         if path.endswith(".jsonl"):
             yield from msgspec.json.Decoder(Mapping[str, Any]).decode_lines(_content(home, path))
             return
-        parquet = ForeignParquet(home, path)
+        parquet = foreign_parquet.ForeignParquet(home, path)
         yield from parquet.rows([name for name in parquet.types if not name.startswith("stats/")])
 
 

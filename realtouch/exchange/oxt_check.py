@@ -10,11 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from realtouch.exchange.oxt import INSTRUCTION, PICTURE, SENSOR, TIMES
-from realtouch.exchange.picture_arrays import StoredArray, columns_of
-from realtouch.exchange.zarr_arrays import ZarrGroup
-from realtouch.exchange.zarr_groups import ENDS
-from realtouch.exchange.zarr_recordings import DATA, data_arrays, episode_ends, group_in
+from realtouch.exchange import oxt, picture_arrays, zarr_arrays, zarr_groups, zarr_recordings
 from realtouch.finding import RecordingFinding
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray, Int64
@@ -25,15 +21,15 @@ _STATE = "(left|right)_(wrist_pose|arm_joints|hand_joints)"
 _TACTILE = r"(?P<side>\w+?)_tactile_(data|area|sensor|type)_(?P<group>.+)"
 _MEMBERS = ("data", "area", "sensor", "type")
 _HAND = "(?P<side>left|right)_hand_joints"
-_TYPES = f"state|binary|{PICTURE}"
+_TYPES = f"state|binary|{oxt.PICTURE}"
 # Other sensors may have any name, but for these in another spelling.
-_SENSORS = rf"{SENSOR}|InspireHand|(?!(?i:gelsight[\W_]*mini|inspire[\W_]*hand)\Z).+"
+_SENSORS = rf"{oxt.SENSOR}|InspireHand|(?!(?i:gelsight[\W_]*mini|inspire[\W_]*hand)\Z).+"
 _TEXTS_SHOWN = 3
 _SLOTS = 32  # of the joints of a hand
 
 # Rule, names of arrays, and those that must be there for each of them; without any, one that fits must be.
 NEEDED: tuple[tuple[str, str, tuple[str, ...]], ...] = (
-    ("members", ".+", (TIMES, INSTRUCTION)),
+    ("members", ".+", (oxt.TIMES, oxt.INSTRUCTION)),
     ("camera", _CAMERA, ()),
     ("state", _STATE, ()),
     ("tactile", _TACTILE, ()),
@@ -95,8 +91,8 @@ PICTURES = ArrayRule(r"\w+?_tactile_data_.+", "N H W 3", "B")
 """Of tactile groups whose type is that of pictures."""
 
 RULES = (
-    ArrayRule(TIMES, "", "iuf", "times", _rises, "times that rise in each episode"),
-    ArrayRule(INSTRUCTION, "", "U"),
+    ArrayRule(oxt.TIMES, "", "iuf", "times", _rises, "times that rise in each episode"),
+    ArrayRule(oxt.INSTRUCTION, "", "U"),
     ArrayRule(_CAMERA, "H W 3", "B"),
     ArrayRule("((left|right)_wrist|camera_ego)_pose", "6", "f", *_FINITE),
     ArrayRule("(left|right)_(arm|hand)_joints", "K", "f", *_FINITE),
@@ -117,7 +113,7 @@ RULES = (
         "U",
         "sensor",
         partial(_is_text, _SENSORS),
-        f"a name, such as {SENSOR}, in all frames",
+        f"a name, such as {oxt.SENSOR}, in all frames",
     ),
     PICTURES,
     ArrayRule(r"\w+?_tactile_data_.+", "N ...", "biufSU"),
@@ -130,18 +126,18 @@ def oxt_findings(home: store.DataFolder, file: str = "") -> list[RecordingFindin
 
     Every chunk is unpacked once. InputError if there is no group, or nothing in it.
     """
-    group = group_in(store.open_folder(home.address(file)))
+    group = zarr_recordings.group_in(store.open_folder(home.address(file)))
     return [
         RecordingFinding(rule, found, expected, where, next=f"correct {where!r} in the program that wrote it")
         for rule, where, found, expected in _problems(group)
     ]
 
 
-def _problems(group: ZarrGroup) -> Iterator[_Problem]:
-    names, arrays = data_arrays(group), dict[str, StoredArray]()
+def _problems(group: zarr_arrays.ZarrGroup) -> Iterator[_Problem]:
+    names, arrays = zarr_recordings.data_arrays(group), dict[str, picture_arrays.StoredArray]()
     for name in names:
         try:
-            array = group.array(f"{DATA}/{name}")
+            array = group.array(f"{zarr_recordings.DATA}/{name}")
             for _ in array.blocks():
                 pass
             if array.dtype.kind in "SU":  # of which the letters are looked at, too
@@ -153,13 +149,13 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
     frames = next((size for size, _ in lengths.most_common(1)), 0)
     starts = np.arange(frames)
     try:
-        starts = np.append(0, episode_ends(group, frames)[:-1])
+        starts = np.append(0, zarr_recordings.episode_ends(group, frames)[:-1])
     except InputError as error:
-        yield "episodes", ENDS, error.what, "integers that rise to the number of frames"
+        yield "episodes", zarr_groups.ENDS, error.what, "integers that rise to the number of frames"
     for rule, pattern, wanted in NEEDED:
         found = [each.groupdict() for each in map(partial(re.fullmatch, pattern), names) if each]
         if not found and not wanted:
-            yield rule, DATA, "no such array", f"an array that is called {pattern}"
+            yield rule, zarr_recordings.DATA, "no such array", f"an array that is called {pattern}"
         for name in dict.fromkeys(each.format(**groups) for groups in found for each in wanted):
             if name not in names:
                 yield rule, name, "no such array", "an array with an entry a frame"
@@ -169,7 +165,7 @@ def _problems(group: ZarrGroup) -> Iterator[_Problem]:
     yield from _unfit(arrays, frames, starts)
 
 
-def _unfit(arrays: dict[str, StoredArray], frames: int, starts: Int64) -> Iterator[_Problem]:
+def _unfit(arrays: dict[str, picture_arrays.StoredArray], frames: int, starts: Int64) -> Iterator[_Problem]:
     """Yield what does not fit the rules."""
     lengths, types = defaultdict[str, dict[str, int]](dict), dict[str, list[str]]()
     for rule in RULES:
@@ -178,7 +174,7 @@ def _unfit(arrays: dict[str, StoredArray], frames: int, starts: Int64) -> Iterat
             values = _values(array, frames)
             if rule.name == "type" and values is not None:
                 types[scope] = np.unique(values).tolist()
-            if rule is PICTURES and types.get(scope) != [PICTURE]:
+            if rule is PICTURES and types.get(scope) != [oxt.PICTURE]:
                 continue
             if not _fits(array, rule, lengths[scope]):
                 shape = ", ".join(["T", *rule.axes.split()])
@@ -188,12 +184,12 @@ def _unfit(arrays: dict[str, StoredArray], frames: int, starts: Int64) -> Iterat
                 yield rule.name, name, problem, rule.expected
 
 
-def _values(array: StoredArray, frames: int) -> AnyArray | None:
+def _values(array: picture_arrays.StoredArray, frames: int) -> AnyArray | None:
     """Return the values of an array with few numbers a frame; None for all others."""
-    return columns_of({"": lambda: array}, frames, ())[0].get("")
+    return picture_arrays.columns_of({"": lambda: array}, frames, ())[0].get("")
 
 
-def _fits(array: StoredArray, rule: ArrayRule, lengths: dict[str, int]) -> bool:
+def _fits(array: picture_arrays.StoredArray, rule: ArrayRule, lengths: dict[str, int]) -> bool:
     """Return whether an array has the axes and the type of a rule; takes note of lengths."""
     sizes, axes = array.shape[1:], rule.axes.split()
     if axes[-1:] == ["..."]:

@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from realtouch import importing
+from tactile_toolkit import bounds, touch
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
-from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import encode_image
 
 _CHANNELS = (1, 3)
 _MOST_LEVEL = 255
@@ -58,7 +57,7 @@ class StoredArray:
 
     def rows(self) -> AnyArray:
         """Return all rows."""
-        require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        bounds.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
         return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
 
 
@@ -79,7 +78,7 @@ class PictureArray:
         pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
         count = math.prod(array.shape)
         what = f"{array.place}: {array.shape}, {array.dtype},"
-        require_unpackable(count * array.dtype.itemsize, what, _COMPRESSION * stored)
+        bounds.require_unpackable(count * array.dtype.itemsize, what, _COMPRESSION * stored)
         if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
             raise array.refused(
                 f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"
@@ -166,7 +165,7 @@ def encoded_pictures(places: Iterable[importing.PicturePlace], opened: OpenPictu
         pictures = open_part(place.home, place.path, place.part)
         for number in range(place.start, place.start + max(1, place.frames)):
             block, row = divmod(number, pictures.array.step)
-            yield encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
+            yield touch.encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
 
 
 def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
@@ -198,7 +197,7 @@ def columns_of(
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
             size += frames * width * array.dtype.itemsize
-            require_unpackable(size, f"{array.place}, with all arrays before it,")
+            bounds.require_unpackable(size, f"{array.place}, with all arrays before it,")
             rows = _letters_checked(array).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:

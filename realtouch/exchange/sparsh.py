@@ -16,9 +16,8 @@ from typing import IO
 import pyarrow as pa
 from pyarrow import csv as arrow_csv
 
-from realtouch import convert, importing
+from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from realtouch.stored_images import background_of
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError
 
@@ -120,7 +119,7 @@ def _write_backgrounds(folder: store.DataFolder, manifest: store.Manifest) -> di
             for start, size in places:
                 stream.seek(start)
                 images.append(stream.read(size))
-        found[f"{of_split}{_BACKGROUND}"] = background_of(images, names)
+        found[f"{of_split}{_BACKGROUND}"] = stored_images.background_of(images, names)
     return files | convert.write_changed(folder, found)
 
 

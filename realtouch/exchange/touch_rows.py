@@ -12,13 +12,8 @@ from functools import partial
 
 import pyarrow as pa
 
-from realtouch import convert
-from realtouch.contact import ContactMethod
+from realtouch import contact, convert, stored_images, stored_round, touch, touch_options
 from realtouch.schema import POSE_COLUMN
-from realtouch.stored_images import image_column, require_intact
-from realtouch.stored_round import StoredRound
-from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import store
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
@@ -52,7 +47,7 @@ class TouchFormat:
         self,
         source: convert.Source,
         choices: convert.Choices,
-        method: ContactMethod,
+        method: contact.ContactMethod,
         options: Mapping[str, object],
     ) -> convert.Conversion:
         """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
@@ -101,7 +96,7 @@ class _Touches:
     JPEGs pass through as they are stored. ``names`` are those of the classes.
     """
 
-    method: ContactMethod
+    method: contact.ContactMethod
     names: tuple[str, ...]
 
     def schema(self, source: pa.Schema) -> pa.Schema:
@@ -116,12 +111,12 @@ class _Touches:
             "round_id": (pa.string(), ()),
             "touch": (pa.int64(), ()),
             "frame": (pa.int64(), ()),
-            **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
-            **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
+            **dict.fromkeys(touch_options.POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
+            **dict.fromkeys(touch_options.POSE_COLUMNS, (pa.float64(), poses)),
         }
         return pa.schema([*convert.schema_of(source, wanted), *convert.plain_extras(source).values()])
 
-    def apply(self, row: StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
+    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
         shown = list(convert.shown_touches(row, self.method))
@@ -132,11 +127,13 @@ class _Touches:
         for each in shown:
             images.append(each.stored)
             try:
-                require_intact(images[-1])
+                stored_images.require_intact(images[-1])
             except ValueError:
                 with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                     raise
-        columns["id"] = [touch_id(name, each.touch) for each in shown]
+        columns["id"] = [touch.touch_id(name, each.touch) for each in shown]
         stem = convert.stem_of_id(name)
-        columns[_IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
+        columns[_IMAGE] = stored_images.image_column(
+            images, [touch.touch_id(stem, each.touch) for each in shown]
+        )
         return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 
 from realtouch import importing, video, video_files
-from tactile_toolkit import store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
+from tactile_toolkit import column_tables, store
 from tactile_toolkit.errors import InputError, ItemError
 
 _FILE = "file"
@@ -111,7 +110,7 @@ def _lines(
         return read(*importing.source_of(table))
     found, refused = {}, None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in importing.visible_files(home, COLUMN_TABLE_ENDINGS):
+    for name in importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS):
         if name.startswith(streams):
             continue
         first = _first_row(home, name)

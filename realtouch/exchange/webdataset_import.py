@@ -15,8 +15,7 @@ from typing import Any, NamedTuple
 import msgspec
 import pyarrow as pa
 
-from realtouch import importing
-from realtouch.tars import files_of_tar
+from realtouch import importing, tars
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 
@@ -111,7 +110,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
             if stream.read(4).startswith(_PACKED):
                 raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
             stream.seek(0)
-            for member in files_of_tar(stream, folder.size_bytes(name)):
+            for member in tars.files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, importing.path_of(member.name)
                 if store.is_hidden(path):  # as archives of a Mac have, one for each file
                     continue

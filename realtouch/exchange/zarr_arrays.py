@@ -15,11 +15,9 @@ from typing import IO, Any
 
 import numpy as np
 
-from realtouch.exchange import zarr_layouts
-from realtouch.exchange.picture_arrays import StoredArray
-from tactile_toolkit import store
+from realtouch.exchange import picture_arrays, zarr_layouts
+from tactile_toolkit import bounds, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.bounds import require_plain_archive, require_unpackable
 from tactile_toolkit.errors import InputError, ItemError
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
@@ -41,7 +39,7 @@ class ZarrGroup:
             stream = store.open_inside(self.home, self.path)
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
-            require_plain_archive(archive)
+            bounds.require_plain_archive(archive)
         except (*zarr_layouts.UNREADABLE, ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
@@ -93,7 +91,7 @@ class ZarrGroup:
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
-    def array(self, path: str) -> StoredArray:
+    def array(self, path: str) -> picture_arrays.StoredArray:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
         try:
@@ -103,9 +101,9 @@ class ZarrGroup:
         problem, place = layout.problem(), f"{self.place}/{path}"
         if problem:
             raise self.refused(path, problem)
-        require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
+        bounds.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
         read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
-        return StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
+        return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
     def refused(self, path: str, problem: str) -> InputError:
         """Return the error for a part of the group that cannot be used."""
@@ -122,7 +120,7 @@ class ZarrGroup:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
-        require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
+        bounds.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
         found: AnyArray = np.broadcast_to(layout.fill, size)  # where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))

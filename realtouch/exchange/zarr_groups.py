@@ -23,13 +23,8 @@ from typing import IO, Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch import convert
-from realtouch.contact import ContactMethod
-from realtouch.exchange.episode_extras import FEATURE
-from realtouch.exchange.episodes import ACTION, CONTACT, IMAGE, STATE, TIME, Episodes
-from realtouch.schema import EXTRA_PREFIX
-from realtouch.stored_images import decoded
-from realtouch.stored_round import stored_rows
+from realtouch import contact, convert, schema, stored_images, stored_round
+from realtouch.exchange import episode_extras, episodes
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
@@ -44,15 +39,20 @@ CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
 """Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
 
 OUR_NAMES = {
-    **{STATE: "gel_pose", ACTION: "pos_in_cell", TIME: "time_s", CONTACT: CONTACT},
+    **{
+        episodes.STATE: "gel_pose",
+        episodes.ACTION: "pos_in_cell",
+        episodes.TIME: "time_s",
+        episodes.CONTACT: episodes.CONTACT,
+    },
     **{name: name for name in ("label", "object_id")},
 }
 """Names of columns of frames, as :data:`COLUMNS` states them."""
 
-_PICTURE = {IMAGE, f"{IMAGE}.bytes", f"{IMAGE}.path"}
+_PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
 
-AddArrays = Callable[[Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
+AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays of ``data`` to those of columns, given a row a frame; returns attributes of ``meta``."""
 
 
@@ -124,11 +124,11 @@ class GroupFormat:
         self,
         source: convert.Source,
         choices: convert.Choices,
-        method: ContactMethod,
+        method: contact.ContactMethod,
         options: Mapping[str, object],
     ) -> convert.Conversion:
         """Plan a group; reads footers and one header. InputError for several splits."""
-        step = Episodes.of(source, choices, self.name, self.number)
+        step = episodes.Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
         return convert.Conversion(
@@ -136,7 +136,7 @@ class GroupFormat:
         )
 
     def _write_group(
-        self, step: Episodes, folder: store.DataFolder, manifest: store.Manifest
+        self, step: episodes.Episodes, folder: store.DataFolder, manifest: store.Manifest
     ) -> dict[str, str]:
         """Write a zipped group of all frames, once those of all shards are there.
 
@@ -154,7 +154,7 @@ class GroupFormat:
                 folder.write(path, lambda stream: _copy(made, stream))
         return {path: digest}
 
-    def _write(self, step: Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+    def _write(self, step: episodes.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
         table = pa.concat_tables(
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
@@ -168,16 +168,18 @@ class GroupFormat:
             blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
             group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
 
-    def _arrays(self, step: Episodes, table: pa.Table) -> tuple[dict[str, AnyArray], dict[str, object]]:
+    def _arrays(
+        self, step: episodes.Episodes, table: pa.Table
+    ) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays but the pictures, and what is said of them: the attributes of ``meta``."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
         known = {name: array for name, array in self.arrays.items() if name in columns}
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
         for extra in step.extras:
-            known[extra.name] = array = extra.name.removeprefix(FEATURE)
+            known[extra.name] = array = extra.name.removeprefix(episode_extras.FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
-            of_clips += [own_name] * extra.stored.startswith(EXTRA_PREFIX["touch"])
+            of_clips += [own_name] * extra.stored.startswith(schema.EXTRA_PREFIX["touch"])
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
@@ -192,9 +194,9 @@ class GroupFormat:
 def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
     """Yield the pixels of all frames, so many at a time, each time in the same memory."""
     block, at = np.empty((rows, *size, 3), np.uint8), 0
-    for row in stored_rows(shards, [IMAGE]):
-        image = row.group.table[IMAGE][row.index].as_py()
-        decoded(image["bytes"], image["path"], block[at])
+    for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
+        image = row.group.table[episodes.IMAGE][row.index].as_py()
+        stored_images.decoded(image["bytes"], image["path"], block[at])
         at = (at + 1) % rows
         if not at:
             yield block

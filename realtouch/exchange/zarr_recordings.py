@@ -12,13 +12,9 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
-from realtouch import importing
+from realtouch import importing, touch, touch_options
+from realtouch.exchange import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.exchange.episodes import CONTACT
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.zarr_arrays import ZarrGroup
-from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
-from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 from tactile_toolkit import column_types, store
 from tactile_toolkit.array_types import Int64
 from tactile_toolkit.errors import InputError
@@ -30,24 +26,24 @@ TIMES = ("time_s", "timestamps", "timestamp")
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
 _MOST_ARRAYS = 500
-_OF_META = (ROUND, TOUCH)
-_OUR_VECTORS = {"gel_pose": POSE_COLUMNS, "pos_in_cell": POSITION_COLUMNS}
-_OUR_VALUES = ("label", "label_name", "object_id", *POSITION_COLUMNS)
+_OF_META = (zarr_groups.ROUND, zarr_groups.TOUCH)
+_OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
+_OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
 
 
-def group_in(home: store.DataFolder) -> ZarrGroup:
+def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
     """Return the group that a folder or zip is, or the only one that it holds."""
     if home.address().lower().endswith(".zip"):
-        return ZarrGroup(*importing.source_of(home.address()))
+        return zarr_arrays.ZarrGroup(*importing.source_of(home.address()))
     if home.exists(".zgroup") or home.exists("zarr.json"):
-        return ZarrGroup(home, "")
+        return zarr_arrays.ZarrGroup(home, "")
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
     if len(names) != 1:
         raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
-    return ZarrGroup(home, names[0])
+    return zarr_arrays.ZarrGroup(home, names[0])
 
 
-def data_arrays(group: ZarrGroup) -> dict[str, object]:
+def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MOST_ARRAYS:
@@ -59,7 +55,7 @@ def data_arrays(group: ZarrGroup) -> dict[str, object]:
     return names
 
 
-def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str:
+def chosen_pictures(group: zarr_arrays.ZarrGroup, named: str, known: Collection[str]) -> str:
     """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
     if named in known or (not named and len(known) == 1):
         return named or next(iter(known))
@@ -71,7 +67,10 @@ def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str
 
 
 def recordings_of(
-    group: ZarrGroup, names: Iterable[str], pictures: tuple[str, int | None], columns: importing.ImportColumns
+    group: zarr_arrays.ZarrGroup,
+    names: Iterable[str],
+    pictures: tuple[str, int | None],
+    columns: importing.ImportColumns,
 ) -> Iterator[importing.Recording]:
     """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
 
@@ -79,45 +78,45 @@ def recordings_of(
     wrote comes back by its own names.
     """
     name, sensor = pictures
-    shown = PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
+    shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
     part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
     arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
     of_meta = {
         each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
     }
     wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
-    found, left_out = columns_of(arrays, len(shown), wanted)
+    found, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
     whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
-    ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
-    said, _ = columns_of(of_meta, len(ends), ())
-    kept = stated.get(COLUMNS)
-    if ROUND not in said or not isinstance(kept, dict):
+    ends, stated = episode_ends(group, len(shown)), group.json(zarr_groups.ATTRIBUTES)
+    said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
+    kept = stated.get(zarr_groups.COLUMNS)
+    if zarr_groups.ROUND not in said or not isinstance(kept, dict):
         return episodes_of(whole, ends, (), of_episodes(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
-    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if TOUCH in said else "")
-    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
-    rounds = ids = list(map(str, said[ROUND].tolist()))
-    if TOUCH in said:
-        ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
-    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
+    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if zarr_groups.TOUCH in said else "")
+    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
+    rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
+    if zarr_groups.TOUCH in said:
+        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
+    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
 
 
-def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, sensor, name = part.split(" ", 2)
-    array = ZarrGroup(store.open_folder(home), path).array(name)
-    return PictureArray(array, float(divisor), int(sensor) if sensor else None)
+    array = zarr_arrays.ZarrGroup(store.open_folder(home), path).array(name)
+    return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 
-encoded_frames = partial(encoded_pictures, opened=_open_pictures)
-describe_conversion = partial(described_pictures, opened=_open_pictures)
+encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
 
 
-def episode_ends(group: ZarrGroup, frames: int) -> Int64:
+def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
-    array = group.array(ENDS)
+    array = group.array(zarr_groups.ENDS)
     ends = np.zeros(0, np.int64)
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
         ends = array.rows().astype(np.int64)

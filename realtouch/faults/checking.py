@@ -25,10 +25,9 @@ from realtouch.faults import comparisons, rules
 from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
 from realtouch.finding import MOST_NAMED, RecordingFinding
 from realtouch.rounds import TouchSingleRound
-from tactile_toolkit import catalog, pictures, places, read, run
+from tactile_toolkit import catalog, pictures, places, read, run, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.wording import with_count
 
 MOST_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
@@ -230,5 +229,8 @@ def _draw(
                 pictures.Tile(picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}")
             )
     title = f"{rules.RULES[finding.rule].title}: {finding.found}"
-    lines = (f"expected: {finding.expected}", f"{finding.where}: {with_count(finding.count, 'touches')}")
+    lines = (
+        f"expected: {finding.expected}",
+        f"{finding.where}: {wording.with_count(finding.count, 'touches')}",
+    )
     return pictures.sheet(tiles, 4, title, lines)

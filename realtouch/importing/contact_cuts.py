@@ -12,15 +12,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import ReadContents
-from tactile_toolkit import pictures
+from realtouch import avi, contact_picture
+from realtouch.importing import recordings, source_files
+from tactile_toolkit import pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import decode_image, resized
-from tactile_toolkit.wording import with_count
 
 JOIN_S = 0.2
 """Runs of pictures with contact are one touch if they are at most so far apart, seconds."""
@@ -84,13 +80,13 @@ class ContactRuns:
 
 
 def pictures_of(
-    recording: Recording, parts: Iterable[range], contents: ReadContents
+    recording: recordings.Recording, parts: Iterable[range], contents: source_files.ReadContents
 ) -> Iterator[UInt8 | None]:
     """Yield some pictures of a recording, shape (H, W, 3), in order; None for one that cannot be read."""
     places = (recording.place(part.start, part.stop) for part in parts)
     for content in contents(places):
         try:
-            yield None if isinstance(content, ItemError) else decode_image(content)
+            yield None if isinstance(content, ItemError) else touch.decode_image(content)
         except ValueError:
             yield None
 
@@ -106,7 +102,12 @@ class GelAtRest:
     Raises ItemError if no picture can be read.
     """
 
-    def __init__(self, recording: Recording, contents: ReadContents, rule: ContactRule) -> None:
+    def __init__(
+        self,
+        recording: recordings.Recording,
+        contents: source_files.ReadContents,
+        rule: contact_picture.ContactRule,
+    ) -> None:
         spread = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64)).tolist()
         self.shape: tuple[int, ...] = ()
         found: dict[int, UInt8] = {}
@@ -122,14 +123,17 @@ class GelAtRest:
         if not found:
             raise ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
         self._numbers, pictures = list(found), np.stack(list(found.values()))
-        self._base = median_in_memory(pictures)
+        self._base = contact_picture.median_in_memory(pictures)
         self._levels = self._levels_of(pictures)
         whole = replace(rule, crop=1.0)
-        scores = (contact_score(*each, whole) for each in zip(pictures, map(self.at, found), strict=True))
+        scores = (
+            contact_picture.contact_score(*each, whole)
+            for each in zip(pictures, map(self.at, found), strict=True)
+        )
         at_rest = ~np.array(list(map(rule.holds, scores)))
         if at_rest.sum() >= _LEAST_AT_REST:
             alike = np.rint(pictures[at_rest] / np.float32(self._levels[at_rest, np.newaxis, np.newaxis]))
-            self._base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
+            self._base = contact_picture.median_in_memory(np.minimum(alike, 255).astype(np.uint8))
             self._levels = self._levels_of(pictures)
 
     def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
@@ -157,7 +161,9 @@ class GelAtRest:
         return smooth
 
 
-def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRule) -> ContactRuns:
+def find_contacts(
+    recording: recordings.Recording, contents: source_files.ReadContents, rule: contact_picture.ContactRule
+) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
     holds, unreadable = np.zeros(recording.frames, bool), 0
@@ -169,7 +175,7 @@ def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRul
         if seen is None:
             unreadable += 1
             continue
-        score = contact_score(seen, background.at(number), alone)
+        score = contact_picture.contact_score(seen, background.at(number), alone)
         area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
     starts, stops = _joined(holds, recording.time_s)
     counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
@@ -203,14 +209,19 @@ def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[Contac
     middles = (stops[:-1] + starts[1:]) // 2
     limits = [0, *middles.tolist(), len(change)]
     for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        margin = min(max(stop - start, MIN_MARGIN), max(0, MAX_CLIP_FRAMES - (stop - start)) // 2)
+        margin = min(max(stop - start, MIN_MARGIN), max(0, avi.MAX_CLIP_FRAMES - (stop - start)) // 2)
         best = start + int(np.argmax(change[start:stop]))
         yield ContactRun(
             max(start - margin, limits[number]), min(stop + margin, limits[number + 1]), start, stop - 1, best
         )
 
 
-def draw_cuts(recording: Recording, found: ContactRuns, contents: ReadContents, rule: ContactRule) -> bytes:
+def draw_cuts(
+    recording: recordings.Recording,
+    found: ContactRuns,
+    contents: source_files.ReadContents,
+    rule: contact_picture.ContactRule,
+) -> bytes:
     """Draw the cuts of a recording as PNG; of many touches, the first have a small picture."""
     best = [run.best for run in found.runs[:_MOST_TILES]]
     seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
@@ -219,11 +230,12 @@ def draw_cuts(recording: Recording, found: ContactRuns, contents: ReadContents, 
         for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
         if picture is not None
     ]
+    touches, frames = wording.with_count(len(found.runs), "touches"), f"{recording.frames:,} pictures"
     words = [
-        f"{with_count(len(found.runs), 'touches')} in {with_count(recording.frames, 'pictures')}: "
+        f"{touches} in {frames}: "
         f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
         "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
-        f"{found.too_short:,} too short, {with_count(found.unreadable, 'unreadable pictures')}",
+        f"{found.too_short:,} too short, {wording.with_count(found.unreadable, 'unreadable pictures')}",
     ]
     strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, words)
     small = pictures.sheet(tiles, _TILES_PER_ROW, gap_px=_GAP_PX)
@@ -238,10 +250,10 @@ def draw_cuts(recording: Recording, found: ContactRuns, contents: ReadContents, 
 def _small(picture: UInt8) -> UInt8:
     height, width = picture.shape[:2]
     scale = _TILE_PX / max(height, width)
-    return resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
+    return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
 
 
-def _strip(found: ContactRuns, rule: ContactRule) -> UInt8:
+def _strip(found: ContactRuns, rule: contact_picture.ContactRule) -> UInt8:
     """Draw the changed area over all pictures; a column shows the largest of its pictures."""
     frames, colours = len(found.area_px), np.full((_WIDTH_PX, 3), _GREY, np.uint8)
     clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]

@@ -9,15 +9,11 @@ from contextlib import suppress
 import numpy as np
 import pyarrow as pa
 
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.import_columns import ImportColumns, expected_counts
-from realtouch.importing.source_files import NUMBERED
+from realtouch.importing import found_touches, import_columns, source_files
 from realtouch.poses import bad_pose
-from tactile_toolkit import column_types, spatial
-from tactile_toolkit.arithmetic import are_rigid
+from tactile_toolkit import arithmetic, column_types, spatial, units
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.units import TIME
 
 UNKNOWN = ("-1", "-1.0")
 """The number of a class that is not known, as `datasets` has it."""
@@ -48,16 +44,18 @@ def integer_text(text: str) -> str:
 
 
 def labels_of(
-    touches: FoundTouches, column: str | None, names: Sequence[str]
+    touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
 ) -> tuple[Int64, dict[int, ItemError]]:
     """Return the number of the class of each touch, -1 if it is unknown, and those that are no class."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
-    problems = _no_names(touches.value(column or NUMBERED))
+    problems = _no_names(touches.value(column or source_files.NUMBERED))
     found = np.full(len(touches), -1)
     if not numbers:
         return found, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
-    for place, pair in enumerate(zip(touches.texts(column), touches.texts(NUMBERED), strict=True)):
+    for place, pair in enumerate(
+        zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
+    ):
         label = pair[0] or pair[1]
         if label not in seen:
             seen[label] = numbers.get(label, numbers.get(integer_text(label)))
@@ -81,7 +79,7 @@ def _no_names(column: pa.Array | None) -> dict[int, ItemError]:
     }
 
 
-def objects_of(touches: FoundTouches, column: str | None) -> tuple[Int64, dict[int, ItemError]]:
+def objects_of(touches: found_touches.FoundTouches, column: str | None) -> tuple[Int64, dict[int, ItemError]]:
     """Return the number of the object of each touch, 0 without a column of them, and what is none."""
     found, problems = np.zeros(len(touches), np.int64), dict[int, ItemError]()
     for place, text in enumerate(map(integer_text, touches.texts(column)) if column else ()):
@@ -93,7 +91,10 @@ def objects_of(touches: FoundTouches, column: str | None) -> tuple[Int64, dict[i
 
 
 def each_of(
-    read: Callable[[Fields, ImportColumns], Float64], fields: Fields, columns: ImportColumns, rows: Int64
+    read: Callable[[Fields, import_columns.ImportColumns], Float64],
+    fields: Fields,
+    columns: import_columns.ImportColumns,
+    rows: Int64,
 ) -> tuple[Float64 | None, dict[int, ItemError]]:
     """Read some touches or pictures at once, or one by one where some are wrong.
 
@@ -120,7 +121,7 @@ def each_of(
     return found, dict(sorted(problems.items()))
 
 
-def positions(fields: Fields, columns: ImportColumns) -> Float64:
+def positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for anything else; InputError for a frame that makes them depend on a height.
@@ -138,7 +139,7 @@ def positions(fields: Fields, columns: ImportColumns) -> Float64:
     return place
 
 
-def poses(fields: Fields, columns: ImportColumns) -> Float64:
+def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
     Raises ItemError for anything else.
@@ -157,14 +158,14 @@ def poses(fields: Fields, columns: ImportColumns) -> Float64:
     return np.hstack([place, turns])
 
 
-def times_s(values: pa.Array, columns: ImportColumns) -> Float64:
+def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
     """Return times in seconds, shape (n,); ItemError for anything but finite numbers or points in time.
 
     Points in time count from 1970, UTC.
     """
     found, divisor = _instants_s(values), 1.0
     if found is None:
-        divisor = TIME.divisor(columns.time or "", columns.time_unit)
+        divisor = units.TIME.divisor(columns.time or "", columns.time_unit)
         try:
             found = column_types.floats_of(values)
         except (ValueError, OverflowError):
@@ -197,13 +198,13 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _ordered(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+def _ordered(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions, and quaternions x, y, z, w, of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+def _turned(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of six numbers, with Euler angles or rotation vectors in radians."""
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
@@ -217,10 +218,10 @@ def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]
     return place, spatial.Rotation.from_rotvec(angles).as_quat()
 
 
-def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Float64]:
+def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
-    if not are_rigid(matrices):
+    if not arithmetic.are_rigid(matrices):
         raise ItemError(
             "pose",
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
@@ -229,7 +230,7 @@ def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Fl
     return matrices[:, :3, 3], spatial.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
-def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
+def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and shift, in metres, from the frame of the source to that of the cell."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
@@ -248,7 +249,11 @@ def _require_metres(places: Float64, reason: str) -> None:
 
 
 def _numbers(
-    fields: Fields, columns: ImportColumns, names: tuple[str, ...], sizes: tuple[int, ...], reason: str
+    fields: Fields,
+    columns: import_columns.ImportColumns,
+    names: tuple[str, ...],
+    sizes: tuple[int, ...],
+    reason: str,
 ) -> Float64:
     """Return the numbers of some columns, or of one with all, shape (n, size), in metres and radians."""
     found = [fields[name] for name in names]
@@ -261,6 +266,7 @@ def _numbers(
         first = [each[0].as_py() for each in found] if len(found[0]) else ["nothing"]
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
-            expected += f", or {expected_counts(sizes[1:])} of a matrix (--euler and --rotvec are of 6)"
+            counts = import_columns.expected_counts(sizes[1:])
+            expected += f", or {counts} of a matrix (--euler and --rotvec are of 6)"
         raise ItemError(reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}")
     return numbers / columns.divisors(names, numbers.shape[1])

@@ -6,11 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.import_columns import ImportColumns
-from realtouch.importing.source_files import ReadContents, contents_of
-from tactile_toolkit import store
-from tactile_toolkit.kind import lazy
+from realtouch.importing import found_touches, import_columns, source_files
+from tactile_toolkit import kind, store
 
 
 @dataclass(frozen=True)
@@ -24,17 +21,19 @@ class ImportFormat:
     format has rotation vectors in poses of six numbers.
     """
 
-    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[Any]]
-    contents: ReadContents = contents_of
+    find: Callable[[store.DataFolder, import_columns.ImportColumns, str | None], Iterator[Any]]
+    contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
     is_one_a_file: bool = False
-    describe: Callable[[FoundTouches], str] = lambda _touches: ""
+    describe: Callable[[found_touches.FoundTouches], str] = lambda _touches: ""
     rotvec: bool = False
 
 
-def _images(layout: str, module: str = "", contents: ReadContents = contents_of) -> ImportFormat:
+def _images(
+    layout: str, module: str = "", contents: source_files.ReadContents = source_files.contents_of
+) -> ImportFormat:
     """Return a format of images, each a file or part of one."""
-    return ImportFormat(lazy(f"realtouch.exchange.{module or layout}:find_{layout}"), contents)
+    return ImportFormat(kind.lazy(f"realtouch.exchange.{module or layout}:find_{layout}"), contents)
 
 
 def _recordings(
@@ -42,16 +41,16 @@ def _recordings(
 ) -> ImportFormat:
     """Return a format of recordings, each file of which has pictures of one size; ``reader`` is a module."""
     frames, describe = (
-        lazy(f"realtouch.exchange.{reader}:{name}") for name in ("encoded_frames", "describe_conversion")
+        kind.lazy(f"realtouch.exchange.{reader}:{name}") for name in ("encoded_frames", "describe_conversion")
     )
-    find = lazy(f"realtouch.exchange.{module}:find_{layout}")
+    find = kind.lazy(f"realtouch.exchange.{module}:find_{layout}")
     return ImportFormat(find, frames, cut, True, describe, rotvec)
 
 
 IMPORTS: dict[str, ImportFormat] = {
     "folder": _images("folder", "folder_import"),
     "video": _recordings("video", "video_import", "video_import", "whole"),
-    "flat": _images("flat", contents=lazy("realtouch.exchange.foreign_parquet:stored_pictures")),
+    "flat": _images("flat", contents=kind.lazy("realtouch.exchange.foreign_parquet:stored_pictures")),
     "webdataset": _images("webdataset", "webdataset_import"),
     "lerobot": _recordings("lerobot", "lerobot_import", "lerobot_import"),
     "oxt": _recordings("oxt", "oxt", "zarr_recordings", rotvec=True),

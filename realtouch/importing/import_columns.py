@@ -12,11 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit.checked_fields import check_fields, choice, switch, text
+from tactile_toolkit import checked_fields, parsed_text, units, wording
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import comma_separated
-from tactile_toolkit.units import ANGLE, LENGTH, PER_METRE, PER_RADIAN, PER_SECOND, stated_unit
-from tactile_toolkit.wording import did_you_mean
 
 # Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
 _OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
@@ -171,42 +168,44 @@ class ImportColumns:
     split: str | None = None
     time: str | None = None
     extra: tuple[tuple[str, str], ...] = ()
-    length_unit: str | None = choice(
+    length_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_METRE),
+        tuple(units.PER_METRE),
         optional=True,
         shown="m",
         help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
     )
-    angle_unit: str | None = choice(
+    angle_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_RADIAN),
+        tuple(units.PER_RADIAN),
         optional=True,
         help="Unit of angles whose columns do not end in _deg or _rad.",
     )
-    time_unit: str | None = choice(
+    time_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_SECOND),
+        tuple(units.PER_SECOND),
         optional=True,
         shown="s",
         help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
     )
-    quaternion_order: str | None = choice(
+    quaternion_order: str | None = checked_fields.choice(
         None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
     )
-    euler: str | None = text(
+    euler: str | None = checked_fields.text(
         metavar="SEQ",
         help="Axes of the last three of six columns of a pose: xyz about fixed axes, XYZ about turning ones.",
     )
-    rotvec: bool = switch(False, help="The last three of six columns of a pose are a rotation vector.")
-    frame: Matrix | None = text(
+    rotvec: bool = checked_fields.switch(
+        False, help="The last three of six columns of a pose are a rotation vector."
+    )
+    frame: Matrix | None = checked_fields.text(
         metavar="FILE",
         read=read_frame,
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
 
     def __post_init__(self) -> None:
-        check_fields(self, "the columns")
+        checked_fields.check_fields(self, "the columns")
         frame: Any = self.frame
         if isinstance(frame, str | os.PathLike):
             frame = read_frame(frame)
@@ -253,7 +252,7 @@ class ImportColumns:
                 "(turning), neighbours different"
             )
         names = self.pose or ()
-        is_stated = len(names) == _ANGLE_POSE and all(map(stated_unit, names[_LENGTHS:]))
+        is_stated = len(names) == _ANGLE_POSE and all(map(units.stated_unit, names[_LENGTHS:]))
         if names and self.angle_unit is None and not is_stated:
             raise InputError(
                 "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
@@ -286,14 +285,15 @@ class ImportColumns:
             close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
             if name not in MAPPED and close:
                 raise InputError(
-                    f"--map names {name!r}, which is none of {', '.join(MAPPED)}{did_you_mean(name, MAPPED)}",
+                    f"--map names {name!r}, which is none of {', '.join(MAPPED)}"
+                    f"{wording.did_you_mean(name, MAPPED)}",
                     next="correct it; an extra column needs a name that is less like these",
                 )
             found[name] = column
         changes: dict[str, Any] = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
         for several in ("position", "pose"):
             if several in found:
-                changes[several] = tuple(comma_separated(found[several]))
+                changes[several] = tuple(parsed_text.comma_separated(found[several]))
         extra = {**dict(self.extra), **{name: found[name] for name in found if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
 
@@ -326,8 +326,8 @@ class ImportColumns:
         found = [1.0] * count
         lengths, angles = _PLACES[count]
         for quantity, given, places in (
-            (LENGTH, self.length_unit, lengths),
-            (ANGLE, self.angle_unit, angles),
+            (units.LENGTH, self.length_unit, lengths),
+            (units.ANGLE, self.angle_unit, angles),
         ):
             for place in places:
                 name = ""
@@ -335,7 +335,11 @@ class ImportColumns:
                     name = names[place % len(names)]
                 elif len(names) == _POSITION_AND_TURN:
                     name = names[place >= _LENGTHS]
-                if quantity is ANGLE and len(names) == 1 and stated_unit(name) not in PER_RADIAN:
+                if (
+                    quantity is units.ANGLE
+                    and len(names) == 1
+                    and units.stated_unit(name) not in units.PER_RADIAN
+                ):
                     name = ""  # it states the unit of its lengths
                 found[place] = quantity.divisor(name, given)
         return tuple(found)

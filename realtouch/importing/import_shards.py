@@ -15,20 +15,20 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.importing.extra_columns import not_kept
+from realtouch import stored_images, touch_options
+from realtouch.importing import (
+    extra_columns,
+    formats,
+    found_touches,
+    import_columns,
+    import_sources,
+    imported_clips,
+    imported_rows,
+)
 from realtouch.importing.fields import each_of, labels_of, objects_of, poses, positions
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import File, FoundTouches, one_chunk
-from realtouch.importing.import_columns import ImportColumns
-from realtouch.importing.import_sources import Version, version_of
-from realtouch.importing.imported_clips import ImportedClip, clip_of
-from realtouch.importing.imported_rows import StoredTouches, extras_in, table_of
-from realtouch.stored_images import require_intact
-from realtouch.touch_options import CLIPS
-from tactile_toolkit import store
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import is_jpeg
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
@@ -70,44 +70,44 @@ class ImportTouches:
     """
 
     layout: str
-    columns: ImportColumns
+    columns: import_columns.ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
-    versions: Mapping[File, Version]
+    versions: Mapping[found_touches.File, import_sources.Version]
 
-    def _contents(self, touches: FoundTouches) -> Iterator[bytes | ItemError]:
-        return IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
+    def _contents(self, touches: found_touches.FoundTouches) -> Iterator[bytes | ItemError]:
+        return formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
-    def digest(self, touches: FoundTouches) -> str:
+    def digest(self, touches: found_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of all."""
         found = hashlib.sha256()
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     @store.without_collecting()
-    def __call__(self, shard: store.ShardName, touches: FoundTouches) -> store.ShardContent:
+    def __call__(self, shard: store.ShardName, touches: found_touches.FoundTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
         tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras, said = extras_in(self.schema), self._said(touches)
+        extras, said = imported_rows.extras_in(self.schema), self._said(touches)
         contents = _noted(self._contents(touches), digest)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents)
-            tables.append(table_of(stored, self.columns, self.schema))
+            tables.append(imported_rows.table_of(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
-            others.update(not_kept(stored.touches, self.columns, extras))
+            others.update(extra_columns.not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         files = {place.file for place in touches} if self.versions else ()
         for file in self.versions.keys() & files:
-            if version_of(file) != self.versions[file]:
+            if import_sources.version_of(file) != self.versions[file]:
                 problem = "was replaced or changed while it was imported: images would be taken for others"
                 raise IntegrityError(
                     f"{'/'.join(file)!r} {problem}", next="run the same command with --overwrite"
                 )
-        counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), CLIPS: notes}
+        counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), touch_options.CLIPS: notes}
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
             pa.concat_tables(tables),
@@ -116,7 +116,7 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _said(self, touches: FoundTouches) -> _Said:
+    def _said(self, touches: found_touches.FoundTouches) -> _Said:
         """Read labels and objects of all touches that can be used; of images positions and poses, too."""
         rows, count = np.flatnonzero(touches.is_usable), len(touches)
         places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
@@ -136,12 +136,16 @@ class ImportTouches:
         return _Said(labels, objects, turns, places, problems)
 
     def _stored(
-        self, touches: FoundTouches, rows: Int64, said: _Said, contents: Iterator[bytes | ItemError]
-    ) -> tuple[StoredTouches, dict[int, ItemError]]:
+        self,
+        touches: found_touches.FoundTouches,
+        rows: Int64,
+        said: _Said,
+        contents: Iterator[bytes | ItemError],
+    ) -> tuple[imported_rows.StoredTouches, dict[int, ItemError]]:
         """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
-        made: dict[int, bytes | ImportedClip] = {}
+        made: dict[int, bytes | imported_clips.ImportedClip] = {}
         problems: dict[int, ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
@@ -151,21 +155,23 @@ class ImportTouches:
                     raise said.problems[numbers[place]]
                 made[place] = cast(bytes, pictures[0])
                 if frames[place]:
-                    made[place] = clip_of(piece, place, cast(Sequence[bytes], pictures), size, self.columns)
+                    made[place] = imported_clips.clip_of(
+                        piece, place, cast(Sequence[bytes], pictures), size, self.columns
+                    )
             except ItemError as error:
                 problems[place] = error
                 made.pop(place, None)
         problems |= _of_other_rounds(piece, said, rows, list(made))
         kept = np.array([place for place in made if place not in problems], np.int64)
         media = [made[place] for place in kept.tolist()]
-        clips = [each for each in media if isinstance(each, ImportedClip)]
+        clips = [each for each in media if isinstance(each, imported_clips.ImportedClip)]
         places, turns = said.positions[rows[kept]], said.poses[rows[kept]]
         if clips:
             places = np.stack([clip.position for clip in clips])
             turns = np.concatenate([clip.poses for clip in clips])
-        encoded = [each.video if isinstance(each, ImportedClip) else each for each in media]
+        encoded = [each.video if isinstance(each, imported_clips.ImportedClip) else each for each in media]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
-        return StoredTouches(piece.take(kept), *about, encoded, clips), problems
+        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, clips), problems
 
     def _size(self, pictures: Sequence[bytes | ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
@@ -179,7 +185,7 @@ class ImportTouches:
         return size or (0, 0)
 
 
-def _pieces(touches: FoundTouches) -> Iterator[Int64]:
+def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
     """Yield touches of whole rounds, a few at a time: pictures should not be held twice."""
     rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
@@ -192,11 +198,11 @@ def _pieces(touches: FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
+    piece: found_touches.FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
 ) -> dict[int, ItemError]:
     """Return the touches whose label or object is not that of the first touch of their round."""
     places = np.array(kept, np.int64)
-    codes = one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
+    codes = found_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
     error = ItemError("round", "another label or object than the first touch of its round")
     differs = np.zeros(len(places), bool)
@@ -210,7 +216,7 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
     if isinstance(picture, ItemError):
         raise picture
     try:
-        size = require_intact(picture)
+        size = stored_images.require_intact(picture)
     except ValueError as error:
         raise ItemError("image", str(error)) from error
     if _is_turned(picture):
@@ -225,7 +231,7 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
 
 def _is_turned(image: bytes) -> bool:
     """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and _APP1 not in image:
+    if touch.is_jpeg(image) and _APP1 not in image:
         return False  # both stand in such a segment of a JPEG, and to open an image takes a while
     try:
         with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:

@@ -9,14 +9,10 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.source_files import IMAGE_ENDINGS, source_of
-from realtouch.kind import KIND
-from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
-from tactile_toolkit import places, store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
+from realtouch import kind, video_files
+from realtouch.importing import formats, source_files
+from tactile_toolkit import column_tables, places, store, text_tables
 from tactile_toolkit.errors import InputError
-from tactile_toolkit.text_tables import TABLE_ENDINGS
 
 _MOST_LOOKED_AT = 20_000
 _MOST_FOLDERS = 200
@@ -57,10 +53,10 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends(".h5", ".hdf5")),
-    ("video", _ends(*VIDEO_ENDINGS)),
-    ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
+    ("video", _ends(*video_files.VIDEO_ENDINGS)),
+    ("folder", _ends(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends(".parquet")),
-    ("folder", _ends(*TABLE_ENDINGS, ".jsonl")),
+    ("folder", _ends(*text_tables.TABLE_ENDINGS, ".jsonl")),
 )
 # Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
 _PARTS = {
@@ -70,7 +66,7 @@ _PARTS = {
     "fota": {"webdataset"},
     "sparsh": {"folder"},
 }
-_TABLES = _ends(*COLUMN_TABLE_ENDINGS)
+_TABLES = _ends(*column_tables.COLUMN_TABLE_ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
@@ -99,7 +95,7 @@ def recognised(place: str) -> Recognised:
         shown = ", ".join(paths[:_SHOWN]) or "nothing"
         raise InputError(
             f"{place!r} holds no recordings of a format that is known (found {shown})",
-            next=f"name the format with --format: {', '.join(IMPORTS)}",
+            next=f"name the format with --format: {', '.join(formats.IMPORTS)}",
         )
     if len(found) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
@@ -109,12 +105,12 @@ def recognised(place: str) -> Recognised:
 
 
 def _of_file(place: str) -> Recognised:
-    folder, name = source_of(place)
+    folder, name = source_files.source_of(place)
     with store.open_inside(folder, name) as stream:
-        head = read_start(stream)
+        head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
-    if demuxer_of(head):
+    if video_files.demuxer_of(head):
         return Recognised("video", name)
     for layout, marks in _BEGINNINGS.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
@@ -138,7 +134,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of what this toolkit exported, as its manifest states."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.folder_place(home).require(KIND, "import")
+    place = places.folder_place(home).require(kind.KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
         raise InputError(
             f"{home.address()!r} is a data set already; it needs no import",

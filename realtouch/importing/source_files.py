@@ -16,13 +16,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.importing.found_touches import FoundTouches, PicturePlace
-from realtouch.importing.import_columns import ImportColumns
-from tactile_toolkit import column_types, run, store
-from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
+from realtouch.importing import found_touches, import_columns
+from tactile_toolkit import column_tables, column_types, run, store, text_tables, wording
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.text_tables import read_text_table
-from tactile_toolkit.wording import did_you_mean
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
@@ -74,7 +70,7 @@ def natural_order(path: str) -> list[tuple[int, str]]:
     return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
 
 
-def column_table(folder: store.DataFolder, name: str) -> ColumnTable:
+def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTable:
     """Return a table that is read in passes; IntegrityError if it is another one in a later pass."""
     place, version = folder.address(name), folder.version(name)
 
@@ -84,7 +80,7 @@ def column_table(folder: store.DataFolder, name: str) -> ColumnTable:
             raise IntegrityError(f"{place!r} {problem}", next="run the same command again")
         return open_source(folder, name)
 
-    return ColumnTable(place, opened)
+    return column_tables.ColumnTable(place, opened)
 
 
 class SourceTable(NamedTuple):
@@ -113,14 +109,17 @@ class SourceTable(NamedTuple):
 
 @store.without_collecting()
 def read_table(
-    folder: store.DataFolder, name: str, columns: ImportColumns, names: Iterable[str | None] = ()
+    folder: store.DataFolder,
+    name: str,
+    columns: import_columns.ImportColumns,
+    names: Iterable[str | None] = (),
 ) -> SourceTable:
     """Read a table; InputError if it cannot be read.
 
     Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
     ``names``; other columns have types, and lists of numbers in brackets are vectors.
     """
-    if name.lower().endswith(TYPED_ENDINGS):
+    if name.lower().endswith(column_tables.TYPED_ENDINGS):
         table = column_table(folder, name)
         rows, _ = table.scan()
         if rows > _MOST_LINES:
@@ -129,7 +128,7 @@ def read_table(
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
         return SourceTable(table.names, typed, rows)
     with open_source(folder, name) as stream:
-        text = read_text_table(stream.read(), folder.address(name))
+        text = text_tables.read_text_table(stream.read(), folder.address(name))
     known, commas = columns.found_in(text.names), text.separator != ","
     kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}
@@ -145,7 +144,7 @@ def read_table(
 
 
 def _vectors_in(column: pa.Array) -> pa.Array:
-    """Return a column of text as vectors if each text is one, as programs write them into CSV: ``[1.5, 2]``."""
+    """Return a column of text as vectors if each text is one, as in CSV of others: ``[1.5, 2]``."""
     if not pa.types.is_string(column.type) or not pc.all(pc.match_substring_regex(column, _VECTOR)).as_py():
         return column
     with suppress(ValueError):
@@ -160,7 +159,7 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
         if count != 1:
             found = f"{count} columns {name!r}; expected one"
             if not count:
-                found = f"no column {name!r}{did_you_mean(name, known)}"
+                found = f"no column {name!r}{wording.did_you_mean(name, known)}"
             raise InputError(
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
@@ -172,7 +171,7 @@ def image_files(
     paths: Sequence[str],
     said: Mapping[str, pa.Array],
     problems: Mapping[int, ItemError] | None = None,
-) -> FoundTouches:
+) -> found_touches.FoundTouches:
     """Return a touch for each path of an image; a missing file is the touch's problem.
 
     Folders are listed once: an image is opened, and checked, when it is imported.
@@ -194,14 +193,14 @@ def image_files(
             sizes[number] = size or 0  # of what is no file; it says so where it is read
     # A name that is not Unicode is a problem already; here it is shown.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
-    return FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
+    return found_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
-ReadContents = Callable[[Iterable[PicturePlace]], Iterator[bytes | ItemError]]
+ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
 
-def contents_of(places: Iterable[PicturePlace]) -> Iterator[bytes | ItemError]:
+def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
@@ -217,7 +216,8 @@ def contents_of(places: Iterable[PicturePlace]) -> Iterator[bytes | ItemError]:
 
 
 def _contents(
-    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], places: Sequence[PicturePlace]
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
+    places: Sequence[found_touches.PicturePlace],
 ) -> list[bytes | ItemError]:
     found: list[Any] = []
     try:

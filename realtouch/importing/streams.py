@@ -10,18 +10,11 @@ from pathlib import PurePosixPath
 import numpy as np
 import pyarrow as pa
 
-from realtouch.importing.fields import times_s
-from realtouch.importing.found_touches import one_chunk
-from realtouch.importing.import_columns import ImportColumns
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import column_table, source_of
+from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
 from realtouch.touch_options import Alignment
-from tactile_toolkit import column_types, store
-from tactile_toolkit.alignment import Neighbours
+from tactile_toolkit import alignment, column_tables, column_types, store, units
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS, ColumnTable
 from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.units import PER_RADIAN, PER_SECOND, TURN, stated_unit
 
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
 """Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
@@ -64,13 +57,15 @@ class Stream:
 
     name: str
     place: str
-    table: ColumnTable = field(repr=False)
+    table: column_tables.ColumnTable = field(repr=False)
     rows: int
     time_column: str = ""
     time_s: Float64 | None = field(default=None, repr=False)
 
 
-def open_stream(folder: store.DataFolder, name: str, columns: ImportColumns, stem: str = "") -> Stream:
+def open_stream(
+    folder: store.DataFolder, name: str, columns: import_columns.ImportColumns, stem: str = ""
+) -> Stream:
     """Read the times of a table.
 
     Parameters
@@ -91,7 +86,7 @@ def open_stream(folder: store.DataFolder, name: str, columns: ImportColumns, ste
         or have no known unit.
     """
     place = folder.address(name)
-    table = column_table(folder, name)
+    table = source_files.column_table(folder, name)
     column = _time_column(table.names, columns.time, place)
     rows, values = table.scan(column)
     if not rows:
@@ -107,7 +102,7 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     if time is not None and (not time or time in names):
         return time
     # Only a unit of time is taken off: a column `t_mm` is no time.
-    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in PER_SECOND))}
+    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
     found = [name for name in names if name.lower() in known]
     if len(found) > 1:
         words = f"{place!r} has several columns of times: {', '.join(found)}"
@@ -117,14 +112,16 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
 
 def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Float64:
     """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
-    what, stated = f"{place!r}: the times {column!r}", stated_unit(column)
+    what, stated = f"{place!r}: the times {column!r}", units.stated_unit(column)
     if pa.types.is_integer(values.type) and not (stated or given):
         raise InputError(
             f"{what} are integers, whose unit is not known",
-            next=f"add --time-unit {', '.join(PER_SECOND)}, or end the name of the column in the unit",
+            next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
         )
     try:
-        found = times_s(values, ImportColumns(time=column, time_unit=None if stated else given))
+        found = fields.times_s(
+            values, import_columns.ImportColumns(time=column, time_unit=None if stated else given)
+        )
     except ItemError as error:
         raise InputError(f"{what}: {error.what}") from error
     back = np.flatnonzero(np.diff(found) < 0)
@@ -145,7 +142,7 @@ def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
     fits as well, such as that of ``take1_force.mp4``.
     """
     seen = [name for name in names if not store.is_hidden(name)]
-    tables = [name for name in seen if name.lower().endswith(COLUMN_TABLE_ENDINGS)]
+    tables = [name for name in seen if name.lower().endswith(column_tables.COLUMN_TABLE_ENDINGS)]
     stems = {PurePosixPath(name).stem for name in {*seen} - {*tables}}
     found: dict[str, list[str]] = {}
     for name in sorted(tables):
@@ -189,17 +186,17 @@ class Aligner:
         self,
         named: Sequence[str],
         how: Alignment | None,
-        columns: ImportColumns,
+        columns: import_columns.ImportColumns,
         no_streams: Collection[str] = (),
     ) -> None:
         self.reports: list[StreamReport] = []
         self._how, self._columns = how or Alignment(), columns
-        self._named = [open_stream(*source_of(path), columns) for path in named]
+        self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
         self._beside = cache(_tables_in)
 
-    def aligned(self, recording: Recording) -> Recording:
+    def aligned(self, recording: recordings.Recording) -> recordings.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
 
         Tables beside it that do not fit are its problem. InputError: a stream that was named does not fit.
@@ -219,13 +216,13 @@ class Aligner:
         self.reports += [*reports, *of_named]
         return found
 
-    def _timed(self, recording: Recording) -> Recording:
+    def _timed(self, recording: recordings.Recording) -> recordings.Recording:
         time = self._columns.time
         if not time or time not in recording.per_frame:
             return recording
-        return replace(recording, time_s=times_s(recording.per_frame[time], self._columns))
+        return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
 
-    def _streams_beside(self, recording: Recording) -> list[Stream]:
+    def _streams_beside(self, recording: recordings.Recording) -> list[Stream]:
         path = PurePosixPath(recording.path)
         folder = "" if str(path.parent) == "." else str(path.parent)
         home = store.open_folder(recording.home)
@@ -239,7 +236,7 @@ class Aligner:
 
 
 def _address(path: str) -> str:
-    home, name = source_of(path)
+    home, name = source_files.source_of(path)
     return home.address(name)
 
 
@@ -248,8 +245,11 @@ def _tables_in(home: str, folder: str) -> dict[str, list[str]]:
 
 
 def with_streams(
-    recording: Recording, streams: Sequence[Stream], how: Alignment, columns: ImportColumns
-) -> tuple[Recording, list[StreamReport]]:
+    recording: recordings.Recording,
+    streams: Sequence[Stream],
+    how: Alignment,
+    columns: import_columns.ImportColumns,
+) -> tuple[recordings.Recording, list[StreamReport]]:
     """Add the columns of streams to what is said of each picture.
 
     Parameters
@@ -290,7 +290,7 @@ def with_streams(
     return recording, reports
 
 
-def _by_row(recording: Recording, stream: Stream) -> dict[str, pa.Array]:
+def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Array]:
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
@@ -303,12 +303,12 @@ def _by_row(recording: Recording, stream: Stream) -> dict[str, pa.Array]:
 
 
 def _by_time(
-    recording: Recording,
+    recording: recordings.Recording,
     stream: Stream,
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
@@ -318,7 +318,7 @@ def _by_time(
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
     steps, max_gap_s = np.diff(sample_s), how.max_gap_ms * _PER_MS
-    around = Neighbours.of(time_s, sample_s, max_gap_s)
+    around = alignment.Neighbours.of(time_s, sample_s, max_gap_s)
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
         raise InputError(
@@ -327,7 +327,7 @@ def _by_time(
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
     used = np.unique([around.before, around.after])
-    around = Neighbours.of(time_s, sample_s[used], max_gap_s)
+    around = alignment.Neighbours.of(time_s, sample_s[used], max_gap_s)
     samples = _columns(stream.table.rows(used), stream)
     nearest = pa.array(around.nearest, mask=around.missing)
     found = {name: column.take(nearest) for name, column in samples.items()}
@@ -339,7 +339,9 @@ def _by_time(
     return found, (*counts, *(f"{number:.4g}" for number in clocks))
 
 
-def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
+def _between(
+    samples: Mapping[str, pa.Array], around: alignment.Neighbours, pose: Sequence[str]
+) -> dict[str, pa.Array]:
     """Return columns of floats on a line between samples, and a pose with its quaternion on the turn.
 
     Angles, by the unit in their name, are on the shorter way around the circle.
@@ -347,10 +349,10 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     found = {}
     for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
-        unit = stated_unit(name)
+        unit = units.stated_unit(name)
         found[name] = around.interpolated(numbers[name])
-        if unit in PER_RADIAN:
-            found[name] = around.on_circle(numbers[name], TURN * PER_RADIAN[unit])
+        if unit in units.PER_RADIAN:
+            found[name] = around.on_circle(numbers[name], units.TURN * units.PER_RADIAN[unit])
     if pose and numbers.keys() >= {*pose}:
         whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:
@@ -365,7 +367,7 @@ def _is_number(column: pa.Array) -> bool:
     return kind in _NUMBERS and (kind is column.type or bool(column_types.lengths_of(column)))
 
 
-def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
+def _with_gaps(values: Float64, around: alignment.Neighbours) -> pa.Array:
     """Return interpolated values, null where there are none."""
     column = column_types.from_numpy(np.ascontiguousarray(values))
     numbers = np.arange(len(values))
@@ -378,7 +380,7 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
     for name in table.column_names:
         if name == stream.time_column:
             continue
-        column = one_chunk(table[name])
+        column = found_touches.one_chunk(table[name])
         lengths = column_types.lengths_of(column)
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"

@@ -15,31 +15,20 @@ from typing import Any, Unpack
 import numpy as np
 import pyarrow.compute as pc
 
-from realtouch import convert
-from realtouch.importing.fields import UNKNOWN, integer_text, shown
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import (
-    FoundTouches,
-    PicturePlace,
-    add_values,
-    one_chunk,
-    ranges_of,
-    texts_in,
+from realtouch import convert, kind, stored_images, touch_card, touch_options
+from realtouch.importing import (
+    fields,
+    formats,
+    found_touches,
+    import_columns,
+    import_shards,
+    import_sources,
+    imported_rows,
+    source_files,
 )
-from realtouch.importing.import_columns import ImportColumns
-from realtouch.importing.import_shards import ImportTouches
-from realtouch.importing.import_sources import FoundSource, Reading, find_source
-from realtouch.importing.imported_rows import touch_schema
-from realtouch.importing.source_files import NUMBERED, ReadContents
-from realtouch.kind import KIND
-from realtouch.stored_images import require_intact
-from realtouch.touch_card import write_card
-from realtouch.touch_options import LEFT_OUT, STREAMS, Alignment
-from tactile_toolkit import catalog, store
+from tactile_toolkit import catalog, shown_text, store, touch
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.read import Shard
-from tactile_toolkit.shown_text import printable
-from tactile_toolkit.touch import CLASS_NAMES
 
 CONVERSION = "images_were"
 """Key of the options of an import: how images were converted."""
@@ -67,11 +56,11 @@ def import_touches(
     source: str | PathLike[str],
     out: str | PathLike[str],
     layout: str | None = None,
-    columns: ImportColumns | None = None,
+    columns: import_columns.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),
-    alignment: Alignment | None = None,
+    alignment: touch_options.Alignment | None = None,
     cut: str | None = None,
     classes: Sequence[str] = (),
     split: str | None = None,
@@ -122,12 +111,12 @@ def import_touches(
         A tar is damaged; or as :func:`realtouch.clips_to_images`.
     """
     folder = store.open_folder(fspath(out))
-    reading = Reading(layout, columns, table, tuple(streams), alignment, cut)
-    found = find_source(fspath(source), reading)
+    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = import_sources.find_source(fspath(source), reading)
     catalog.refuse_source(folder, found.home.address(), [Shard(found.home.address("any file"))])
     plan = plan_of(arranged(found, classes, split), found)
     del found  # there may be many touches; from here on, shards hold them
-    return store.build(folder, plan, write_card=write_card, **run)
+    return store.build(folder, plan, write_card=touch_card.write_card, **run)
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,17 +126,17 @@ class Arranged:
     ``shards`` hold whole rounds, one after the other, by the name of the split.
     """
 
-    shards: Mapping[str, Sequence[FoundTouches]]
-    work: ImportTouches
+    shards: Mapping[str, Sequence[found_touches.FoundTouches]]
+    work: import_shards.ImportTouches
 
 
-def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
+def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
         raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
-    touches, columns, read = found.touches, found.columns, IMPORTS[found.layout]
+    touches, columns, read = found.touches, found.columns, formats.IMPORTS[found.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
-    if len(set(map(integer_text, classes))) < len(classes):
+    if len(set(map(fields.integer_text, classes))) < len(classes):
         raise InputError(f"the classes are {', '.join(names)}; expected each once")
     most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
     sizes = touches.where["size"].to_pylist()
@@ -158,18 +147,22 @@ def arranged(found: FoundSource, classes: Sequence[str], split: str | None) -> A
         rounds = _in_pieces(of_split, sizes, most_bytes, taken)
         shards[each] = [_shard(touches, part) for part in _divided(rounds, sizes, touches.has_clips)]
     size = common_size(touches, read.contents, read.is_one_a_file)
-    schema = touch_schema(columns, names, touches)
-    return Arranged(shards, ImportTouches(found.layout, columns, names, size, schema, found.versions))
+    schema = imported_rows.touch_schema(columns, names, touches)
+    return Arranged(
+        shards, import_shards.ImportTouches(found.layout, columns, names, size, schema, found.versions)
+    )
 
 
-def _shard(touches: FoundTouches, rounds: Mapping[str, Sequence[int]]) -> FoundTouches:
+def _shard(
+    touches: found_touches.FoundTouches, rounds: Mapping[str, Sequence[int]]
+) -> found_touches.FoundTouches:
     """Return the touches of some rounds, one round after the other."""
     rows = np.concatenate([np.array(numbers, np.int64) for numbers in rounds.values()])
     names = [name for name, numbers in rounds.items() for _ in numbers]
     return touches.take(rows).with_where(round=names)
 
 
-def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
+def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.BuildPlan:
     """Divide rounds into shards."""
     every = found.touches
     work: Any = touches.work  # whose items are touches, of which a task knows that they can be counted
@@ -195,15 +188,15 @@ def plan_of(touches: Arranged, found: FoundSource) -> store.BuildPlan:
     if found.cut:
         spec["options"]["cut"] = found.cut
     if found.streams:
-        spec[STREAMS] = list(found.streams[:_MOST_STREAMS])
+        spec[touch_options.STREAMS] = list(found.streams[:_MOST_STREAMS])
     if found.left_out:
-        spec[LEFT_OUT] = list(map(printable, found.left_out[:_MOST_LEFT_OUT]))
-    conversion = IMPORTS[found.layout].describe(every)
+        spec[touch_options.LEFT_OUT] = list(map(shown_text.printable, found.left_out[:_MOST_LEFT_OUT]))
+    conversion = formats.IMPORTS[found.layout].describe(every)
     if conversion:
         spec["options"][CONVERSION] = conversion
     pictures = {f"{_CUTS}/{name}.png": content for name, content in found.pictures.items()}
     return store.BuildPlan(
-        KIND.name,
+        kind.KIND.name,
         spec,
         tuple(touches.shards),
         tuple(tasks),
@@ -225,7 +218,7 @@ class _WritePictures:
         return convert.write_changed(folder, self.pictures)
 
 
-def _listing_digest(touches: FoundTouches) -> str:
+def _listing_digest(touches: found_touches.FoundTouches) -> str:
     """Return the checksum of what is said of all touches."""
     digest = hashlib.sha256()
     where = touches.where.select(["name", "start", "size", "time_s"])
@@ -233,11 +226,13 @@ def _listing_digest(touches: FoundTouches) -> str:
         digest.update(f"{len(table)}\n".encode())
         for name, column in zip(table.column_names, table.columns, strict=True):
             digest.update(f"{name} {column.type}\n".encode())
-            add_values(digest, one_chunk(column))
+            found_touches.add_values(digest, found_touches.one_chunk(column))
     return digest.hexdigest()
 
 
-def _style(touches: FoundTouches, shards: Mapping[str, Sequence[FoundTouches]]) -> store.ParquetStyle:
+def _style(
+    touches: found_touches.FoundTouches, shards: Mapping[str, Sequence[found_touches.FoundTouches]]
+) -> store.ParquetStyle:
     """Return how many rounds are packed together, and which columns are not compressed."""
     touch_bytes = pc.sum(touches.where["size"]).as_py() // len(touches) + 1
     per_group = min(_TOUCHES_PER_GROUP, _GROUP_BYTES // touch_bytes)
@@ -260,27 +255,29 @@ def _divided(
     least = most_bytes // _TOUCHES_PER_SHARD
     of_rounds = [sum(max(least, sizes[number]) for number in numbers) for numbers in rounds.values()]
     pairs = list(rounds.items())
-    return [dict(pairs[part]) for part in ranges_of(of_rounds, most_bytes)]
+    return [dict(pairs[part]) for part in found_touches.ranges_of(of_rounds, most_bytes)]
 
 
-def _class_names(touches: FoundTouches, column: str | None) -> tuple[str, ...]:
+def _class_names(touches: found_touches.FoundTouches, column: str | None) -> tuple[str, ...]:
     """Return the classes in the data: the numbers from 0 to at least 9, or the names."""
     numbered: dict[str, str] = {}  # our exports have name and number, which keeps the order
-    for name, number in dict.fromkeys(zip(touches.texts(column), touches.texts(NUMBERED), strict=True)):
-        is_number = column != NUMBERED and _DECIMAL.fullmatch(number)
+    for name, number in dict.fromkeys(
+        zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
+    ):
+        is_number = column != source_files.NUMBERED and _DECIMAL.fullmatch(number)
         numbered.setdefault(name, number if is_number else "")
-    for unknown in ("", *UNKNOWN):
+    for unknown in ("", *fields.UNKNOWN):
         numbered.pop(unknown, None)
     if not numbered:  # of a recording without classes
         return ()
-    texts = list(map(integer_text, numbered))
+    texts = list(map(fields.integer_text, numbered))
     if all(map(_INTEGER.fullmatch, texts)):
-        return tuple(map(str, range(max(len(CLASS_NAMES), 1 + max(map(int, texts))))))
+        return tuple(map(str, range(max(len(touch.CLASS_NAMES), 1 + max(map(int, texts))))))
     return tuple(sorted(numbered, key=lambda name: (len(numbered[name]), numbered[name], name)))
 
 
 def _rounds(
-    touches: FoundTouches, columns: ImportColumns, split: str | None
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns, split: str | None
 ) -> dict[str, dict[str, list[int]]]:
     """Return the touches of each round of each split, in order; a touch without a round is a round."""
     found: dict[str, dict[str, list[int]]] = {}
@@ -288,10 +285,12 @@ def _rounds(
     rounds = touches.texts(columns.round)
     named = set(rounds)
     names, numbers = (touches.where[name].to_pylist() for name in ("name", "number"))
-    splits = _splits(touches.texts(columns.split), texts_in(touches.where["path"]), split)
+    splits = _splits(touches.texts(columns.split), found_touches.texts_in(touches.where["path"]), split)
     for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
-            raise InputError(f"{names[place]!r}: the split {shown(part)!r}; expected letters and digits")
+            raise InputError(
+                f"{names[place]!r}: the split {fields.shown(part)!r}; expected letters and digits"
+            )
         if not name:
             # Programs of a Mac write letters and their marks apart.
             stem = unicodedata.normalize("NFC", names[place].rpartition(".")[0] or names[place])
@@ -300,7 +299,7 @@ def _rounds(
                 name = f"{name}_{numbers[place]}"
         if home.setdefault(name, part) != part:
             raise InputError(
-                f"{names[place]!r}: round {shown(name)!r} lies in the splits {home[name]!r} and "
+                f"{names[place]!r}: round {fields.shown(name)!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )
         found.setdefault(part, {}).setdefault(name, []).append(place)
@@ -326,7 +325,7 @@ def _in_pieces(
     """
     found: dict[str, list[int]] = {}
     for name, numbers in rounds.items():
-        parts = ranges_of([sizes[number] for number in numbers], most_bytes)
+        parts = found_touches.ranges_of([sizes[number] for number in numbers], most_bytes)
         pieces = [numbers[part] for part in parts]
         names = [name]
         while len(names) < len(pieces) or (len(pieces) > 1 and taken.intersection(names)):
@@ -338,7 +337,7 @@ def _in_pieces(
 
 
 def common_size(
-    touches: FoundTouches, read: ReadContents, is_one_a_file: bool = False
+    touches: found_touches.FoundTouches, read: source_files.ReadContents, is_one_a_file: bool = False
 ) -> tuple[int, int] | None:
     """Return the most frequent height and width of images; None if no image can be read.
 
@@ -346,7 +345,7 @@ def common_size(
     where some, spread over all, differ: to read each twice takes long.
     """
     usable = touches.take(np.flatnonzero(touches.is_usable))
-    places, counts = list[PicturePlace](), dict[PicturePlace, int]()
+    places, counts = list[found_touches.PicturePlace](), dict[found_touches.PicturePlace, int]()
     if is_one_a_file:
         of_files = usable.where.group_by(["home", "path", "part"])
         files = of_files.aggregate([("number", "min"), ("frames", "sum"), ("frames", "count")])
@@ -362,12 +361,14 @@ def common_size(
 
 
 def _sizes(
-    places: Sequence[PicturePlace], read: ReadContents, counts: Mapping[PicturePlace, int]
+    places: Sequence[found_touches.PicturePlace],
+    read: source_files.ReadContents,
+    counts: Mapping[found_touches.PicturePlace, int],
 ) -> Counter[tuple[int, int]]:
     """Count the sizes of images, each as often as its file; those that are not intact do not count."""
     sizes = Counter[tuple[int, int]]()
     for content, place in zip(read(places), places, strict=True):
         if isinstance(content, bytes):
             with suppress(ValueError):
-                sizes[require_intact(content)] += counts.get(place, 1)
+                sizes[stored_images.require_intact(content)] += counts.get(place, 1)
     return sizes
