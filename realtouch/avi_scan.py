@@ -73,8 +73,10 @@ class AviPictures:
             elif start + size > end or not name.isascii() or not name.decode().isprintable():
                 if self.is_cut or start > riff_end:  # what follows the file is padding
                     break
-                problem = f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures"
-                raise ValueError(f"{problem}; expected a chunk inside of the file")
+                raise ValueError(
+                    f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures; "
+                    "expected a chunk inside of the file"
+                )
             elif name in self._names:
                 if size:
                     places.extend((start, size, slot))

@@ -159,8 +159,15 @@ def check_round(
             return found  # the number of touches is unknown
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
-        problem = f"{count} touches; expected {expected_touches} as in the other rounds"
-        found.append(stored_columns.Damage(row.path, row.number, None, "pos_in_cell", problem))
+        found.append(
+            stored_columns.Damage(
+                row.path,
+                row.number,
+                None,
+                "pos_in_cell",
+                f"{count} touches; expected {expected_touches} as in the other rounds",
+            )
+        )
     for name in schema.extra_columns(row.group.names):
         with noted():
             row.extra_values(name)
@@ -244,8 +251,13 @@ def _odd_sizes(
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
         if size != modal:
-            problem = f"{_describe(size)}; expected {_describe(modal)} as of the other touches"
-            yield stored_columns.Damage(row.path, row.number, touch, media, problem)
+            yield stored_columns.Damage(
+                row.path,
+                row.number,
+                touch,
+                media,
+                f"{_describe(size)}; expected {_describe(modal)} as of the other touches",
+            )
 
 
 def _describe(size: tuple[int, ...]) -> str:

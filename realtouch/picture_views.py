@@ -48,8 +48,7 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, C
         with suppress(IntegrityError):
             tiles.append(touch_html(read(), caption))
     if len(tiles) < len(pictures):
-        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
-        words = [*words, missing]
+        words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
     grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
     return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
 

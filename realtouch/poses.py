@@ -161,6 +161,7 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
         return None
     index = int(wrong[0])
     if not finite[index]:
-        found = f"position {position_m[index]}, quaternion {quaternion[index]}"
-        return index, f"a pose that is not finite: {found}"
+        return index, (
+            f"a pose that is not finite: position {position_m[index]}, quaternion {quaternion[index]}"
+        )
     return index, f"a quaternion of length {float(np.sqrt(squares[index])):.4g}; expected length one"

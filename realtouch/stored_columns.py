@@ -264,8 +264,9 @@ class StoredColumns(Row):
             raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
         values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
         if len(values) != wanted * max(width, 1):
-            problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
-            raise self.damaged(name, problem, touch)
+            raise self.damaged(
+                name, f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each", touch
+            )
         return values.reshape(wanted, width) if width else values
 
     def extra_entries(self, name: str) -> pa.Array:

@@ -176,8 +176,9 @@ class StoredRound(stored_columns.StoredColumns):
             return -1
         label = self.integer("label")
         if names is not None and label >= len(names):
-            limit = f"expected less than {len(names)}, the number of named classes"
-            raise self.damaged("label", f"the value is {label}; {limit}")
+            raise self.damaged(
+                "label", f"the value is {label}; expected less than {len(names)}, the number of named classes"
+            )
         return label
 
     def has_info(self) -> bool:
@@ -292,12 +293,16 @@ def _pose(row: stored_columns.StoredColumns, values: JsonDict, name: str) -> Pos
         position = np.asarray(values["position"], np.float64)
         quaternion = np.asarray(values["quaternion"], np.float64)
     except (TypeError, ValueError) as error:
-        problem = "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
-        raise row.damaged(name, problem) from error
+        raise row.damaged(
+            name, "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
+        ) from error
     outer = position.shape[:-1]
     if len(outer) > 1 or position.shape != (*outer, 3) or quaternion.shape != (*outer, 4):
-        found = f"position {position.shape} and quaternion {quaternion.shape}"
-        raise row.damaged(name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
+        raise row.damaged(
+            name,
+            f"position {position.shape} and quaternion {quaternion.shape}; "
+            "expected (3,) and (4,), or (n, 3) and (n, 4)",
+        )
     wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
     if wrong is not None:  # one invalid pose makes the metadata of the round unreadable
         raise row.damaged(name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])

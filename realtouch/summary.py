@@ -219,13 +219,18 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
         ("objects", "600", f"{different:,}"),
         ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
     ]
-    gel = f"{_TOUCHES_OF_A_GEL:,} touches, once"
-    picture = f"{size[0]} x {size[1]} pixels"
     return [
         *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
         PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
-        PaperNumber("gel replaced after", gel, replaced, ends == [_TOUCHES_OF_A_GEL]),
-        PaperNumber("picture", "320 x 240 or 64 x 64 pixels", picture, size in _SIZES),
+        PaperNumber(
+            "gel replaced after",
+            f"{_TOUCHES_OF_A_GEL:,} touches, once",
+            replaced,
+            ends == [_TOUCHES_OF_A_GEL],
+        ),
+        PaperNumber(
+            "picture", "320 x 240 or 64 x 64 pixels", f"{size[0]} x {size[1]} pixels", size in _SIZES
+        ),
     ]
 
 

@@ -67,8 +67,11 @@ class TouchClip(Sequence[UInt8]):
         except ValueError as error:
             raise row.damaged("sensor_video", str(error), touch) from error
         if len(self._avi) != stated:
-            problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
-            raise row.damaged("sensor_video", problem, touch)
+            raise row.damaged(
+                "sensor_video",
+                f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'",
+                touch,
+            )
 
     def __len__(self) -> int:
         return len(self._avi)
@@ -349,7 +352,8 @@ def decode_frames(
         try:
             decode_image(encoded[number], out[number])
         except ValueError as error:
-            problem = f"frame {frames[number]}: {error}"
-            raise clips.row.damaged("sensor_video", problem, touches[number]) from error
+            raise clips.row.damaged(
+                "sensor_video", f"frame {frames[number]}: {error}", touches[number]
+            ) from error
 
     sensor_images.in_parallel(decode, len(encoded), threads)

@@ -58,8 +58,9 @@ def plan_previews(
     def on_map() -> list[pictures.PlannedPicture]:
         if not (record.row.has_poses or record.row.has("pos_in_cell")):
             raise record.row.missing_column("pos_in_cell")
-        what = f"all touches of {record!r} at their positions"
-        return planned("overlay", what, lambda: draw_overlay(record))
+        return planned(
+            "overlay", f"all touches of {record!r} at their positions", lambda: draw_overlay(record)
+        )
 
     plans = {
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),

@@ -405,8 +405,9 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
         raise InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):
-        found = f"contact is {mask.dtype} of shape {mask.shape}"
-        raise InputError(f"{found}; expected bool of shape ({len(touches)},)")
+        raise InputError(
+            f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
+        )
     (empty,) = np.nonzero(~mask)
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:

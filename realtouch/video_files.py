@@ -122,11 +122,12 @@ def check_boxes(stream: IO[bytes]) -> bool:
         elif name in _HOLDERS:
             position = start
         if counts[name] > limit:
-            what = (
-                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
+            raise ItemError(
+                "length",
+                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}; "
+                f"the limit is {limit:,}",
+                next="leave its sound out, or cut it into shorter ones",
             )
-            hint = "leave its sound out, or cut it into shorter ones"
-            raise ItemError("length", f"{what}; the limit is {limit:,}", next=hint)
     raise ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
 
 

@@ -97,8 +97,9 @@ class Source:
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        column = f"{touch.MEDIA_COLUMN[self.kind]}."
-        found = run.in_threads(partial(_media_bytes, column), self._files(), _READERS)
+        found = run.in_threads(
+            partial(_media_bytes, f"{touch.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
+        )
         count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
 

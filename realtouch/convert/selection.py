@@ -72,8 +72,9 @@ def select(
     if min_height_m is not None:
         min_height_m = float(min_height_m)
         if not math.isfinite(min_height_m):  # nothing is as high as NaN
-            expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
-            raise InputError(f"min_height_m is {min_height_m}; {expected}")
+            raise InputError(
+                f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+            )
     chosen: JsonDict = {
         "contact": contact,
         "min_height_m": min_height_m,

@@ -125,7 +125,6 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
         if frames is None:  # missing for the whole clip
             frames = pa.nulls(each.frame + 1, entries.type.value_type)
         if each.frame >= len(frames):
-            problem = f"{len(frames)} frames; expected at least {each.frame + 1}"
-            raise row.damaged(stored, problem, each.touch)
+            raise row.damaged(stored, f"{len(frames)} frames; expected at least {each.frame + 1}", each.touch)
         found.append(frames.slice(each.frame, 1))
     return pa.concat_arrays(found)

@@ -125,8 +125,9 @@ class ForeignParquet:
                     batches = self._tables(group, [name])
                 while row >= start + len(held):
                     start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
-            missing = f"row {row:,} of {name!r} holds no bytes; expected a picture"
-            yield held[row - start] or ItemError("missing", missing)
+            yield held[row - start] or ItemError(
+                "missing", f"row {row:,} of {name!r} holds no bytes; expected a picture"
+            )
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
@@ -158,8 +159,10 @@ class ForeignParquet:
                 missing -= len(batch)
                 yield read.supported_table(pa.Table.from_batches([batch]))
         if missing:
-            problem = f" is damaged, row group {group} holds {missing:,} rows less than its footer states"
-            raise IntegrityError.in_file(self.place, problem)
+            raise IntegrityError.in_file(
+                self.place,
+                f" is damaged, row group {group} holds {missing:,} rows less than its footer states",
+            )
 
 
 def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:

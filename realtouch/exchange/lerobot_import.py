@@ -110,8 +110,11 @@ class _Episodes:
         for name, column in columns.items():
             lengths = column_types.lengths_of(column)
             if len(lengths) > 1:
-                found = f"vectors of {lengths[0]} and of {lengths[-1]} values"
-                raise ItemError("column", f"the column {name!r} has {found}; expected one length")
+                raise ItemError(
+                    "column",
+                    f"the column {name!r} has vectors of {lengths[0]} and of {lengths[-1]} values; "
+                    "expected one length",
+                )
         self._columns = columns
         self._path = path
 
@@ -139,8 +142,11 @@ def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array])
         raise ItemError("episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers")
     start, stop = np.searchsorted(numbers, [episode.number, episode.number + 1]).tolist()
     if stop - start != episode.length or not episode.length:
-        found = f"{episode.data_path!r} holds {stop - start:,} frames of it"
-        raise ItemError("episode", f"{found}; expected {episode.length:,}, as stated, and at least one")
+        raise ItemError(
+            "episode",
+            f"{episode.data_path!r} holds {stop - start:,} frames of it; "
+            f"expected {episode.length:,}, as stated, and at least one",
+        )
     return slice(start, stop)
 
 
@@ -162,6 +168,9 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
     found = shown_s[first : first + len(wanted_s)]
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
-        shown = f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s"
-        raise ItemError("video", f"{shown}, not at the times of its frames, until {wanted_s[-1]:.3f} s")
+        raise ItemError(
+            "video",
+            f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s, "
+            f"not at the times of its frames, until {wanted_s[-1]:.3f} s",
+        )
     return first

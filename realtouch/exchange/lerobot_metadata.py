@@ -115,9 +115,10 @@ def read_info(home: store.DataFolder) -> Info:
     with _refused(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _VERSION.fullmatch(info.codebase_version):
-        problem = f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}"
         raise InputError(
-            f"{problem}; expected v2.0, v2.1 or v3.0", next="convert it with the tools of LeRobot"
+            f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}; "
+            "expected v2.0, v2.1 or v3.0",
+            next="convert it with the tools of LeRobot",
         )
     return info
 
@@ -145,8 +146,10 @@ def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[E
             with _refused(home, path):
                 episode = _episode(info, camera, line)
             if episode.number <= last:
-                found = f"episode {episode.number:,} after {last:,}"
-                raise InputError(f"{home.address(path)!r} holds {found}; expected numbers that rise")
+                raise InputError(
+                    f"{home.address(path)!r} holds episode {episode.number:,} after {last:,}; "
+                    "expected numbers that rise"
+                )
             last = episode.number
             yield episode
 
@@ -204,5 +207,4 @@ def _refused(home: store.DataFolder, path: str) -> Iterator[None]:
     except ItemError as error:
         raise InputError(f"{home.address(path)!r}: {error.what}") from error
     except (msgspec.MsgspecError, UnicodeError, RecursionError, ArithmeticError) as error:
-        problem = f"no metadata of a LeRobotDataset ({error})"
-        raise InputError(f"{home.address(path)!r} holds {problem}") from error
+        raise InputError(f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})") from error

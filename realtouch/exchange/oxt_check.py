@@ -178,8 +178,12 @@ def _unfit(arrays: dict[str, picture_arrays.StoredArray], frames: int, starts: I
                 continue
             if not _fits(array, rule, lengths[scope]):
                 shape = ", ".join(["T", *rule.axes.split()])
-                expected = f"{_TYPE_NAMES.get(rule.types, 'any type')}, shape ({shape})"
-                yield "form", name, f"{array.dtype} {array.shape}", f"{expected}, with {lengths[scope]}"
+                yield (
+                    "form",
+                    name,
+                    f"{array.dtype} {array.shape}",
+                    (f"{_TYPE_NAMES.get(rule.types, 'any type')}, shape ({shape}), with {lengths[scope]}"),
+                )
             elif values is not None and (problem := rule.problem(values, starts)):
                 yield rule.name, name, problem, rule.expected
 

@@ -77,8 +77,11 @@ class PictureArray:
         """Look at an array; InputError for one that does not hold pictures of 8 bits."""
         pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
         count = math.prod(array.shape)
-        what = f"{array.place}: {array.shape}, {array.dtype},"
-        bounds.require_unpackable(count * array.dtype.itemsize, what, _COMPRESSION * stored)
+        bounds.require_unpackable(
+            count * array.dtype.itemsize,
+            f"{array.place}: {array.shape}, {array.dtype},",
+            _COMPRESSION * stored,
+        )
         if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
             raise array.refused(
                 f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"

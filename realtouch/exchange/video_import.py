@@ -124,12 +124,16 @@ def _lines(
             ]
             refused = refused or (other and (name, other[0]))
     if len(found) > 1:
-        words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
-        raise InputError(words, next="name one with --table")
+        raise InputError(
+            f"{home.address()!r} has several tables of its videos: {', '.join(found)}",
+            next="name one with --table",
+        )
     if refused and not found:
         name, column = refused
-        words = f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}"
-        raise InputError(words, next=f"add --map image={column}, or move the table out of the folder")
+        raise InputError(
+            f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
+            next=f"add --map image={column}, or move the table out of the folder",
+        )
     return next(iter(found.values()), None)
 
 

@@ -51,8 +51,9 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
     seen = set[str]()
     for number, sample in enumerate(samples):
         if sample.key in seen:
-            problem = f"the key {sample.key!r} stands in an earlier sample of this tar"
-            problems[number] = ItemError("duplicate", problem)
+            problems[number] = ItemError(
+                "duplicate", f"the key {sample.key!r} stands in an earlier sample of this tar"
+            )
         elif sample.problems:
             problems[number] = sample.problems[0]
         seen.add(sample.key)

@@ -139,5 +139,6 @@ class ZarrGroup:
         try:
             return layout.unpacked(data)
         except zarr_layouts.UNREADABLE as error:
-            expected = f"expected {layout.chunk_bytes:,} bytes unpacked"
-            raise self.refused(name, f"a damaged chunk; {expected}") from error
+            raise self.refused(
+                name, f"a damaged chunk; expected {layout.chunk_bytes:,} bytes unpacked"
+            ) from error

@@ -47,9 +47,9 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MOST_ARRAYS:
-        found = f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'"
         raise InputError(
-            f"{found}; expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
+            f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
+            f"expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
             next="give the group itself; a zip holds what is inside of the group's folder",
         )
     return names
@@ -121,9 +121,10 @@ def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
         ends = array.rows().astype(np.int64)
     if not len(ends) or ends[-1] != frames or (np.diff(ends, prepend=0) <= 0).any():
-        found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
-        expected = f"integers that rise to {frames:,}, the number of frames"
-        raise array.refused(f"episodes end at {found}; expected {expected}")
+        raise array.refused(
+            f"episodes end at {array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
+            f"; expected integers that rise to {frames:,}, the number of frames"
+        )
     return ends
 
 

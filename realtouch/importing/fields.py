@@ -175,8 +175,11 @@ def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
     is_flat = found.shape == (len(values),)
     if not is_flat or not np.isfinite(found).all():
         wrong = int(np.isfinite(found).argmin()) if is_flat else 0
-        what = f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on"
-        raise ItemError("time", f"{what}; expected finite numbers, or points in time")
+        raise ItemError(
+            "time",
+            f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on; "
+            "expected finite numbers, or points in time",
+        )
     return found / divisor
 
 

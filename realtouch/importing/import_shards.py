@@ -103,9 +103,10 @@ class ImportTouches:
         files = {place.file for place in touches} if self.versions else ()
         for file in self.versions.keys() & files:
             if import_sources.version_of(file) != self.versions[file]:
-                problem = "was replaced or changed while it was imported: images would be taken for others"
                 raise IntegrityError(
-                    f"{'/'.join(file)!r} {problem}", next="run the same command with --overwrite"
+                    f"{'/'.join(file)!r} "
+                    "was replaced or changed while it was imported: images would be taken for others",
+                    next="run the same command with --overwrite",
                 )
         counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), touch_options.CLIPS: notes}
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
@@ -220,12 +221,14 @@ def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tu
     except ValueError as error:
         raise ItemError("image", str(error)) from error
     if _is_turned(picture):
-        problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
-        raise ItemError("image", problem)
+        raise ItemError(
+            "image", "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+        )
     if expected is not None and size != expected:
         (height, width), (common_height, common_width) = size, expected
-        problem = f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
-        raise ItemError("size", problem)
+        raise ItemError(
+            "size", f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
+        )
     return size
 
 

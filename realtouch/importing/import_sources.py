@@ -77,8 +77,10 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if reading.layout is not None:
         require_layout(reading.layout, formats.IMPORTS)
     if not home.exists():
-        found = f"{home.address()!r} does not exist"
-        raise InputError(f"{found}; expected a folder or file of recordings", next="check the name")
+        raise InputError(
+            f"{home.address()!r} does not exist; expected a folder or file of recordings",
+            next="check the name",
+        )
     if reading.layout is None:
         format_ = recognised.recognised(place)
     read = formats.IMPORTS[format_.layout]
@@ -105,8 +107,9 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if not len(touches):
         raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     if reading.cut is not None and not cutter.done:
-        found = f"{home.address()!r} holds single pictures"
-        raise InputError(f"{found}; --cut applies to recordings", next="leave out --cut")
+        raise InputError(
+            f"{home.address()!r} holds single pictures; --cut applies to recordings", next="leave out --cut"
+        )
     # The time may be that of a stream, of which only what was aligned is left.
     missing = {*columns.names()} - {*touches.names} - aligner.times
     if missing and touches.is_usable.any():
@@ -163,8 +166,9 @@ def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
     is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
     problems = {}
     for number in np.flatnonzero(is_large.to_numpy()).tolist():
-        found = f"{where['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
-        problems[number] = ItemError("image", found)
+        problems[number] = ItemError(
+            "image", f"{where['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
+        )
     return touches.with_problems(problems).with_where(number=np.arange(len(touches)))
 
 
@@ -194,8 +198,11 @@ def said_of_whole(
             first = both.take(pa.array(np.where(has_own, 0, len(first)) + np.arange(len(first))))
         problems = {}
         if name != source_files.NUMBERED:
-            found = f"{name!r} differs between the pictures of the clip"
-            error = ItemError("frames", f"{found}; expected one value (--cut frames has one each)")
+            error = ItemError(
+                "frames",
+                f"{name!r} differs between the pictures of the clip; "
+                "expected one value (--cut frames has one each)",
+            )
             problems = dict.fromkeys(np.flatnonzero(~is_one & ~has_own).tolist(), error)
         touches = touches.with_said({name: first}).with_problems(problems)
     return touches

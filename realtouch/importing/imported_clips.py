@@ -99,8 +99,9 @@ def clip_times_s(
             "time", f"time runs back at picture {int((steps < 0).argmax()) + 1}; expected times that rise"
         )
     if count and from_first[-1] > _LONGEST_S:
-        problem = f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
-        raise ItemError("time", problem)
+        raise ItemError(
+            "time", f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
+        )
     return from_first
 
 
@@ -118,8 +119,10 @@ def clip_position(
     """Return the intended position, shape (2,); ItemError unless it is the same for all pictures."""
     place = _each_picture(positions, touches, row, columns, columns.position or ())
     if np.ptp(place, axis=0).max() > _SAME_M:
-        problem = "it differs between the pictures of the clip; expected one (--map position= leaves it out)"
-        raise ItemError("position", problem)
+        raise ItemError(
+            "position",
+            "it differs between the pictures of the clip; expected one (--map position= leaves it out)",
+        )
     first: Float64 = place[0]
     return first
 

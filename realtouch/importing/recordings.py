@@ -127,8 +127,14 @@ class Recording:
         rows = np.concatenate([np.arange(clip.start, clip.stop) for clip in clips])
         problems = {number: clip.problem for number, clip in enumerate(clips) if clip.problem is not None}
         for number in np.flatnonzero(counts > MAX_CLIP_FRAMES).tolist():
-            found = f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
-            problems.setdefault(number, ItemError("length", found, next=_SHORTER))
+            problems.setdefault(
+                number,
+                ItemError(
+                    "length",
+                    f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}",
+                    next=_SHORTER,
+                ),
+            )
         said = self._said(self.round or self.name, len(clips))
         for name in dict.fromkeys(name for clip in clips for name in clip.said):
             whole = self.values.get(name)

@@ -76,8 +76,9 @@ def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTab
 
     def opened() -> IO[bytes]:
         if folder.version(name) != version:
-            problem = "was replaced or changed while it was read"
-            raise IntegrityError(f"{place!r} {problem}", next="run the same command again")
+            raise IntegrityError(
+                f"{place!r} was replaced or changed while it was read", next="run the same command again"
+            )
         return open_source(folder, name)
 
     return column_tables.ColumnTable(place, opened)

@@ -105,8 +105,10 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
     found = [name for name in names if name.lower() in known]
     if len(found) > 1:
-        words = f"{place!r} has several columns of times: {', '.join(found)}"
-        raise InputError(words, next="name one: `--map time=COLUMN`")
+        raise InputError(
+            f"{place!r} has several columns of times: {', '.join(found)}",
+            next="name one: `--map time=COLUMN`",
+        )
     return found[0] if found else ""
 
 
