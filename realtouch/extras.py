@@ -39,7 +39,7 @@ class Extras(Mapping[str, Any]):
 
     __slots__ = ("_names", "_read")
 
-    def __init__(self, names: Collection[str], read: Callable[[str], Any]) -> None:
+    def __init__(self, names: Collection[str], read: Callable[[str], object]) -> None:
         self._names = names
         self._read = read
 

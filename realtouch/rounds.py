@@ -68,7 +68,7 @@ class TouchRound(read.Record):
         """
         return extras.Extras(tuple(schema.extra_columns(self.row.group.names)), self._extra)
 
-    def _extra(self, name: str) -> Any:
+    def _extra(self, name: str) -> object:
         return self._once(f"extra {name}", lambda: self.row.extra_values(name))
 
     @property

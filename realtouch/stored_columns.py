@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +18,7 @@ from realtouch import avi, extras, schema
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
@@ -300,7 +300,7 @@ class StoredColumns(Row):
                 found.append(extras.array_with_gaps(frames.slice(0, length)))
         return tuple(found)
 
-    def plain_value(self, name: str) -> Any:
+    def plain_value(self, name: str) -> JsonValue:
         """Return a field as numpy's scalar or Python's object.
 
         Raises InputError when the data set has no such column, IntegrityError when no value is stored, or
@@ -316,7 +316,7 @@ class StoredColumns(Row):
             raise self.damaged(name, "no value is stored")
         return value
 
-    def stored_value(self, name: str) -> Any:
+    def stored_value(self, name: str) -> JsonValue:
         """Return a field of any type as Python's objects, looking at no other row.
 
         Raises IntegrityError for text that is not Unicode.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from realtouch import depth_maps, extras, picture_views, rounds, touch_clips
 from tactile_toolkit.array_types import Float32, Floating, UInt8
@@ -83,7 +83,7 @@ class Touch:
         """
         return extras.Extras(tuple(self.round.extra), self._extra)
 
-    def _extra(self, name: str) -> Any:
+    def _extra(self, name: str) -> object:
         return self.round.extra[name][self._index_in_row]
 
     @property

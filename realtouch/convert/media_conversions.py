@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from os import PathLike
-from typing import Any, Unpack
+from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -261,14 +261,15 @@ class ResizeMedia:
         columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
         return pa.table(list(columns.values()), schema=flat.schema), {}
 
-    def _moved(self, name: str, values: list[Any] | None, size: tuple[int, int]) -> list[Any] | None:
+    def _moved(self, name: str, values: object, size: tuple[int, int]) -> object:
         """Return columns and rows in pixels of a picture, (height, width), in that of the new size."""
-        if values is None or any(isinstance(each, list) for each in values):
-            return values and [self._moved(name, each, size) for each in values]
+        if not isinstance(values, list):
+            return values
+        if any(isinstance(each, list) for each in values):
+            return [self._moved(name, each, size) for each in values]
         scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]
         pairs = np.array(values, np.float64).reshape(-1, 2)
-        moved: list[Any] = ((pairs + first) * scale - first).ravel().tolist()
-        return moved
+        return ((pairs + first) * scale - first).ravel().tolist()
 
     def _map(self, depth_m: Float32) -> Float32:
         smaller = self.height <= depth_m.shape[0] and self.width <= depth_m.shape[1]

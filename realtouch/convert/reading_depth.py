@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike, fspath
-from typing import Any, Protocol, Unpack
+from typing import Protocol, Unpack
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,7 @@ from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
 from tactile_toolkit import kind, places, store, touch
 from tactile_toolkit.array_types import AnyArray, Float32, UInt8
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 
 DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
 """Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
@@ -39,7 +40,7 @@ class DepthReader(Protocol):
         """Return how far each point of the gel is pressed in."""
         ...
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the reader by its content."""
         ...
 
@@ -138,7 +139,7 @@ class AddDepth:
                 maps[depth_maps.DEPTH_ERROR].append(depth_maps.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        columns: dict[str, Any] = dict(zip(flat.column_names, flat.columns, strict=True))
+        columns: dict[str, pa.Array] = dict(zip(flat.column_names, flat.columns, strict=True))
         for name, blobs in maps.items():
             columns[name] = bytes_lists([blobs], depth_maps.SUFFIX, schema.field(name).type)
         for name, values in numbers.items():

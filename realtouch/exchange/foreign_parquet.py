@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -16,6 +16,7 @@ from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
 from tactile_toolkit import bounds, column_types, read, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:
     from pyarrow import parquet as pq
@@ -79,7 +80,7 @@ class ForeignParquet:
         size = sum(each.size_bytes for group in self._chunks for each in _of_columns(group, [name]))
         return size // max(1, len(self)) + 1
 
-    def rows(self, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+    def rows(self, names: Sequence[str]) -> Iterator[JsonDict]:
         """Yield some columns of each row; InputError for more than may be unpacked."""
         for table in self._bounded(names):
             with _named_values(self.place):

@@ -6,16 +6,16 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import PurePath
-from typing import Any
 
 import pyarrow as pa
 
 from realtouch import convert, importing, stored_images, touch_options
 from realtouch.exchange import touch_rows, webdataset, webdataset_import
 from tactile_toolkit import column_types, store
+from tactile_toolkit.json_types import JsonObject
 
 _FOLDER = "fota"
 _PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
@@ -32,7 +32,7 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.N
     )
 
 
-def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
+def _pose_mm(fields: JsonObject) -> dict[str, float]:
     """Return the pose of a touch by the names and in the units of the format; nothing without one."""
     values = [fields[name] for name in touch_options.POSE_COLUMNS if name in fields]
     return {

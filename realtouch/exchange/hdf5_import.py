@@ -12,7 +12,6 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ def find_hdf5(
                 yield _recording(home, name, root, kinds, (title, group, image), columns)
 
 
-def _members(place: str, group: Any, path: str, deepest: int) -> Iterator[tuple[str, str]]:
+def _members(place: str, group: hdf5_arrays.H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
     """Yield the path and kind of each member of a group and of the groups in it, but not behind links."""
     if not deepest:
         raise InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
@@ -63,7 +62,7 @@ def _members(place: str, group: Any, path: str, deepest: int) -> Iterator[tuple[
             yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
 
 
-def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[str]:
+def _groups(place: str, root: hdf5_arrays.H5Object, kinds: dict[str, str], image: str) -> list[str]:
     """Return the paths of groups with a dataset of pictures; InputError lists what may hold pictures."""
     datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
@@ -82,7 +81,7 @@ def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[st
 def _recording(
     home: store.DataFolder,
     path: str,
-    root: Any,
+    root: hdf5_arrays.H5Object,
     kinds: dict[str, str],
     named: tuple[str, str, str],
     columns: importing.ImportColumns,

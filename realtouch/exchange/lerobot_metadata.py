@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
@@ -14,6 +14,7 @@ from realtouch import importing
 from realtouch.exchange import foreign_parquet, lerobot_mark
 from tactile_toolkit import store, wording
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonObject
 
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
@@ -31,7 +32,7 @@ class Feature(msgspec.Struct, frozen=True):
     """What is stored of each frame."""
 
     dtype: str
-    info: Mapping[str, Any] | None = None
+    info: JsonObject | None = None
 
     @property
     def is_depth(self) -> bool:
@@ -154,7 +155,7 @@ def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[E
             yield episode
 
 
-def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
+def _episode(info: Info, camera: str, line: JsonObject) -> Episode:
     number, length = (msgspec.convert(line.get(name), _Count) for name in ("episode_index", "length"))
     rows, video = (_files(line, f"{folder}/") for folder in ("data", f"videos/{camera}"))
 
@@ -169,7 +170,7 @@ def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
     return Episode(number, length, *paths, video.from_timestamp, {**info.split_of(number), **others})
 
 
-def _files(line: Mapping[str, Any], prefix: str) -> _Files:
+def _files(line: JsonObject, prefix: str) -> _Files:
     found = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
     return msgspec.convert(found, _Files)
 
@@ -179,11 +180,11 @@ def _filled(template: str, values: Mapping[str, object]) -> str:
     return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
 
 
-def _lines(home: store.DataFolder, path: str) -> Iterator[Mapping[str, Any]]:
+def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
     """Yield the lines of a JSON lines or Parquet file; of the latter without statistics."""
     with _refused(home, path):
         if path.endswith(".jsonl"):
-            yield from msgspec.json.Decoder(Mapping[str, Any]).decode_lines(_content(home, path))
+            yield from msgspec.json.Decoder(JsonObject).decode_lines(_content(home, path))
             return
         parquet = foreign_parquet.ForeignParquet(home, path)
         yield from parquet.rows([name for name in parquet.types if not name.startswith("stats/")])

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +18,7 @@ from realtouch.exchange.episodes import DEPTH
 from realtouch.stored_images import decoded
 from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
+from tactile_toolkit.json_types import JsonDict
 
 # Images of an episode that are decoded for its statistics.
 _IMAGES_SEEN = 8
@@ -96,7 +96,7 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
 
     Few numbers of each frame are in memory at a time, of long vectors one.
     """
-    found: dict[str, Any] = {}
+    found: JsonDict = {}
     total = sum(map(len, frames))
     for name in _counted(frames[0].schema):
         data_type = frames[0].schema.field(name).type

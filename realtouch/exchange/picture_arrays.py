@@ -10,7 +10,6 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
@@ -42,7 +41,7 @@ class StoredArray:
 
     place: str
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     step: int
     block: Callable[[int], AnyArray]
     stored_bytes: Callable[[], int]
@@ -132,7 +131,7 @@ class PictureArray:
         """Return what all values are multiples of; InputError if 8 bits would lose some."""
         dtype, tolerance = self.array.dtype, _LEAST_TOLERANCE
         if dtype.kind == "f":
-            tolerance = max(tolerance, float(np.finfo(dtype).eps) * _MOST_LEVEL)
+            tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MOST_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
         for values in map(self._upright, self.array.blocks()):

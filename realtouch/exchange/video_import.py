@@ -9,13 +9,13 @@ from dataclasses import replace
 from itertools import chain, groupby, repeat
 from operator import attrgetter
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 
 from realtouch import importing, video, video_files
 from tactile_toolkit import column_tables, store
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonDict
 
 _FILE = "file"
 
@@ -137,7 +137,7 @@ def _lines(
     return next(iter(found.values()), None)
 
 
-def _first_row(home: store.DataFolder, name: str) -> dict[str, Any]:
+def _first_row(home: store.DataFolder, name: str) -> JsonDict:
     """Return the first row of a table, which may be long, or no table at all."""
     with suppress(InputError):
         return importing.column_table(home, name).first_row()

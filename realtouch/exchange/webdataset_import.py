@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import json
 import tarfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
@@ -18,6 +18,7 @@ import pyarrow as pa
 from realtouch import importing, tars
 from tactile_toolkit import column_types, store
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
@@ -140,7 +141,7 @@ class _Sample(NamedTuple):
 
     key: str
     image: _Member
-    values: Mapping[str, Any]
+    values: JsonObject
     texts: Collection[str]
     problems: Sequence[ItemError]
 
@@ -162,7 +163,7 @@ def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColum
         problems.append(
             ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
         )
-    values: dict[str, Any] = {}
+    values: JsonDict = {}
     for member in members:
         if member.ending == "json":
             try:
@@ -185,7 +186,7 @@ def _is_unicode(text: str) -> bool:
     return text.encode(errors="ignore").decode() == text
 
 
-def _fields(content: bytes) -> dict[str, Any]:
+def _fields(content: bytes) -> JsonDict:
     try:
         # Five times as fast; `json` reads more: NaN, numbers out of range, marks of the byte order.
         with suppress(msgspec.MsgspecError, UnicodeDecodeError):

@@ -11,7 +11,7 @@ import weakref
 import zipfile
 from functools import cached_property, partial
 from itertools import product
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
@@ -19,6 +19,7 @@ from realtouch.exchange import picture_arrays, zarr_layouts
 from tactile_toolkit import bounds, store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonDict
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MOST_METADATA_BYTES = 1 << 20
@@ -69,7 +70,7 @@ class ZarrGroup:
             raise self.refused(path, f"a file of more than {most:,} bytes; expected at most that many")
         return found
 
-    def json(self, path: str) -> dict[str, Any]:
+    def json(self, path: str) -> JsonDict:
         """Return a file of the group as a JSON object; an empty one where there is none."""
         try:
             return dict(json.loads(self.read(path) or b"{}"))
@@ -86,7 +87,7 @@ class ZarrGroup:
         stated = {name: self._stated(f"{folder}/{name}")[1] for name in visible}
         return {name: each["shape"] for name, each in stated.items() if "shape" in each}
 
-    def _stated(self, path: str) -> tuple[int, dict[str, Any]]:
+    def _stated(self, path: str) -> tuple[int, JsonDict]:
         """Return the version of Zarr of an array, and its metadata; empty ones where there is none."""
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))

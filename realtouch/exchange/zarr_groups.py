@@ -18,7 +18,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 import pyarrow as pa
@@ -81,7 +81,12 @@ class ZarrWriter(zipfile.ZipFile):
         self.add_blocks(path, values.shape, values.dtype, rows, blocks)
 
     def add_blocks(
-        self, path: str, shape: Sequence[int], dtype: np.dtype[Any], rows: int, blocks: Iterable[AnyArray]
+        self,
+        path: str,
+        shape: Sequence[int],
+        dtype: np.dtype[np.generic],
+        rows: int,
+        blocks: Iterable[AnyArray],
     ) -> None:
         """Write an array that is made block by block, each a chunk of so many rows; the last has fewer."""
         stated = {

@@ -9,11 +9,10 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +20,7 @@ import pyarrow as pa
 from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.errors import needs_extra
+from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _DIRECTIONS = {"C": 1, "F": -1}
 # Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
@@ -71,7 +71,7 @@ class ZarrLayout:
 
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     fill: AnyArray
     codecs: tuple[str, ...]
     axes: tuple[int, ...]
@@ -117,7 +117,7 @@ class ZarrLayout:
         return stored.transpose(np.argsort(self.axes))
 
 
-def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
+def _fill(stated: JsonValue, dtype: np.dtype[np.generic]) -> AnyArray:
     """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
     if dtype.kind in "SU":
         stated = str(stated or "")
@@ -126,7 +126,7 @@ def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
     return np.full((), stated or np.zeros((), dtype), dtype.newbyteorder("="))
 
 
-def _layout_of_2(stated: Mapping[str, Any]) -> ZarrLayout:
+def _layout_of_2(stated: JsonObject) -> ZarrLayout:
     codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
     dtype = np.dtype(str(stated["dtype"]))
     return ZarrLayout(
@@ -141,7 +141,7 @@ def _layout_of_2(stated: Mapping[str, Any]) -> ZarrLayout:
     )
 
 
-def _layout_of_3(stated: Mapping[str, Any]) -> ZarrLayout:
+def _layout_of_3(stated: JsonObject) -> ZarrLayout:
     configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
     keys, grid = stated["chunk_key_encoding"], stated["chunk_grid"]
     prefix, separator = _CHUNK_KEYS[keys["name"]]

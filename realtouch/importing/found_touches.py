@@ -97,7 +97,7 @@ class FoundTouches(Sequence[PicturePlace]):
         *,
         per_frame: Mapping[str, pa.Array] | None = None,
         problems: Mapping[int, ItemError] | None = None,
-        **columns: Any,
+        **columns: object,
     ) -> FoundTouches:
         """Return touches of one source; of ``columns`` of ``where``, one value stands for all."""
         count = len(names)
@@ -184,7 +184,7 @@ class FoundTouches(Sequence[PicturePlace]):
             return [""] * len(self)
         return texts_in(column_types.texts_of(column).fill_null(""))
 
-    def with_where(self, **columns: Any) -> FoundTouches:
+    def with_where(self, **columns: object) -> FoundTouches:
         """Return the touches with other columns of ``where``."""
         where = self.where
         for name, values in columns.items():
@@ -234,7 +234,7 @@ def _column(table: pa.Table, name: str, count: int) -> pa.Array:
     return one_chunk(table[name]) if name in table.column_names else pa.nulls(count)
 
 
-def _table(columns: Mapping[str, Any] | pa.Table) -> pa.Table:
+def _table(columns: Mapping[str, object] | pa.Table) -> pa.Table:
     return columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
 
 

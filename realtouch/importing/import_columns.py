@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
-import io
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, parsed_text, units, wording
+from tactile_toolkit import checked_fields, parsed_text, units
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import lazy
 
 # Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
 _OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
@@ -51,57 +49,11 @@ _PLACES = {
     **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
 }
 _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
-_LONGEST_NAME = 100  # letters
-_CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
-_LARGEST_FILE = 1 << 20  # bytes of a file of mappings, or of a frame
-_NO_NUMBERS = re.compile(r"[\[\](){},;]")
-
-
-def read_frame(place: str | os.PathLike[str]) -> Matrix:
-    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY; InputError for others."""
-    content = _content_of(place)
-    values: Any = ()
-    with suppress(ValueError, EOFError, OSError):
-        if content.startswith(b"\x93NUMPY"):
-            import numpy as np
-
-            values = np.load(io.BytesIO(content), allow_pickle=False)
-        else:
-            words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
-            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
-    return _rigid(values, repr(os.fspath(place)))
-
-
-def _content_of(place: str | os.PathLike[str]) -> bytes:
-    """Return a small file that the user named; InputError if it cannot be read."""
-    try:
-        with Path(place).expanduser().open("rb") as stream:
-            content = stream.read(_LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
-    if len(content) > _LARGEST_FILE:
-        raise InputError(f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file")
-    return content
-
-
-def _rigid(values: Any, where: str) -> Matrix:
-    """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
-    import numpy as np  # here: few commands name a frame
-
-    from tactile_toolkit.arithmetic import are_rigid
-
-    try:
-        matrix = np.array(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape != (4, 4):
-        raise InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
-    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
-        raise InputError(
-            f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
-            "and the last row 0 0 0 1"
-        )
-    return tuple(map(tuple, matrix.tolist()))
+LONGEST_NAME = 100  # letters
+# Imported on use: few commands name a file, and these take a while.
+_read_frame = lazy("realtouch.importing.named_files:read_frame")
+_rigid_frame = lazy("realtouch.importing.named_files:rigid_frame")
+_read_mapped = lazy("realtouch.importing.named_files:read_mapped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,17 +152,17 @@ class ImportColumns:
     )
     frame: Matrix | None = checked_fields.text(
         metavar="FILE",
-        read=read_frame,
+        read=_read_frame,
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
 
     def __post_init__(self) -> None:
         checked_fields.check_fields(self, "the columns")
-        frame: Any = self.frame
+        frame: object = self.frame
         if isinstance(frame, str | os.PathLike):
-            frame = read_frame(frame)
+            frame = _read_frame(frame)
         elif frame is not None:
-            frame = _rigid(frame, "of the columns")
+            frame = _rigid_frame(frame, "of the columns")
         for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
             object.__setattr__(self, name, value)
         self._check_orientation()
@@ -264,7 +216,7 @@ class ImportColumns:
         for name in names:
             if not is_extra_name(name):
                 raise InputError(
-                    f"the extra column {name[:_LONGEST_NAME]!r}; expected a name of 1 to {_LONGEST_NAME} "
+                    f"the extra column {name[:LONGEST_NAME]!r}; expected a name of 1 to {LONGEST_NAME} "
                     "letters that can be printed"
                 )
             if names.count(name) > 1:
@@ -276,21 +228,8 @@ class ImportColumns:
         Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
         another form, a name that is given twice, and one that is almost one of ``MAPPED``.
         """
-        import difflib  # here: it takes 4 ms of every command, and few need it
-
-        found: dict[str, str] = {}
-        for name, column in _pairs(pairs):
-            if name in found:
-                raise InputError(f"--map names {name!r} twice; expected each name once")
-            close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
-            if name not in MAPPED and close:
-                raise InputError(
-                    f"--map names {name!r}, which is none of {', '.join(MAPPED)}"
-                    f"{wording.did_you_mean(name, MAPPED)}",
-                    next="correct it; an extra column needs a name that is less like these",
-                )
-            found[name] = column
-        changes: dict[str, Any] = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
+        found: dict[str, str] = _read_mapped(pairs)
+        changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
         for several in ("position", "pose"):
             if several in found:
                 changes[several] = tuple(parsed_text.comma_separated(found[several]))
@@ -349,7 +288,7 @@ class ImportColumns:
 
         With ``rotvec``, the format states that a pose of six numbers holds a rotation vector.
         """
-        found: dict[str, Any] = {}
+        found: JsonDict = {}
         for field, columns in _OURS:
             names = {columns} if isinstance(columns, str) else {*columns}
             if getattr(self, field) is None and field not in found and names <= {*known}:
@@ -366,31 +305,10 @@ class ImportColumns:
 
 def is_extra_name(name: str) -> bool:
     """Return whether an extra column may have a name."""
-    return name.isprintable() and name == name.strip() and 0 < len(name) <= _LONGEST_NAME
+    return name.isprintable() and name == name.strip() and 0 < len(name) <= LONGEST_NAME
 
 
 def expected_counts(counts: Sequence[int]) -> str:
     """Return numbers as the words of a message: ``7``, or ``7, 12 or 16``."""
     *most, last = map(str, counts)
     return f"{', '.join(most)} or {last}" if most else last
-
-
-def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names and columns that texts ``NAME=COLUMN`` and files of them state."""
-    for word in texts:
-        lines = [word]
-        where = "--map"
-        if word.startswith("@"):
-            where = f"--map {word}"
-            content = _content_of(word[1:]).decode("utf-8-sig", errors="replace")
-            lines = [
-                line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
-            ]
-        for line in lines:
-            name, equals, column = line.partition("=")
-            if not equals or not name.strip():
-                raise InputError(
-                    f"{where} has {line[:_LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
-                    "pose=x,y,z,qx,qy,qz,qw"
-                )
-            yield name.strip(), column.strip()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
@@ -21,6 +20,7 @@ from realtouch.importing import (
 )
 from realtouch.touch_options import Alignment
 from tactile_toolkit import shown_text, store, units
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
 
 _TOUCHES_SHOWN = 3
@@ -134,7 +134,7 @@ def _first(touches: touch_import.Arranged, messages: dict[str, list[str]]) -> li
     return shown
 
 
-def _in_words(value: Any, touch: int) -> str:
+def _in_words(value: JsonValue, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:

@@ -10,7 +10,7 @@ from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby
 from operator import attrgetter
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 import pyarrow as pa
@@ -19,6 +19,7 @@ import pyarrow.compute as pc
 from realtouch.importing import found_touches, import_columns
 from tactile_toolkit import column_tables, column_types, run, store, text_tables, wording
 from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
@@ -103,7 +104,7 @@ class SourceTable(NamedTuple):
         found: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
         return found
 
-    def values(self, row: int) -> dict[str, Any]:
+    def values(self, row: int) -> JsonDict:
         """Return what a row says."""
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
@@ -220,7 +221,7 @@ def _contents(
     open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
     places: Sequence[found_touches.PicturePlace],
 ) -> list[bytes | ItemError]:
-    found: list[Any] = []
+    found: list[bytes | ItemError] = []
     try:
         folder, known = open_folder(places[0].home)
         if len(places) == 1 and not places[0].start:
@@ -230,8 +231,9 @@ def _contents(
             for place in places:
                 if place.start != at:
                     stream.seek(place.start)
-                found.append(stream.read(place.size))
-                at = place.start + len(found[-1])
+                content = stream.read(place.size)
+                found.append(content)
+                at = place.start + len(content)
     except ItemError as error:
         found += [error] * (len(places) - len(found))
     except (OSError, InputError):  # what they say differs between systems

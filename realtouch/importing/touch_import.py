@@ -9,6 +9,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from functools import partial
 from os import PathLike, fspath
 from typing import Any, Unpack
 
@@ -28,6 +29,7 @@ from realtouch.importing import (
 )
 from tactile_toolkit import catalog, shown_text, store, touch
 from tactile_toolkit.errors import InputError
+from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.read import Shard
 
 CONVERSION = "images_were"
@@ -171,7 +173,7 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
         for index, part in enumerate(parts):
             shard = store.ShardName(split, index, len(parts))
             tasks.append(store.ShardTask(shard, part, work, work.digest))
-    spec: dict[str, Any] = {
+    spec: JsonDict = {
         "operation": "import",
         "options": {
             "layout": found.layout,
@@ -203,19 +205,15 @@ def plan_of(touches: Arranged, found: import_sources.FoundSource) -> store.Build
         _style(every, touches.shards),
         extra_dirs=(_CUTS,) if pictures else (),
         libraries=("numpy", "pyarrow"),
-        write_files=_WritePictures(pictures),
+        write_files=partial(_write_pictures, pictures),
     )
 
 
-@dataclass(frozen=True)
-class _WritePictures:
-    """Writes the pictures of the cuts beside the data."""
-
-    pictures: Mapping[str, bytes]
-
-    def __call__(self, folder: store.DataFolder, _manifest: store.Manifest) -> dict[str, str]:
-        """Return the checksum of each picture by its path."""
-        return convert.write_changed(folder, self.pictures)
+def _write_pictures(
+    pictures: Mapping[str, bytes], folder: store.DataFolder, _manifest: store.Manifest
+) -> dict[str, str]:
+    """Write the pictures of the cuts beside the data; return the checksum of each by its path."""
+    return convert.write_changed(folder, pictures)
 
 
 def _listing_digest(touches: found_touches.FoundTouches) -> str:
