@@ -22,7 +22,8 @@ from .convert.picture_files import frames as frames
 from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
 from .finding import RecordingFinding as RecordingFinding
-from .faults.checking import CheckResult as CheckResult, check as check
+from .faults.check_results import CheckResult as CheckResult
+from .faults.checking import check as check
 from .depth_maps import DepthMaps as DepthMaps
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import

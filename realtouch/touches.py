@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
@@ -327,7 +326,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             else sensor_images.room_for(len(wanted), size, out)
         )
         start = 0
-        for position, of_round in groupby(wanted, key=itemgetter(0)):
+        for position, of_round in groupby(wanted, key=lambda place: place[0]):
             touches = [touch for _, touch in of_round]
             stop = start + len(touches)
             self._images_of(position).decode_into(out[start:stop], touches, threads=threads)

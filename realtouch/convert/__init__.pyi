@@ -10,11 +10,9 @@ from .conversion import (
     checksums as checksums,
     files_of as files_of,
     first_rows as first_rows,
-    id_of_stem as id_of_stem,
     marked_repetitions as marked_repetitions,
     parts_of as parts_of,
     schema_of as schema_of,
-    stem_of_id as stem_of_id,
     table_of_columns as table_of_columns,
     with_files as with_files,
     write_changed as write_changed,
@@ -28,3 +26,4 @@ from .touch_pictures import (
     plain_extras as plain_extras,
     shown_touches as shown_touches,
 )
+from .file_stems import id_of_stem as id_of_stem, stem_of_id as stem_of_id

@@ -10,25 +10,15 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch import avi, contact, depth_maps, sensor_images, stored_round, touch_clips
+from realtouch import avi, contact, depth_maps, schema, sensor_images, stored_round, touch_clips
 from realtouch.convert import conversion, shard_tasks, touch_pictures
-from realtouch.schema import (
-    EXTRA_PREFIX,
-    POSE_COLUMN,
-    bytes_lists,
-    column_type,
-    extra_columns,
-    extra_type,
-    flat_row,
-    number_lists,
-)
 from tactile_toolkit import places, read, store
 from tactile_toolkit.array_types import Float32, UInt8
 from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
-_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+_POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
 _SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
 # Further columns with columns and rows in pixels, and where the middle of the first pixel is: 0 of a motion.
@@ -114,15 +104,15 @@ class TakeContactFrames:
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the published ``single`` schema with the columns of the source."""
-        count = getattr(column_type(source, "sensor_video"), "list_size", -1)
+        count = getattr(schema.column_type(source, "sensor_video"), "list_size", -1)
         fields = []
         for field in source:
-            if field.name.startswith(EXTRA_PREFIX["frame"]):
-                entries = pa.list_(extra_type(field.name, field.type))
+            if field.name.startswith(schema.EXTRA_PREFIX["frame"]):
+                entries = pa.list_(schema.extra_type(field.name, field.type))
                 fields.append(pa.field(_per_touch_name(field.name), entries))
             elif field.name not in _SEQ_ONLY and not field.name.startswith(f"{_POSE_SEQUENCE}."):
                 fields.append(field)
-        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
+        leaf = schema.column_type(source, f"{_POSE_SEQUENCE}.position")
         if leaf is not None:
             # In the precision of the source: poses are copied, not computed.
             _, number = read.list_depth(leaf)
@@ -134,31 +124,31 @@ class TakeContactFrames:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
-        flat = flat_row(row)
-        schema = self.schema(flat.schema)
+        flat = schema.flat_row(row)
+        wanted = self.schema(flat.schema)
         shown = list(touch_pictures.shown_touches(row, self.method))
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
-        made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
+        made = {"sensor_image": schema.bytes_lists([pictures], "jpg", wanted.field("sensor_image").type)}
         if row.has_poses:
             found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
             for part, values in zip(_WIDTHS, np.hsplit(found, [3]), strict=True):
                 name = f"{_POSE}.{part}"
-                made[name] = number_lists([values], schema.field(name).type)
+                made[name] = schema.number_lists([values], wanted.field(name).type)
         for name in flat.column_names:
-            if name.startswith(EXTRA_PREFIX["frame"]):
+            if name.startswith(schema.EXTRA_PREFIX["frame"]):
                 entries = touch_pictures.shown_extra(row, name, shown)
                 made[_per_touch_name(name)] = pa.ListArray.from_arrays([0, len(entries)], entries)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
         columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
-        return pa.table([columns[name] for name in schema.names], schema=schema), {}
+        return pa.table([columns[name] for name in wanted.names], schema=wanted), {}
 
 
 def _per_touch_name(name: str) -> str:
     """Return the name, with an entry per touch, of a further column with an entry per frame."""
-    return EXTRA_PREFIX["touch"] + name.removeprefix(EXTRA_PREFIX["frame"])
+    return schema.EXTRA_PREFIX["touch"] + name.removeprefix(schema.EXTRA_PREFIX["frame"])
 
 
 def resize(
@@ -201,7 +191,9 @@ def resize(
         )
 
     def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-        others = [name for name in extra_columns(read.column_types(opened.schema)) if name.endswith("_px")]
+        others = [
+            name for name in schema.extra_columns(read.column_types(opened.schema)) if name.endswith("_px")
+        ]
         unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
         if unknown:
             raise InputError(
@@ -234,7 +226,7 @@ class ResizeMedia:
         self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
     ) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
-        flat, kind = flat_row(row), row.kind
+        flat, kind = schema.flat_row(row), row.kind
         if kind == "single":
             images = sensor_images.SensorImages(row)
             sizes = list(map(images.size, range(len(images))))
@@ -243,14 +235,14 @@ class ResizeMedia:
             sizes = [clip.size for clip in touch_clips.SensorClips(row)]
             blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
         made = {
-            MEDIA_COLUMN[kind]: bytes_lists(
+            MEDIA_COLUMN[kind]: schema.bytes_lists(
                 [blobs], _SUFFIX[kind], flat.schema.field(MEDIA_COLUMN[kind]).type
             )
         }
         for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
             maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
-            made[name] = bytes_lists([maps], depth_maps.SUFFIX, flat.schema.field(name).type)
-        for name, stored in extra_columns(flat.column_names).items():
+            made[name] = schema.bytes_lists([maps], depth_maps.SUFFIX, flat.schema.field(name).type)
+        for name, stored in schema.extra_columns(flat.column_names).items():
             if name in _MIDDLE_OF_FIRST_PX:
                 entries = row.extra_entries(stored).to_pylist()
                 with row.naming(stored):

@@ -12,7 +12,7 @@ import pyarrow as pa
 
 from realtouch import contact, contacts, rounds, stored_round, touch_options
 from realtouch.contact_picture import difference
-from realtouch.convert import conversion, shard_tasks, touch_pictures
+from realtouch.convert import conversion, file_stems, shard_tasks, touch_pictures
 from tactile_toolkit import places, read, store, touch
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.errors import InputError
@@ -128,7 +128,7 @@ class WritePictures:
 
         A row with a damaged touch is left out with all of its pictures.
         """
-        name = conversion.stem_of_id(str(row.plain_value("id")))
+        name = file_stems.stem_of_id(str(row.plain_value("id")))
         shown = list(touch_pictures.shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:

@@ -11,12 +11,12 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.importing import (
+    arranging,
     extra_columns,
     formats,
     import_columns,
     import_sources,
     imported_rows,
-    touch_import,
 )
 from realtouch.touch_options import Alignment
 from tactile_toolkit import shown_text, store, units
@@ -95,7 +95,7 @@ def preview_import(
     """
     reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
     found = import_sources.find_source(fspath(source), reading)
-    touches = touch_import.arranged(found, classes, split)
+    touches = arranging.arranged(found, classes, split)
     usable = {
         name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }
@@ -119,7 +119,7 @@ def preview_import(
     )
 
 
-def _first(touches: touch_import.Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
+def _first(touches: arranging.Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
     """Make the first touches as an import would, and note why others cannot be used."""
     parts = [part.take(np.flatnonzero(part.is_usable)) for each in touches.shards.values() for part in each]
     some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
@@ -142,7 +142,7 @@ def _in_words(value: JsonValue, touch: int) -> str:
     return shown_text.printable(str(value))[:_LONGEST_SHOWN]
 
 
-def _pictures_in_words(found: import_sources.FoundSource, touches: touch_import.Arranged) -> str:
+def _pictures_in_words(found: import_sources.FoundSource, touches: arranging.Arranged) -> str:
     words = formats.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"

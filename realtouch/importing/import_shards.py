@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import struct
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,11 +11,11 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
-from PIL import Image
 
 from realtouch import stored_images, touch_options
 from realtouch.importing import (
     extra_columns,
+    fields,
     formats,
     found_touches,
     import_columns,
@@ -25,8 +23,7 @@ from realtouch.importing import (
     imported_clips,
     imported_rows,
 )
-from realtouch.importing.fields import each_of, labels_of, objects_of, poses, positions
-from tactile_toolkit import store, touch
+from tactile_toolkit import store
 from tactile_toolkit.array_types import Float64, Int64
 from tactile_toolkit.errors import IntegrityError, ItemError
 
@@ -34,9 +31,6 @@ NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
 
-_ORIENTATION = 0x0112
-_TURNED = range(2, 9)
-_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 
@@ -121,17 +115,17 @@ class ImportTouches:
         """Read labels and objects of all touches that can be used; of images positions and poses, too."""
         rows, count = np.flatnonzero(touches.is_usable), len(touches)
         places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
-        labels, no_labels = labels_of(touches, self.columns.label, self.names)
-        objects, no_objects = objects_of(touches, self.columns.object_id)
+        labels, no_labels = fields.labels_of(touches, self.columns.label, self.names)
+        objects, no_objects = fields.objects_of(touches, self.columns.object_id)
         problems = no_objects | no_labels
         for read, columns, out in (
-            (poses, self.columns.pose or (), turns),
-            (positions, self.columns.position or (), places),
+            (fields.poses, self.columns.pose or (), turns),
+            (fields.positions, self.columns.position or (), places),
         ):
             if columns and len(rows) and not touches.has_clips:
-                fields = {name: touches.value(name) for name in columns}
-                known = {name: pa.nulls(count) if each is None else each for name, each in fields.items()}
-                found, wrong = each_of(read, known, self.columns, rows)
+                values = {name: touches.value(name) for name in columns}
+                known = {name: pa.nulls(count) if each is None else each for name, each in values.items()}
+                found, wrong = fields.each_of(read, known, self.columns, rows)
                 problems |= wrong
                 out[:] = np.nan if found is None else found
         return _Said(labels, objects, turns, places, problems)
@@ -179,7 +173,7 @@ class ImportTouches:
         size = self.image_size
         for number, picture in enumerate(pictures):
             try:
-                size = _size_of(picture, size)
+                size = stored_images.upright_size(picture, size)
             except ItemError as error:
                 where = f"picture {number}: " if is_clip else ""
                 raise ItemError(error.reason, f"{where}{error.message}") from error
@@ -210,34 +204,3 @@ def _of_other_rounds(
     for about in (said.labels[rows[places]], said.objects[rows[places]]):
         differs |= about != about[first[of_round]]
     return dict.fromkeys(places[differs].tolist(), error)
-
-
-def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the size of a picture; ItemError unless it is intact, upright and of the expected size."""
-    if isinstance(picture, ItemError):
-        raise picture
-    try:
-        size = stored_images.require_intact(picture)
-    except ValueError as error:
-        raise ItemError("image", str(error)) from error
-    if _is_turned(picture):
-        raise ItemError(
-            "image", "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
-        )
-    if expected is not None and size != expected:
-        (height, width), (common_height, common_width) = size, expected
-        raise ItemError(
-            "size", f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
-        )
-    return size
-
-
-def _is_turned(image: bytes) -> bool:
-    """Return whether Exif or XMP data ask readers to turn the image."""
-    if touch.is_jpeg(image) and _APP1 not in image:
-        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
-    try:
-        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
-            return opened.getexif().get(_ORIENTATION) in _TURNED
-    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
-        return False  # such data turn nothing
