@@ -143,12 +143,10 @@ def check_round(
         "object_id": partial(row.integer, "object_id"),
         "label": partial(row.label_value, class_names),
     }
-    if row.has_info():
+    checks = [row.read_info] if row.has_info() else list[Callable[[], object]]()
+    for check in [*checks, *(scalars[name] for name in filter(row.has, scalars))]:
         with noted():
-            row.read_info()
-    for name in filter(row.has, scalars):
-        with noted():
-            scalars[name]()
+            check()
     for name in schema.per_touch_columns(row.group.names):
         with noted():
             # A list of fixed length would hide a null.
@@ -171,6 +169,15 @@ def check_round(
     for name in schema.extra_columns(row.group.names):
         with noted():
             row.extra_values(name)
+    sizes = _check_touches(row, count, noted, decode=decode)
+    # Several fields may report the same fault.
+    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
+
+
+def _check_touches(
+    row: stored_round.StoredRound, count: int, noted: _Noted, *, decode: bool
+) -> dict[int, tuple[int, ...]]:
+    """Check position, pose and picture of each touch; return height and width of the pictures."""
     read_pose: Callable[[int], object] = row.poses
     picture_size: _PictureSize = _image_size
     size_of: _SizeOf = image_size
@@ -190,8 +197,7 @@ def check_round(
         if touch < stop - start:  # if images or clips are missing, the others are checked
             with noted():
                 sizes[touch] = picture_size(row, touch, size_of, noted)
-    # Several fields may report the same fault.
-    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
+    return sizes
 
 
 @contextmanager

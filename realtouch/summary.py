@@ -19,7 +19,9 @@ from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _ROUNDS = {"train": 500, "test": 100}
+_CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
 _TOUCHES_OF_A_GEL = 76_800
+_REPLACED, _PICTURES = "76,800 touches, once", "320 x 240 or 64 x 64 pixels"
 _AMOUNTS = {False: "none", True: "some"}
 _SIZES = ((320, 240), (64, 64))
 
@@ -212,25 +214,15 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
         ("touches", "153,600", f"{sum(counts):,}"),
         ("touches of a round", "256", ", ".join(map(str, sorted(set(counts))))),
         *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
-        *(
-            (f"classes in {split}", f"10 of {count // 10} rounds", _class_text(labels[split]))
-            for split, count in _ROUNDS.items()
-        ),
+        *((f"classes in {split}", _CLASSES[split], _class_text(labels[split])) for split in _ROUNDS),
         ("objects", "600", f"{different:,}"),
         ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
     ]
     return [
         *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
         PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
-        PaperNumber(
-            "gel replaced after",
-            f"{_TOUCHES_OF_A_GEL:,} touches, once",
-            replaced,
-            ends == [_TOUCHES_OF_A_GEL],
-        ),
-        PaperNumber(
-            "picture", "320 x 240 or 64 x 64 pixels", f"{size[0]} x {size[1]} pixels", size in _SIZES
-        ),
+        PaperNumber("gel replaced after", _REPLACED, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
     ]
 
 

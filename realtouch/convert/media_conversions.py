@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Unpack
 
@@ -75,25 +76,26 @@ def clips_to_images(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    method = contact.require_method(frame)
+    return shard_tasks.write_conversion(
+        source, out, partial(_plan_images, contact.require_method(frame)), **job
+    )
 
-    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-        if opened.kind != "seq":
-            raise InputError(
-                f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
-            )
-        opened.require_frame(method)
-        return conversion.Conversion(
-            opened,
-            "to-single",
-            {"frame": method, "limit": limit},
-            TakeContactFrames(method),
-            conversion.first_rows(opened, limit),
-            rows_per_shard=_CONTACT_FRAME_ROWS,
-            rows_per_group=_CONTACT_FRAME_ROWS // 2,
-        )
 
-    return shard_tasks.write_conversion(source, out, plan, **job)
+def _plan_images(
+    method: contact.ContactMethod, opened: conversion.Source, limit: int | None
+) -> conversion.Conversion:
+    if opened.kind != "seq":
+        raise InputError(f"{opened.name!r} holds single images already; expected a data set of clips (seq)")
+    opened.require_frame(method)
+    return conversion.Conversion(
+        opened,
+        "to-single",
+        {"frame": method, "limit": limit},
+        TakeContactFrames(method),
+        conversion.first_rows(opened, limit),
+        rows_per_shard=_CONTACT_FRAME_ROWS,
+        rows_per_group=_CONTACT_FRAME_ROWS // 2,
+    )
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Literal, Unpack
 
@@ -76,29 +77,36 @@ def frames(
         raise InputError(f"no picture format {kind!r}; expected png or jpeg")
     if difference not in (None, "grey", "absolute"):
         raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
-    method = contact.require_method(frame)
+    return shard_tasks.write_conversion(
+        source, out, partial(_plan_pictures, kind, contact.require_method(frame), difference), **job
+    )
 
-    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-        options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
-        if opened.kind == "single":
-            options["frame"] = None
-        else:
-            opened.require_frame(method)
-        if difference is not None:
-            options["difference"] = difference
-        return conversion.Conversion(
-            opened,
-            "frames",
-            options,
-            WritePictures(kind, method, difference, opened.class_names),
-            conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
-            rows_per_shard=_INDEX_ROWS,
-            rows_per_group=1 << 16,
-            extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-            write_files=write_index,
-        )
 
-    return shard_tasks.write_conversion(source, out, plan, **job)
+def _plan_pictures(
+    kind: touch.ImageFormat,
+    method: contact.ContactMethod,
+    difference: Literal["grey", "absolute"] | None,
+    opened: conversion.Source,
+    limit: int | None,
+) -> conversion.Conversion:
+    options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
+    if opened.kind == "single":
+        options["frame"] = None
+    else:
+        opened.require_frame(method)
+    if difference is not None:
+        options["difference"] = difference
+    return conversion.Conversion(
+        opened,
+        "frames",
+        options,
+        WritePictures(kind, method, difference, opened.class_names),
+        conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
+        rows_per_shard=_INDEX_ROWS,
+        rows_per_group=1 << 16,
+        extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
+        write_files=write_index,
+    )
 
 
 @dataclass(frozen=True)

@@ -71,10 +71,6 @@ def select(
     """
     if min_height_m is not None:
         min_height_m = float(min_height_m)
-        if not math.isfinite(min_height_m):  # nothing is as high as NaN
-            raise InputError(
-                f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
-            )
     chosen: JsonDict = {
         "contact": contact,
         "min_height_m": min_height_m,
@@ -89,6 +85,9 @@ def select(
 
 def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
     options = {**chosen, "limit": limit}
+    min_height_m = options["min_height_m"]
+    if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
+        raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
         options["contact_rule"] = contacts.BY_IMAGE

@@ -74,14 +74,9 @@ def check(
         each: integrity.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
         for each in convert.parts_of(place, split)
     }
-    shards = [shard for each in files.values() for shard in each]
-    total = sum(map(len, shards))
-    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
-    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
-    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
-    look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
     damaged: list[rules.Fault] = []
-    found = run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
+    touches, found = _sections_of(files, chosen, damaged, workers)
+    total = sum(len(shard) for each in files.values() for shard in each)
     sections = list(_counted(found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += comparisons.all_comparisons(sections, chosen)
@@ -96,6 +91,21 @@ def check(
     )
     decoded = sum(section.decoded for section in sections)
     return check_results.CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+
+
+def _sections_of(
+    files: Mapping[str, Sequence[read.Shard]],
+    limits: touch_options.CheckLimits,
+    damaged: list[rules.Fault],
+    workers: int,
+) -> tuple[int, Iterator[Section]]:
+    """Return the number of touches, and look at all of them; rows that cannot be read are damaged."""
+    shards = [shard for each in files.values() for shard in each]
+    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
+    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
+    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
+    look = partial(look_at, limits=limits, frames=frames, is_rendered=is_rendered)
+    return touches, run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
 
 
 def _counted(

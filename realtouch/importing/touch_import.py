@@ -59,19 +59,15 @@ def import_touches(
     layout : str, optional
         Format of the source (see the page "Your own sensor"); by default it is recognised by its content.
     columns : ImportColumns, optional
-        The meaning and the units of columns. Those of exports of this toolkit are found by their names; any
-        other column is kept as an extra one.
+        Meaning and units of columns; those of our exports are found by name, others are kept as extra ones.
     table : str, optional
         Path of the table of images or videos; by default the only one in the folder.
     streams : sequence of str, optional
-        Tables with times that are aligned with every recording, beside those named like a video:
-        ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
-    alignment : Alignment, optional
-        How streams are aligned.
+        Tables with times that are aligned with every recording by ``alignment``, beside those that are named
+        like a video: ``take1.csv`` and ``take1.force.csv`` of ``take1.mp4``.
     cut : "frames", "whole", "contact", or path of a table, optional
-        How recordings become touches: each picture (an image), the whole (a clip), clips by contact, or by a
-        table with ``start_s`` and ``end_s`` or ``start_frame`` and ``end_frame``. By default as the source
-        states, else videos whole and other recordings by frames.
+        How recordings become touches: pictures, the whole, clips by contact, or a table with ``start_s`` and
+        ``end_s`` or ``start_frame`` and ``end_frame``; by default videos whole, others by frames.
     classes : sequence of str, optional
         Names of the classes in order; by default those in the data. Without any, all labels are -1.
     split : str, optional
@@ -82,8 +78,7 @@ def import_touches(
     Returns
     -------
     Manifest
-        What was left out is listed with the reason; fields that were not imported are counted in the
-        statistics, as ``not_imported``.
+        What was left out is listed; fields that were not imported are counted, as ``not_imported``.
 
     Raises
     ------

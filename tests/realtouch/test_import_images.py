@@ -25,7 +25,7 @@ def test_an_image_that_changed_in_place_is_read_again_with_check_alone(
     home: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A second import compares names, sizes and the table; to check is to compare what the images hold."""
-    monkeypatch.setattr("realtouch.importing.touch_import._TOUCHES_PER_SHARD", 2)
+    monkeypatch.setattr("realtouch.importing.arranging._TOUCHES_PER_SHARD", 2)
     write_table(home, [line(f"pictures/{number}.jpg") for number in range(4)])
     out, read, contents = tmp_path / "out", list[str](), IMPORTS["folder"].contents
     manifest = realtouch.import_touches(home, out, "folder")
