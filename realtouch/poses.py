@@ -141,7 +141,7 @@ class PoseSequences(Sequence[Poses]):
 
 def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
-    from realtouch.pose import Pose
+    from realtouch.pose import Pose  # scipy.spatial, which takes long to import
 
     return Pose.of(position_m, quaternion)
 

@@ -21,7 +21,7 @@ from tactile_toolkit.touch import CELL_M
 _ROUNDS = {"train": 500, "test": 100}
 _CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
 _TOUCHES_OF_A_GEL = 76_800
-_REPLACED, _PICTURES = "76,800 touches, once", "320 x 240 or 64 x 64 pixels"
+_PICTURES = "320 x 240 or 64 x 64 pixels"
 _AMOUNTS = {False: "none", True: "some"}
 _SIZES = ((320, 240), (64, 64))
 
@@ -115,7 +115,7 @@ def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
         found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
     if dataset.has_column("object_id"):
         found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
-    if dataset.has_column(f"{schema.POSE_COLUMN[dataset.kind]}.position"):
+    if dataset.has_column(dataset.pose_column):
         share = float(touches.in_contact().mean())
         rules = dict.fromkeys(map(str, dataset.contact_rules()))
         found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
@@ -218,10 +218,11 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
         ("objects", "600", f"{different:,}"),
         ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
     ]
+    once = f"{_TOUCHES_OF_A_GEL:,} touches, once"
     return [
         *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
         PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
-        PaperNumber("gel replaced after", _REPLACED, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
         PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
     ]
 

@@ -120,7 +120,7 @@ class TouchClip(Sequence[UInt8]):
         to_data: Callable[[UInt8], object] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with suppress(ImportError):
-            import torch
+            import torch  # an extra
 
             to_data = torch.from_numpy
         for frame, time_s in enumerate(self.media_times_s):
@@ -241,7 +241,7 @@ class TouchClip(Sequence[UInt8]):
             torchcodec is not installed.
         """
         with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
-            from torchcodec.decoders import VideoDecoder
+            from torchcodec.decoders import VideoDecoder  # an extra
         return VideoDecoder(bytes(self.data))
 
     def _decode(self, frame: int, out: UInt8 | None = None) -> UInt8:

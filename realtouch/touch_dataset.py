@@ -67,6 +67,11 @@ class TouchDataset(read.RecordDataset[R]):
         """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
         return self._integers("label", lambda: np.full(len(self), -1), lambda each: each.label)
 
+    @property
+    def pose_column(self) -> str:
+        """Column of the positions of the gel."""
+        return f"{schema.POSE_COLUMN[self.kind]}.position"
+
     def _row_at(self, number: int) -> stored_round.StoredRound:
         return stored_round.StoredRound(*self.table.locate(number))
 
@@ -101,7 +106,7 @@ class TouchDataset(read.RecordDataset[R]):
             contact.PLATE_COLUMN,
             "pos_in_cell",
             "video_length_frames",
-            f"{schema.POSE_COLUMN[self.kind]}.position",
+            self.pose_column,
         ]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 

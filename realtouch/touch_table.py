@@ -26,7 +26,7 @@ def hf_touches(
     ``rows`` are the rounds, ``places`` and ``touches``, shape (n,), the round of each touch and its number
     in it; ``content`` identifies all of them.
     """
-    from datasets import Dataset, DatasetInfo, Features  # takes a second
+    from datasets import Dataset, DatasetInfo, Features  # an extra
 
     if not rows:
         return Dataset.from_dict({})

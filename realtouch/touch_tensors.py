@@ -101,7 +101,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if self.frames is not None and rounds.kind == "seq":
             schema.require_poses_for(self.frames, rounds.column_names, ", ".join(rounds.description()))
         self.channels_last = channels_last
-        self._rounds: cache.MemoryCache[int, Any] = cache.MemoryCache(_ROUNDS_KEPT)
+        self._rounds: cache.MemoryCache[int, TouchSingleRound] = cache.MemoryCache(_ROUNDS_KEPT)
 
     @property
     def sequence(self) -> AnyTouches:
@@ -187,12 +187,10 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if self.touches.dataset.kind != "single" or not len(indices):
             return None
         wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
-        touches: list[Any] = [None] * len(wanted)
-        last: int = -1
-        record: Any = None
-        images: Any = None
+        touches: dict[int, Touch] = {}
+        last = -1
         try:
-            size = self._round(wanted[0][0]).sensor_image.size(wanted[0][1])
+            size = self._images(wanted[0][0])[1].size(wanted[0][1])
             # Decoders write colour by colour for each pixel. One picture stays in the processor's cache.
             pixels = sensor_images.room_for(len(wanted), size)
             planes = pixels.transpose(0, 3, 1, 2)
@@ -201,8 +199,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
                 one = sensor_images.room_for(1, size)[0]
             for position, number, slot in wanted:
                 if position != last:
-                    last, record = position, self._round(position)
-                    images = record.sensor_image
+                    last, (record, images) = position, self._images(position)
                 touches[slot] = Touch(record, number)
                 if self.channels_last:
                     decode_image(images.encoded(number), pixels[slot])
@@ -210,14 +207,15 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
                     planes[slot] = decode_image(images.encoded(number), one).transpose(2, 0, 1)
         except (IntegrityError, ValueError):
             return None
-        return torch.from_numpy(planes), touches
+        return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
 
-    def _round(self, position: int) -> Any:
+    def _images(self, position: int) -> tuple[TouchSingleRound, sensor_images.SensorImages]:
+        """Return a round of images, and these; the rounds used last are kept."""
         found = self._rounds.get(position)
         if found is None:
             found = self.touches.dataset[position]
             self._rounds.put(position, found)
-        return found
+        return found, found.sensor_image
 
 
 def _numbers_of(rounds: touch_dataset.AnyDataset) -> list[str]:
@@ -235,6 +233,6 @@ def _tensor(kind: str, pixels: UInt8) -> torch.Tensor:
 
 def _tv_tensors() -> ModuleType:
     with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
-        from torchvision import tv_tensors
+        from torchvision import tv_tensors  # an extra
     found: ModuleType = tv_tensors
     return found

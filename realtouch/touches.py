@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from realtouch import schema, sensor_images, touch_table
+from realtouch import sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
 from tactile_toolkit import builtin_values, checked_fields, kind, read, system, wording
@@ -222,7 +222,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             As :meth:`heights_m`.
         """
-        poses = f"{schema.POSE_COLUMN[self.dataset.kind]}.position"
+        poses = self.dataset.pose_column
         if not self.dataset.has_column(poses):
             if min_height_m is not None or not recalibrate_z:
                 raise InputError(

@@ -87,7 +87,7 @@ def _found_video(stream: IO[bytes]) -> video_files.Video:
         if found.is_jpeg:
             return _video_of_jpegs(found)
     with needs_extra("reading this video", "av", "video"):
-        from realtouch.coded_video import coded_video
+        from realtouch.coded_video import coded_video  # PyAV, an extra
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and video_files.check_boxes(stream))
 
 

@@ -4,24 +4,28 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from realtouch.importing import found_touches, import_columns, source_files
+from realtouch.importing import found_touches, import_columns, recordings, source_files
 from tactile_toolkit import kind, store
+
+FindTouches = Callable[
+    [store.DataFolder, import_columns.ImportColumns, str | None],
+    Iterator[found_touches.FoundTouches | recordings.Recording],
+]
+"""Takes a folder, the columns and the path of a table; yields touches, or recordings to cut."""
 
 
 @dataclass(frozen=True)
 class ImportFormat:
     """How a format is read.
 
-    ``find`` takes a folder, the columns and the path of a table, and yields touches, or recordings to cut.
     ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
     recordings become touches by default. ``is_one_a_file`` says that pictures of a file have one size.
     ``describe`` states how pictures are converted; empty if they are taken as they are. With ``rotvec`` the
     format has rotation vectors in poses of six numbers.
     """
 
-    find: Callable[[store.DataFolder, import_columns.ImportColumns, str | None], Iterator[Any]]
+    find: FindTouches
     contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
     is_one_a_file: bool = False

@@ -9,7 +9,6 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby
-from operator import attrgetter
 from typing import IO, NamedTuple
 
 import numpy as np
@@ -207,7 +206,7 @@ def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes 
 
     A tar is opened once for all that follow each other in it.
     """
-    groups = (tuple(group) for _, group in groupby(places, key=attrgetter("file")))
+    groups = (tuple(group) for _, group in groupby(places, key=lambda place: place.file))
     first = next(groups, None)
     if first is None:
         return
