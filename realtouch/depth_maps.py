@@ -15,9 +15,8 @@ import numpy as np
 from PIL import Image
 
 from realtouch.stored_round import StoredRound
-from tactile_toolkit import read
+from tactile_toolkit import errors, read
 from tactile_toolkit.array_types import Float32, Floating
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
@@ -35,7 +34,7 @@ def encode_map(depth_m: Floating) -> bytes:
     Raises InputError for values that are not finite, or of more than 65.535 mm.
     """
     if not np.isfinite(depth_m).all() or depth_m.max(initial=0) * _PER_M > _MOST:
-        raise InputError(
+        raise errors.InputError(
             f"depth of {np.max(depth_m):g} m; expected finite numbers of at most {_MOST / _PER_M} m"
         )
     counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)

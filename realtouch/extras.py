@@ -9,14 +9,13 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import read, wording
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import InputError
 
 _MOST_EXACT = 1 << 53  # below which float64 holds every integer
 
 
-class UnknownExtraError(InputError, KeyError):
+class UnknownExtraError(errors.InputError, KeyError):
     """A further column that a data set does not have; a KeyError, as of every mapping."""
 
     def __init__(self, name: object, path: str, known: Collection[str]) -> None:

@@ -8,8 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
 from realtouch import schema, sensor_images, stored_columns, stored_round, touch_clips
-from tactile_toolkit import catalog, read, run
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit import catalog, errors, read, run
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
 
 _NAMES_SHOWN = 12
@@ -32,8 +31,8 @@ def agreeing_files(
             if files:
                 _require_agreement(shard, files)
             files.append(shard)
-        except (InputError, IntegrityError) as error:
-            if left_out is None or (isinstance(error, InputError) and not files):
+        except (errors.InputError, errors.IntegrityError) as error:
+            if left_out is None or (isinstance(error, errors.InputError) and not files):
                 raise
             left_out.append(stored_columns.unreadable_file(shard.path, error))
     return files
@@ -43,7 +42,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
     first = schema.media_kind(files[0].schema, files[0].path)
     if schema.media_kind(shard.schema, shard.path) != first:
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
             f"{files[0].path!r}",
             next="open files of one data set together",
@@ -51,7 +50,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     names, expected = shard.class_names, stated_class_names(files)
     if names is not None and expected is not None and names != expected:
         found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{shard.path!r}, field 'label': the classes are named {found}; expected {wanted} as in the "
             "files before it",
             next="open them apart, or make them again",
@@ -85,7 +84,7 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
         return None
     counts: Counter[int] = Counter()
     for shard, index in read.row_groups(shards):
-        with suppress(IntegrityError):
+        with suppress(errors.IntegrityError):
             counts.update(stored_round.stored_touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
@@ -120,7 +119,7 @@ def readable_rows(
     for shard, index in groups:
         try:
             yield from stored_round.rows_of(shard.blocks(index))
-        except IntegrityError as error:
+        except errors.IntegrityError as error:
             yield stored_columns.unreadable_rows(shard, index, error)
 
 
@@ -207,7 +206,7 @@ def _noted(found: list[stored_columns.Damage], row: stored_round.StoredRound) ->
         yield
     except stored_columns.DamagedRoundError as error:
         found.append(error.damage)
-    except (InputError, IntegrityError) as error:
+    except (errors.InputError, errors.IntegrityError) as error:
         found.append(stored_columns.Damage(row.path, row.number, None, "", error.what))
     except ValueError as error:
         found.append(stored_columns.Damage(row.path, row.number, None, "", str(error)))

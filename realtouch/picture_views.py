@@ -8,9 +8,8 @@ from contextlib import suppress
 
 import numpy as np
 
-from tactile_toolkit import touch
+from tactile_toolkit import errors, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
 
 MOST_TILES = 32
@@ -45,7 +44,7 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, C
     """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
     tiles = []
     for caption, read in pictures:
-        with suppress(IntegrityError):
+        with suppress(errors.IntegrityError):
             tiles.append(touch_html(read(), caption))
     if len(tiles) < len(pictures):
         words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]

@@ -20,9 +20,8 @@ from realtouch import (
     stored_round,
     touch_clips,
 )
-from tactile_toolkit import read, system
+from tactile_toolkit import errors, read, system
 from tactile_toolkit.array_types import Floating, Int64, UInt8
-from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
 
 _MOST_THREADS = 4
@@ -98,9 +97,9 @@ class TouchRound(read.Record):
         try:
             value = getattr(self, name)
             return None if name == "label" and value == -1 else in_words(value)
-        except InputError:
+        except errors.InputError:
             return None
-        except (ToolkitError, ValueError, OSError):
+        except (errors.ToolkitError, ValueError, OSError):
             return "unreadable"
 
     def __repr__(self) -> str:

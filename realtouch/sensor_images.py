@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from realtouch.stored_round import StoredRound
-from tactile_toolkit import read
+from tactile_toolkit import errors, read
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -54,7 +53,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
         return out
     shape = (count, height, width, 3)
     found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    raise InputError(
+    raise errors.InputError(
         f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
         next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
     )

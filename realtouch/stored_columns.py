@@ -15,9 +15,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import avi, extras, schema
-from tactile_toolkit import read
+from tactile_toolkit import errors, read
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
@@ -70,7 +69,7 @@ class Damage:
         return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
 
 
-class DamagedRoundError(IntegrityError):
+class DamagedRoundError(errors.IntegrityError):
     """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
 
     def __init__(self, damage: Damage) -> None:
@@ -81,7 +80,7 @@ class DamagedRoundError(IntegrityError):
         return (DamagedRoundError, (self.damage,))
 
 
-def unreadable_file(path: str, error: ToolkitError) -> Damage:
+def unreadable_file(path: str, error: errors.ToolkitError) -> Damage:
     """Return the damage of an entire file, from the error that opening it raised."""
     words = _cause(path, error)
     named = _FIELD.match(words)
@@ -90,7 +89,7 @@ def unreadable_file(path: str, error: ToolkitError) -> Damage:
     return Damage(path, None, None, named[1], named[2])
 
 
-def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
+def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
     first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
     rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
@@ -98,7 +97,7 @@ def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Dam
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
 
 
-def _cause(path: str, error: ToolkitError) -> str:
+def _cause(path: str, error: errors.ToolkitError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
     words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")
@@ -135,9 +134,9 @@ class StoredColumns(Row):
         except ValueError as error:
             raise self.damaged(field, f"{where}{error}", touch) from error
 
-    def missing_column(self, field: str) -> InputError:
+    def missing_column(self, field: str) -> errors.InputError:
         """Return the error for a column that was asked for and that the data set does not have."""
-        return InputError(
+        return errors.InputError(
             f"{self.path!r} has no column {field!r}",
             next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
         )
@@ -212,11 +211,11 @@ class StoredColumns(Row):
         """Return what is read of all touches, shape (T, ...), float64; NaN where a touch is damaged."""
         try:
             return read(None).astype(np.float64)
-        except IntegrityError:
+        except errors.IntegrityError:
             # Touch by touch only if something is damaged; all at once is many times as fast.
             known = np.full((self.touch_total(), *shape), np.nan)
         for touch in range(len(known)):
-            with suppress(IntegrityError):
+            with suppress(errors.IntegrityError):
                 known[touch] = read(touch)[0]
         return known
 

@@ -11,10 +11,8 @@ from operator import itemgetter
 import numpy as np
 
 from realtouch import contacts, schema, touch_dataset
-from realtouch.rounds import TouchRound
 from realtouch.touches import AnyTouches
-from tactile_toolkit import read
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, read
 from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
@@ -97,7 +95,7 @@ def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
     """
     touches = dataset.touches()
     if not len(touches):
-        raise InputError("an empty data set has no summary", next="choose other filters")
+        raise errors.InputError("an empty data set has no summary", next="choose other filters")
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
     first = touches[0]
     found = Summary(
@@ -193,14 +191,21 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
     # Ids begin with the time of recording, so that their order is that of the gels.
     rounds = sorted(
         (
-            (str(record.id), record.touch_count, dict(record.info).get("gel_id"), _reach_m(record))
+            (
+                str(record.id),
+                record.touch_count,
+                dict(record.info).get("gel_id"),
+                float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
+            )
             for data in splits.values()
             for _, record in data.rounds_without_media()
         ),
         key=itemgetter(0),
     )
     if not rounds:
-        raise InputError("the set holds no rounds", next="name one that does, such as real-single-64x64")
+        raise errors.InputError(
+            "the set holds no rounds", next="name one that does, such as real-single-64x64"
+        )
     _, counts, gels, reaches_m = zip(*rounds, strict=True)
     objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
     different = len(set().union(*objects))
@@ -225,10 +230,6 @@ def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperN
         PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
         PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
     ]
-
-
-def _reach_m(record: TouchRound) -> float:
-    return float(np.abs(record.pos_in_cell_m).max(initial=0.0))
 
 
 def _class_text(labels: Sequence[int]) -> str:

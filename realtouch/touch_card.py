@@ -14,9 +14,8 @@ import numpy as np
 from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
 from realtouch.touch import Touch
-from tactile_toolkit import cards, read, shown_text, store, touch
+from tactile_toolkit import cards, errors, read, shown_text, store, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
 
@@ -247,7 +246,7 @@ def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
     """Return what can be read; None if it is missing or damaged."""
     try:
         return ask(*parts)
-    except (ToolkitError, KeyError, ValueError):
+    except (errors.ToolkitError, KeyError, ValueError):
         return None
 
 

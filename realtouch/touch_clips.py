@@ -16,9 +16,8 @@ from numpy.typing import DTypeLike
 
 from realtouch import avi, contact, contact_picture, picture_views, schema, sensor_images, stored_round
 from realtouch.poses import Poses
-from tactile_toolkit import read
+from tactile_toolkit import errors, read
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch import decode_image, image_size
 
 if TYPE_CHECKING:
@@ -240,7 +239,7 @@ class TouchClip(Sequence[UInt8]):
         MissingExtraError
             torchcodec is not installed.
         """
-        with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
+        with errors.needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
             from torchcodec.decoders import VideoDecoder  # an extra
         return VideoDecoder(bytes(self.data))
 

@@ -11,9 +11,8 @@ import pyarrow as pa
 
 from realtouch import contact, integrity, rounds, schema, stored_round
 from realtouch.touches import AnyTouches, R, Touches
-from tactile_toolkit import read, touch
+from tactile_toolkit import errors, read, touch
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import IntegrityError
 
 
 class RowsWithoutMedia(read.Rows):
@@ -135,7 +134,7 @@ class TouchDataset(read.RecordDataset[R]):
 
         values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
                 next="run `realtouch verify`, which names the rounds",
             )

@@ -11,9 +11,8 @@ import pyarrow as pa
 from realtouch import force_pictures, kind, picture_views, rounds, touch_clips, touch_dataset
 from realtouch.schema import origin_of
 from realtouch.touch import Touch
-from tactile_toolkit import catalog, gallery, mesh, places, wording
+from tactile_toolkit import catalog, errors, gallery, mesh, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
@@ -59,14 +58,14 @@ def plan_gallery(
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
     if touches < 1:
-        raise InputError(f"--touches is {touches}; expected 1 or more")
+        raise errors.InputError(f"--touches is {touches}; expected 1 or more")
 
     def known(rows: touch_dataset.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):
             return []
         try:
             heights_m = rows.touches().heights_m()
-        except InputError:  # without poses
+        except errors.InputError:  # without poses
             return [(touches, None, math.nan)] * len(rows)
         by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
         least_m = [rule.min_height_m for rule in rows.contact_rules()]

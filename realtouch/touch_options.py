@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from tactile_toolkit import catalog, checked_fields
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import catalog, checked_fields, errors
 
 T = TypeVar("T")
 
@@ -116,7 +115,7 @@ class CheckLimits:
 def require_layout(layout: str, known: Mapping[str, T]) -> T:
     """Return the entry of a format; InputError for an unknown name."""
     if layout not in known:
-        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
+        raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
     return known[layout]
 
 

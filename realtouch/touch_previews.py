@@ -11,9 +11,8 @@ from PIL import Image
 from realtouch import contact, opening, picture_views, rounds, sensor_images, touch_options
 from realtouch.kind import KIND
 from realtouch.touch import Touch
-from tactile_toolkit import arithmetic, pictures, places, wording
+from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M, height_text
 
 CONTACT = pictures.ACCENTS[0]
@@ -45,10 +44,12 @@ def plan_previews(
     split = place.split(spec.split)
     dataset = opening.load(place, split)
     if not len(dataset):
-        raise InputError(f"split {split!r} of {place.name!r} holds no round", next="choose another split")
+        raise errors.InputError(
+            f"split {split!r} of {place.name!r} holds no round", next="choose another split"
+        )
     number = spec.round_number
     if not 0 <= number < len(dataset):
-        raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
+        raise errors.InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
     stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
 
@@ -185,7 +186,7 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
-        raise InputError(
+        raise errors.InputError(
             f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
             next="make them alike with `realtouch resize`",
         )

@@ -17,16 +17,15 @@ from realtouch import contact, schema, sensor_images, touch_dataset
 from realtouch.rounds import TouchSingleRound
 from realtouch.touch import Touch
 from realtouch.touches import AnyTouches, Touches
-from tactile_toolkit import cache, read
+from tactile_toolkit import cache, errors, read
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read import TrainingBatches
 from tactile_toolkit.touch import decode_image
 
 if TYPE_CHECKING:
     import torch
 else:
-    with needs_extra("realtouch.touch_tensors", "torch", "torch"):
+    with errors.needs_extra("realtouch.touch_tensors", "torch", "torch"):
         import torch
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
@@ -95,7 +94,9 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         extras = _numbers_of(rounds)
         if isinstance(target, str) and target not in (*TARGETS, *extras):
             known = ", ".join([*TARGETS, *extras])
-            raise InputError(f"no target {target!r}; expected one of {known}, a function of a touch, or None")
+            raise errors.InputError(
+                f"no target {target!r}; expected one of {known}, a function of a touch, or None"
+            )
         self.target = target
         self.frames = None if frames is None else contact.require_method(frames)
         if self.frames is not None and rounds.kind == "seq":
@@ -205,7 +206,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
                     decode_image(images.encoded(number), pixels[slot])
                 else:
                     planes[slot] = decode_image(images.encoded(number), one).transpose(2, 0, 1)
-        except (IntegrityError, ValueError):
+        except (errors.IntegrityError, ValueError):
             return None
         return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
 
@@ -232,7 +233,7 @@ def _tensor(kind: str, pixels: UInt8) -> torch.Tensor:
 
 
 def _tv_tensors() -> ModuleType:
-    with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
+    with errors.needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
         from torchvision import tv_tensors  # an extra
     found: ModuleType = tv_tensors
     return found

@@ -12,9 +12,8 @@ import numpy as np
 from realtouch import sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit import builtin_values, checked_fields, kind, read, system, wording
+from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
-from tactile_toolkit.errors import InputError
 
 if TYPE_CHECKING:
     from datasets import Dataset
@@ -225,7 +224,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         poses = self.dataset.pose_column
         if not self.dataset.has_column(poses):
             if min_height_m is not None or not recalibrate_z:
-                raise InputError(
+                raise errors.InputError(
                     f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
@@ -248,7 +247,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         """
         numbers = list(map(builtin_values.to_builtin_number, read.flattened(wanted)))
         if not builtin_values.is_integer(*numbers):
-            raise InputError(f"{wanted!r} was given; expected object ids as integers")
+            raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
@@ -402,9 +401,9 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
         np.asarray(contact),
     )
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
-        raise InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
+        raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):
-        raise InputError(
+        raise errors.InputError(
             f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
         )
     (empty,) = np.nonzero(~mask)

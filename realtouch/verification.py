@@ -9,8 +9,7 @@ from contextlib import suppress
 from dataclasses import dataclass, replace
 
 from realtouch import convert, integrity, kind, stored_columns, stored_round, tars
-from tactile_toolkit import cards, places, read, store, touch
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit import cards, errors, places, read, store, touch
 
 INDEXED = ("frames", "export")
 """Operations whose rows are an index of other files."""
@@ -35,7 +34,7 @@ def check_index(
     done = touches = 0
     for record in manifest.shards:
         done += record.rows
-        with suppress(IntegrityError):  # an index that cannot be read is listed already
+        with suppress(errors.IntegrityError):  # an index that cannot be read is listed already
             shard = read.Shard(folder.address(record.shard.data_path))
             table = shard.read(columns=[name for name in ("round_id", "frames") if name in shard.types])
             rounds.update(table["round_id"].to_pylist())
@@ -180,7 +179,7 @@ def _compare_files(place: places.Place, findings: list[stored_columns.Damage], w
     if manifest is not None:
         try:
             store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
-        except IntegrityError as error:
+        except errors.IntegrityError as error:
             findings.append(stored_columns.Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     return True
 
@@ -206,7 +205,7 @@ def _check_rounds(
             if row is not None:
                 rounds += 1
                 findings += _repeated_id(row, seen)
-                with suppress(InputError, IntegrityError):
+                with suppress(errors.InputError, errors.IntegrityError):
                     touches += row.touch_total()
                 on_progress(rounds, total)
     return rounds, touches
@@ -234,7 +233,7 @@ def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage
 def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[stored_columns.Damage]:
     try:
         name = row.name()
-    except (InputError, IntegrityError):  # there are none, or it is named with the other fields
+    except (errors.InputError, errors.IntegrityError):  # there are none, or it is named with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)

@@ -11,8 +11,7 @@ from functools import lru_cache
 from typing import IO
 
 from realtouch import avi_scan, video_files
-from tactile_toolkit import store, touch
-from tactile_toolkit.errors import ItemError, needs_extra
+from tactile_toolkit import errors, store, touch
 
 _MOST_HZ = 1_000_000
 _MOST_PERIOD_S = 86_400
@@ -43,7 +42,7 @@ def open_video(folder: store.DataFolder, path: str) -> video_files.Video:
 
 def pictures_of_video(
     folder: store.DataFolder, path: str, numbers: Iterable[int]
-) -> Iterator[bytes | ItemError]:
+) -> Iterator[bytes | errors.ItemError]:
     """Yield some pictures of a video, encoded as JPEG, or as PNG where its codec is lossless.
 
     Parameters
@@ -79,14 +78,14 @@ def _found_video(stream: IO[bytes]) -> video_files.Video:
     demuxer = video_files.demuxer_of(start)
     if not demuxer:
         begin = start[:12].hex(" ") or "nothing"
-        raise ItemError(
+        raise errors.ItemError(
             "container", f"a file that begins with {begin}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
         )
     if demuxer == "avi":
         found = _pictures_of(stream)
         if found.is_jpeg:
             return _video_of_jpegs(found)
-    with needs_extra("reading this video", "av", "video"):
+    with errors.needs_extra("reading this video", "av", "video"):
         from realtouch.coded_video import coded_video  # PyAV, an extra
     return coded_video(stream, demuxer, is_cut=demuxer == "mov" and video_files.check_boxes(stream))
 
@@ -99,16 +98,18 @@ def _pictures_of(stream: IO[bytes]) -> avi_scan.AviPictures:
     try:
         return avi_scan.AviPictures(read, stream.seek(0, 2), video_files.MAX_PICTURES)
     except ValueError as error:
-        raise ItemError("damaged", str(error)) from error
+        raise errors.ItemError("damaged", str(error)) from error
 
 
 def _video_of_jpegs(found: avi_scan.AviPictures) -> video_files.Video:
     if not len(found):
-        raise ItemError("length", "an AVI without pictures; expected one or more")
+        raise errors.ItemError("length", "an AVI without pictures; expected one or more")
     if not 1 / _MOST_HZ <= found.period_s <= _MOST_PERIOD_S:
-        raise ItemError("rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate")
+        raise errors.ItemError(
+            "rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate"
+        )
 
-    def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+    def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         for number in numbers:
             stream.seek(int(found.starts[number]))
             yield video_files.kept_jpeg(stream.read(min(int(found.sizes[number]), touch.MAX_IMAGE_BYTES + 1)))

@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from realtouch import contact, integrity, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
-from tactile_toolkit import catalog, places, read, run, store, touch
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import catalog, errors, places, read, run, store, touch
 from tactile_toolkit.json_types import JsonObject
 
 _READERS = 4  # threads that read footers
@@ -85,8 +84,9 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        sizes = run.in_threads(_unpacked_bytes, self._files(), _READERS)
-        return max(sum(sizes) // max(sum(map(len, self._files())), 1), 1)
+        chunks = chain.from_iterable(run.in_threads(read.Shard.column_chunks, self._files(), _READERS))
+        size: int = sum(chunk.total_uncompressed_size for chunk in chunks)
+        return max(size // max(sum(map(len, self._files())), 1), 1)
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
@@ -113,10 +113,6 @@ class Source:
             split: list(run.in_threads(read.Shard.fingerprint, found, _READERS))
             for split, found in self.shards.items()
         }
-
-
-def _unpacked_bytes(shard: read.Shard) -> int:
-    return sum(chunk.total_uncompressed_size for chunk in shard.column_chunks())
 
 
 def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
@@ -188,7 +184,7 @@ def require_limit(limit: int | None, name: str = "limit") -> int | None:
     if limit is None:
         return None
     if limit < 1:
-        raise InputError(f"the {name} is {limit}; expected an integer of at least 1")
+        raise errors.InputError(f"the {name} is {limit}; expected an integer of at least 1")
     return operator.index(limit)
 
 

@@ -20,7 +20,7 @@ def stem_of_id(round_id: str) -> str:
     that different ids stay different and lead nowhere else on any system; a long one ends in its digest.
     """
     content = round_id.encode()
-    stem = _NOT_PLAIN.sub(_escaped, content).decode()
+    stem = _NOT_PLAIN.sub(lambda found: b"%%%02X" % found[0][0], content).decode()
     if len(stem) > _LONGEST:
         return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
     if not stem or store.problem_of_name(stem):  # none, or a device of Windows, such as ``con``
@@ -32,7 +32,3 @@ def id_of_stem(stem: str) -> str:
     """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
     round_id = unquote(stem)
     return round_id if stem_of_id(round_id) == stem else stem
-
-
-def _escaped(found: re.Match[bytes]) -> bytes:
-    return f"%{found[0].hex().upper()}".encode()

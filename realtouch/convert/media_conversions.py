@@ -13,9 +13,8 @@ from PIL import Image
 
 from realtouch import avi, contact, depth_maps, schema, sensor_images, stored_round, touch_clips
 from realtouch.convert import conversion, shard_tasks, touch_pictures
-from tactile_toolkit import places, read, store
+from tactile_toolkit import errors, places, read, store
 from tactile_toolkit.array_types import Float32, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
@@ -85,7 +84,9 @@ def _plan_images(
     method: contact.ContactMethod, opened: conversion.Source, limit: int | None
 ) -> conversion.Conversion:
     if opened.kind != "seq":
-        raise InputError(f"{opened.name!r} holds single images already; expected a data set of clips (seq)")
+        raise errors.InputError(
+            f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
+        )
     opened.require_frame(method)
     return conversion.Conversion(
         opened,
@@ -187,7 +188,7 @@ def resize(
         As :func:`clips_to_images`.
     """
     if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
-        raise InputError(
+        raise errors.InputError(
             f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
         )
@@ -198,7 +199,7 @@ def resize(
         ]
         unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
         if unknown:
-            raise InputError(
+            raise errors.InputError(
                 f"{opened.name!r} has pixels in {', '.join(unknown)}, which would be of the old pictures",
                 next=f"import it again without them (--map {unknown[0]}=), or under a name without _px",
             )

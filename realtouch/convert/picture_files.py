@@ -14,9 +14,8 @@ import pyarrow as pa
 from realtouch import contact, contacts, rounds, stored_round, touch_options
 from realtouch.contact_picture import difference
 from realtouch.convert import conversion, file_stems, shard_tasks, touch_pictures
-from tactile_toolkit import places, read, store, touch
+from tactile_toolkit import errors, places, read, store, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_FOLDER = "images"
@@ -74,9 +73,11 @@ def frames(
         As :func:`clips_to_images`.
     """
     if kind not in ("png", "jpeg"):
-        raise InputError(f"no picture format {kind!r}; expected png or jpeg")
+        raise errors.InputError(f"no picture format {kind!r}; expected png or jpeg")
     if difference not in (None, "grey", "absolute"):
-        raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
+        raise errors.InputError(
+            f"no difference {difference!r} that a picture can show; expected grey or absolute"
+        )
     return shard_tasks.write_conversion(
         source, out, partial(_plan_pictures, kind, contact.require_method(frame), difference), **job
     )

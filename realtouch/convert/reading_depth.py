@@ -13,9 +13,8 @@ import pyarrow as pa
 from realtouch import depth_maps, sensor_images, stored_round
 from realtouch.convert import conversion, shard_tasks
 from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
-from tactile_toolkit import kind, places, store, touch
+from tactile_toolkit import errors, kind, places, store, touch
 from tactile_toolkit.array_types import AnyArray, Float32, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
 DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
@@ -84,7 +83,7 @@ def add_depth(
 
     def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
         if opened.kind != "single":
-            raise InputError(
+            raise errors.InputError(
                 f"{opened.name!r} holds clips; expected a data set of single images",
                 next="run `realtouch clips-to-images` first, which chooses a frame of each clip",
             )

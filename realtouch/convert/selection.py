@@ -18,8 +18,7 @@ import pyarrow as pa
 from realtouch import contacts, schema, stored_round, touch_dataset
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
 from realtouch.convert import conversion, shard_tasks
-from tactile_toolkit import catalog, places, read, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import catalog, errors, places, read, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
 
@@ -87,7 +86,9 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     options = {**chosen, "limit": limit}
     min_height_m = options["min_height_m"]
     if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
-        raise InputError(f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}")
+        raise errors.InputError(
+            f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+        )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
         options["contact_rule"] = contacts.BY_IMAGE
@@ -98,7 +99,7 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
         if by_image:
-            raise InputError(
+            raise errors.InputError(
                 f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contacts.BY_IMAGE})",
                 next="leave out --contact, or give fewer filters",
             )
@@ -106,9 +107,9 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     return conversion.Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
 
 
-def _no_contact(source: conversion.Source, height_m: float) -> InputError:
+def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError:
     heights_m = [touch_dataset.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
-    return InputError(
+    return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
@@ -120,7 +121,7 @@ def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> 
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
     dataset, limit = touch_dataset.dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
-        raise InputError(
+        raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",
             next="choose by --ids, or import them again with --map label=COLUMN",
         )
@@ -130,7 +131,7 @@ def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> 
         dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
     if options["objects"]:
         if not dataset.has_column("object_id"):
-            raise InputError(
+            raise errors.InputError(
                 f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
                 next="choose by --labels, or import it again with --map object=COLUMN",
             )
@@ -158,7 +159,7 @@ def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> i
             return tuple(map(operator.index, value))
         return operator.index(value)
     except TypeError as error:
-        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+        raise errors.InputError(f"objects holds {value!r}; expected integers, such as 12") from error
 
 
 @dataclass(frozen=True)

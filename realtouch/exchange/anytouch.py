@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from tactile_toolkit import column_types, read, store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_types, errors, read, store
 
 _FOLDER, IMAGES, FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
@@ -26,7 +25,7 @@ LEFT_OUT = "-1"
 def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (index["label"].to_numpy() < 0).any():
-        raise InputError(
+        raise errors.InputError(
             "touches without a class; in this format the label -1 leaves an image out",
             next="choose those of known classes with `realtouch select --labels`, or another format",
         )
@@ -68,7 +67,7 @@ def find_anytouch(
     if table is not None:
         lists = [importing.source_of(table)]
     if not lists:
-        raise InputError(f"{home.address()!r} holds no lists (*{LIST_END})")
+        raise errors.InputError(f"{home.address()!r} holds no lists (*{LIST_END})")
     for place, each in lists:
         split = each.removesuffix(LIST_END)
         with importing.open_source(place, each) as stream:
@@ -80,7 +79,7 @@ def find_anytouch(
             paths.append(f"{IMAGES}/{folder}/{FRAMES}/{base}")
             labels.append(label.strip())
             rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
-        problem = ItemError("label", "the list leaves it out: its label is -1")
+        problem = errors.ItemError("label", "the list leaves it out: its label is -1")
         left_out = [number for number, label in enumerate(labels) if label == LEFT_OUT]
         said = {
             "label": pa.array(labels, pa.string()),

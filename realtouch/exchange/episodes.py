@@ -24,9 +24,8 @@ from realtouch import (
 )
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
 from realtouch.schema import POSE_COLUMN
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
@@ -67,7 +66,7 @@ class Episodes:
         """
         split, *others = choices
         if others:
-            raise InputError(
+            raise errors.InputError(
                 f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
                 next=f"add --split {split}",
             )
@@ -75,7 +74,7 @@ class Episodes:
             filter(stored_round.StoredRound.touch_total, stored_round.stored_rows(source.shards[split])), None
         )
         if row is None:
-            raise InputError(
+            raise errors.InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
         are_clips, fps = source.kind == "seq", 1
@@ -166,7 +165,7 @@ class Episodes:
         with row.naming(MEDIA_COLUMN[row.kind], touch):
             height, width = stored_images.require_intact(image)
         if (height, width) != self.size:
-            raise InputError(
+            raise errors.InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
                 f"expected {self.size[1]} x {self.size[0]} as in the first touch: episodes have images of "
                 "one size",
@@ -204,7 +203,7 @@ class EpisodeNumbers:
         Raises IntegrityError for a shard that lacks rounds, or has other counts than were planned.
         """
         if skipped:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
                 "nothing of this file was written",
                 next="leave the round out first (`realtouch select`)",
@@ -212,7 +211,7 @@ class EpisodeNumbers:
         start, end = self.starts[shard.index : shard.index + 2]
         if np.subtract(end, start).tolist() != found:
             episodes, frames = found
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
                 "'video_length_frames' stated when the export was planned; nothing of this file was written",
                 next="run `realtouch verify` on the source",
@@ -228,7 +227,7 @@ def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
     found = []
     for shard in source.shards[step.split]:
         if "video_length_frames" not in shard.types:
-            raise InputError(f"{shard.path!r} has no column 'video_length_frames'")
+            raise errors.InputError(f"{shard.path!r} has no column 'video_length_frames'")
         lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
         found += [(len(each), sum(each)) for each in lengths]
     return np.array(found, np.int64).reshape(-1, 2)

@@ -11,8 +11,7 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.exchange import foreign_parquet, touch_rows
-from tactile_toolkit import column_types, store, touch, wording
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_types, errors, store, touch, wording
 
 plan_flat = touch_rows.TouchFormat().plan
 
@@ -32,8 +31,8 @@ def find_flat(
     for path in paths:
         try:
             parquet = foreign_parquet.ForeignParquet(home, path)
-        except ItemError as error:
-            raise InputError(f"{home.address(path)!r}: {error.what}") from error
+        except errors.ItemError as error:
+            raise errors.InputError(f"{home.address(path)!r}: {error.what}") from error
         column = _picture_column(parquet, columns.image_name)
         yield _touches(home, path, parquet, column)
 
@@ -45,7 +44,9 @@ def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
         return home, [name]
     paths = sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
     if not paths:
-        raise InputError(f"{home.address()!r} holds no Parquet files; expected a row for each touch in them")
+        raise errors.InputError(
+            f"{home.address()!r} holds no Parquet files; expected a row for each touch in them"
+        )
     return home, paths
 
 
@@ -55,7 +56,7 @@ def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
         if stored in parquet.types and not foreign_parquet.is_picture(
             parquet.types[stored]
         ):  # a list, an entry a touch
-            raise InputError(
+            raise errors.InputError(
                 f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
                 "which needs no import",
                 next="open the data set by its folder, as with `realtouch info`",
@@ -68,7 +69,7 @@ def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
         return chosen[0]
     found = ", ".join(known) or f"none among {', '.join(parquet.types)}"
     expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
-    raise InputError(
+    raise errors.InputError(
         f"{parquet.place!r} has the columns of pictures {found}; expected {expected}",
         next="choose one with --map image=NAME",
     )
@@ -84,7 +85,8 @@ def _touches(
     said = parquet.columns([name for name in names if name not in left_out])
     if shard is not None and _SPLIT not in names:
         said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
-    called = [_base_name(name) for name in parquet.picture_names(column)]
+    # The file that a picture was, without its folder.
+    called = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
     return importing.FoundTouches.of(
         [name or f"{stem}_{number:06d}" for number, name in enumerate(called)],
         home.address(),
@@ -94,8 +96,3 @@ def _touches(
         start=np.arange(len(parquet)),
         size=size,
     )
-
-
-def _base_name(picture: str | None) -> str:
-    """Return the name of the file that a picture was, without its folder; empty if it is not known."""
-    return importing.path_of(picture or "").rpartition("/")[2]

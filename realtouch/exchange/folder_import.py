@@ -7,8 +7,7 @@ from collections.abc import Iterator
 import pyarrow as pa
 
 from realtouch import importing
-from tactile_toolkit import column_tables, store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_tables, errors, store
 
 _IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
@@ -23,7 +22,7 @@ def find_folder(
     Without a table, each image is a touch; see :func:`_labelled`.
     """
     if columns.image is None:
-        raise InputError("no column names the images", next="add --map image=COLUMN")
+        raise errors.InputError("no column names the images", next="add --map image=COLUMN")
     if table is not None:
         folder, found = importing.source_of(table)
     else:
@@ -33,7 +32,7 @@ def find_folder(
             yield _labelled(home, images)
             return
         if len(tables) != 1:
-            raise InputError(
+            raise errors.InputError(
                 f"{home.address()!r} should be a folder with one table; found {', '.join(tables) or 'none'}",
                 next="name it with --table",
             )
@@ -47,7 +46,7 @@ def find_folder(
     for row, path in enumerate(paths):
         first = seen.setdefault(path, row)
         if first != row:
-            problems[row] = ItemError("duplicate", f"the same file as in row {first} of the table")
+            problems[row] = errors.ItemError("duplicate", f"the same file as in row {first} of the table")
     yield importing.image_files(home, paths, lines.columns, problems)
 
 
@@ -58,7 +57,9 @@ def _images(home: store.DataFolder) -> list[str]:
         if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
             found.append(path)
         if len(found) > _MOST_IMAGES:
-            raise InputError(f"{home.address()!r} holds more than {_MOST_IMAGES:,} images; expected fewer")
+            raise errors.InputError(
+                f"{home.address()!r} holds more than {_MOST_IMAGES:,} images; expected fewer"
+            )
     return sorted(found, key=importing.natural_order)
 
 

@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from tactile_toolkit import bounds, column_types, read, store
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit import bounds, column_types, errors, read, store
 from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:
@@ -69,7 +68,7 @@ class ForeignParquet:
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
         if len(self.types) < len(schema.names):
-            raise InputError(f"{self.place!r} has two columns of one name; expected a name for each")
+            raise errors.InputError(f"{self.place!r} has two columns of one name; expected a name for each")
         self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
@@ -111,13 +110,13 @@ class ForeignParquet:
             ]
         return found
 
-    def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
+    def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         """Yield the encoded picture in each of some rows; those that stand in order are read once."""
         group, start, held = -1, 0, list[bytes | None]()
         batches: Iterator[pa.Table] = iter(())
         for row in rows:
             if not 0 <= row < len(self):
-                yield ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
+                yield errors.ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
                 continue
             if not start <= row < start + len(held):
                 wanted = bisect_right(self._starts, row) - 1
@@ -126,7 +125,7 @@ class ForeignParquet:
                     batches = self._tables(group, [name])
                 while row >= start + len(held):
                     start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
-            yield held[row - start] or ItemError(
+            yield held[row - start] or errors.ItemError(
                 "missing", f"row {row:,} of {name!r} holds no bytes; expected a picture"
             )
 
@@ -160,7 +159,7 @@ class ForeignParquet:
                 missing -= len(batch)
                 yield read.supported_table(pa.Table.from_batches([batch]))
         if missing:
-            raise IntegrityError.in_file(
+            raise errors.IntegrityError.in_file(
                 self.place,
                 f" is damaged, row group {group} holds {missing:,} rows less than its footer states",
             )
@@ -202,16 +201,16 @@ def _named_values(place: str) -> Iterator[None]:
         with store.named_damage(place):
             yield
     except (ValueError, OverflowError) as error:
-        raise IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
+        raise errors.IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def stored_pictures(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
+def stored_pictures(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of each place, whose ``part`` is their column of a Parquet file."""
     for (home, path, name), group in groupby(places, key=itemgetter(0, 1, 2)):
         rows = (row for place in group for row in range(place.start, place.start + max(1, place.frames)))
         try:
             parquet = ForeignParquet(store.open_folder(home), path)
-        except ItemError as error:
+        except errors.ItemError as error:
             yield from (error for _ in rows)
             continue
         yield from parquet.pictures(name, rows)

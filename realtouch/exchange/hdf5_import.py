@@ -17,8 +17,7 @@ import numpy as np
 
 from realtouch import importing
 from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import column_types, errors, store
 
 _ENDINGS = (".h5", ".hdf5")
 _MOST_OBJECTS, _DEEPEST = 20_000, 16
@@ -36,7 +35,7 @@ def find_hdf5(
     home, named = importing.file_or_folder(home)
     names = [named] if named else importing.visible_files(home, _ENDINGS)
     if not names:
-        raise InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
+        raise errors.InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
     image = columns.image_name.strip("/")
     for name in names:
         place = home.address(name)
@@ -44,7 +43,7 @@ def find_hdf5(
             root = hdf5_arrays.open_file(stream)
             kinds = dict(islice(_members(place, root, "", _DEEPEST), _MOST_OBJECTS + 1))
             if len(kinds) > _MOST_OBJECTS:
-                raise InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
+                raise errors.InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
             for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
                 prefix = [name.rpartition(".")[0]] * (len(names) > 1 or not group)
                 title = "/".join([*prefix, *filter(None, [group.strip("/")])])
@@ -54,7 +53,7 @@ def find_hdf5(
 def _members(place: str, group: hdf5_arrays.H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
     """Yield the path and kind of each member of a group and of the groups in it, but not behind links."""
     if not deepest:
-        raise InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
+        raise errors.InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
     for name in group:
         kind = hdf5_arrays.kind_of_member(group, name)
         yield f"{path}{name}", kind
@@ -70,7 +69,7 @@ def _groups(place: str, root: hdf5_arrays.H5Object, kinds: dict[str, str], image
         several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
         shown = ", ".join(sorted(several, key=importing.natural_order)[:_SHOWN])
         wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
-        raise InputError(
+        raise errors.InputError(
             f"{place!r} has {wanted}; found {shown or 'none'}",
             next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
             "data/demo_0/obs/tactile",

@@ -16,9 +16,8 @@ import pyarrow as pa
 
 from realtouch import importing, video
 from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
-from tactile_toolkit import column_types, store
+from tactile_toolkit import column_types, errors, store
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import IntegrityError, ItemError
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
@@ -46,7 +45,7 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of places in order, from rows or videos."""
     for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
         yield from (foreign_parquet.stored_pictures if are_rows else video_import.encoded_frames)(group)
@@ -73,8 +72,8 @@ class _Episodes:
         found = importing.Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
         try:
             found = self._read(found, episode)
-        except (ItemError, IntegrityError) as error:
-            return replace(found, problem=ItemError(getattr(error, "reason", "file"), error.what))
+        except (errors.ItemError, errors.IntegrityError) as error:
+            return replace(found, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
         return found if self.info.realtouch is None else lerobot_mark.as_ours(found, self.info.realtouch)
 
     def _read(self, found: importing.Recording, episode: lerobot_metadata.Episode) -> importing.Recording:
@@ -101,7 +100,7 @@ class _Episodes:
         parquet = foreign_parquet.ForeignParquet(self.home, path)
         if self.info.features[self.camera].dtype == "image":
             if not foreign_parquet.is_picture(parquet.types.get(self.camera)):
-                raise ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
+                raise errors.ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
         plain = [
             name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)
@@ -110,7 +109,7 @@ class _Episodes:
         for name, column in columns.items():
             lengths = column_types.lengths_of(column)
             if len(lengths) > 1:
-                raise ItemError(
+                raise errors.ItemError(
                     "column",
                     f"the column {name!r} has vectors of {lengths[0]} and of {lengths[-1]} values; "
                     "expected one length",
@@ -139,10 +138,12 @@ def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array])
     if is_stated:
         numbers = stated.to_numpy()
     if not is_stated or (numbers[1:] < numbers[:-1]).any():
-        raise ItemError("episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers")
+        raise errors.ItemError(
+            "episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers"
+        )
     start, stop = np.searchsorted(numbers, [episode.number, episode.number + 1]).tolist()
     if stop - start != episode.length or not episode.length:
-        raise ItemError(
+        raise errors.ItemError(
             "episode",
             f"{episode.data_path!r} holds {stop - start:,} frames of it; "
             f"expected {episode.length:,}, as stated, and at least one",
@@ -157,7 +158,7 @@ def _times(per_frame: Mapping[str, pa.Array], fps: float) -> Float64:
     if pa.types.is_floating(column.type):
         stated = column.to_numpy(zero_copy_only=False)
     if not np.isfinite(stated).all():
-        raise ItemError("time", f"the column 'timestamp' is {column.type}; expected seconds as floats")
+        raise errors.ItemError("time", f"the column 'timestamp' is {column.type}; expected seconds as floats")
     exact: Float64 = np.arange(len(stated)) / fps
     is_rounded = np.array_equal(exact.astype(np.float32), stated)
     return exact if is_rounded else stated
@@ -168,7 +169,7 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
     found = shown_s[first : first + len(wanted_s)]
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
-        raise ItemError(
+        raise errors.ItemError(
             "video",
             f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s, "
             f"not at the times of its frames, until {wanted_s[-1]:.3f} s",

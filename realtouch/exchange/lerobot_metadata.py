@@ -12,8 +12,7 @@ import msgspec
 
 from realtouch import importing
 from realtouch.exchange import foreign_parquet, lerobot_mark
-from tactile_toolkit import store, wording
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.json_types import JsonObject
 
 _INFO = "meta/info.json"
@@ -73,7 +72,7 @@ class Info(msgspec.Struct, frozen=True):
             return chosen[0]
         found = ", ".join(cameras) or f"none; its features are {', '.join(self.features)}"
         expected = f"{name!r} among them{wording.did_you_mean(name, cameras)}" if name else "one"
-        raise InputError(
+        raise errors.InputError(
             f"{where!r} has the cameras {found}; expected {expected}", next="choose one with --map image=NAME"
         )
 
@@ -116,7 +115,7 @@ def read_info(home: store.DataFolder) -> Info:
     with _refused(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _VERSION.fullmatch(info.codebase_version):
-        raise InputError(
+        raise errors.InputError(
             f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}; "
             "expected v2.0, v2.1 or v3.0",
             next="convert it with the tools of LeRobot",
@@ -131,7 +130,9 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
     for line in _lines(home, path) if home.exists(path) else ():
         number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
-            raise InputError(f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text")
+            raise errors.InputError(
+                f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text"
+            )
         tasks[number] = texts[0]
     return tasks
 
@@ -147,7 +148,7 @@ def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[E
             with _refused(home, path):
                 episode = _episode(info, camera, line)
             if episode.number <= last:
-                raise InputError(
+                raise errors.InputError(
                     f"{home.address(path)!r} holds episode {episode.number:,} after {last:,}; "
                     "expected numbers that rise"
                 )
@@ -194,7 +195,7 @@ def _content(home: store.DataFolder, path: str) -> bytes:
     with importing.open_source(home, path) as stream:
         content = stream.read(_MOST_BYTES + 1)
     if len(content) > _MOST_BYTES:
-        raise InputError(
+        raise errors.InputError(
             f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read"
         )
     return content
@@ -205,7 +206,9 @@ def _refused(home: store.DataFolder, path: str) -> Iterator[None]:
     """Raise InputError, which names the file, for metadata that cannot be used."""
     try:
         yield
-    except ItemError as error:
-        raise InputError(f"{home.address(path)!r}: {error.what}") from error
+    except errors.ItemError as error:
+        raise errors.InputError(f"{home.address(path)!r}: {error.what}") from error
     except (msgspec.MsgspecError, UnicodeError, RecursionError, ArithmeticError) as error:
-        raise InputError(f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})") from error
+        raise errors.InputError(
+            f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})"
+        ) from error

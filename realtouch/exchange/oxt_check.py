@@ -12,9 +12,8 @@ import numpy as np
 
 from realtouch.exchange import oxt, picture_arrays, zarr_arrays, zarr_groups, zarr_recordings
 from realtouch.finding import RecordingFinding
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray, Int64
-from tactile_toolkit.errors import InputError
 
 _CAMERA = "camera_(main|ego)_rgb|(left|right)_wrist_camera_rgb"
 _STATE = "(left|right)_(wrist_pose|arm_joints|hand_joints)"
@@ -53,14 +52,6 @@ def _rises(times: AnyArray, starts: Int64) -> str:
     return f"{before} and then {after} in frame {wrong[0]:,}; {len(wrong):,} such frames"
 
 
-def _is_finite(values: AnyArray, starts: Int64) -> str:
-    return _such_as(values[~np.isfinite(values)])
-
-
-def _are_slots(values: AnyArray, starts: Int64) -> str:
-    return _such_as(values[(values < 0) | (values >= _SLOTS)])
-
-
 def _such_as(wrong: AnyArray) -> str:
     return f"{len(wrong):,} values such as {wrong[0]}" if len(wrong) else ""
 
@@ -86,7 +77,7 @@ class ArrayRule(NamedTuple):
     expected: str = ""
 
 
-_FINITE = ("finite", _is_finite, "finite numbers")
+_FINITE = ("finite", lambda values, _starts: _such_as(values[~np.isfinite(values)]), "finite numbers")
 PICTURES = ArrayRule(r"\w+?_tactile_data_.+", "N H W 3", "B")
 """Of tactile groups whose type is that of pictures."""
 
@@ -101,7 +92,7 @@ RULES = (
         "K",
         "iu",
         "joints",
-        _are_slots,
+        lambda values, _starts: _such_as(values[(values < 0) | (values >= _SLOTS)]),
         f"slots below {_SLOTS}",
     ),
     ArrayRule(
@@ -143,14 +134,14 @@ def _problems(group: zarr_arrays.ZarrGroup) -> Iterator[_Problem]:
             if array.dtype.kind in "SU":  # of which the letters are looked at, too
                 _values(array, array.shape[0])
             arrays[name] = array
-        except InputError as error:
+        except errors.InputError as error:
             yield "readable", name, error.what, "an array of Zarr that can be read completely"
     lengths = Counter(array.shape[0] for array in arrays.values())
     frames = next((size for size, _ in lengths.most_common(1)), 0)
     starts = np.arange(frames)
     try:
         starts = np.append(0, zarr_recordings.episode_ends(group, frames)[:-1])
-    except InputError as error:
+    except errors.InputError as error:
         yield "episodes", zarr_groups.ENDS, error.what, "integers that rise to the number of frames"
     for rule, pattern, wanted in NEEDED:
         found = [each.groupdict() for each in map(partial(re.fullmatch, pattern), names) if each]

@@ -14,9 +14,8 @@ from functools import lru_cache
 import numpy as np
 
 from realtouch import importing
-from tactile_toolkit import bounds, touch
+from tactile_toolkit import bounds, errors, touch
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
-from tactile_toolkit.errors import InputError
 
 _CHANNELS = (1, 3)
 _MOST_LEVEL = 255
@@ -46,9 +45,9 @@ class StoredArray:
     block: Callable[[int], AnyArray]
     stored_bytes: Callable[[], int]
 
-    def refused(self, problem: str) -> InputError:
+    def refused(self, problem: str) -> errors.InputError:
         """Return the error for an array that cannot be used."""
-        return InputError(f"{self.place!r}: {problem}")
+        return errors.InputError(f"{self.place!r}: {problem}")
 
     def blocks(self) -> Iterator[AnyArray]:
         """Yield all rows, a block at a time."""
@@ -191,7 +190,7 @@ def columns_of(
     for name, opened in arrays.items():
         try:
             array = opened()
-        except InputError:  # which names the place of the source
+        except errors.InputError:  # which names the place of the source
             if name in wanted:
                 raise
             others.append(f"{name} (cannot be read)")

@@ -18,8 +18,7 @@ from pyarrow import csv as arrow_csv
 
 from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import column_types, errors, store
 
 # No image is smaller; a million empty ones would take long to check.
 _LEAST_IMAGE_BYTES = 24
@@ -44,19 +43,19 @@ def places_of_images(stream: IO[bytes], name: str) -> Iterator[tuple[int, int]]:
             lists += opcode.name == "EMPTY_LIST"
             if opcode.name in _HEADER_BYTES and content is not None and position is not None:
                 if len(content) < _LEAST_IMAGE_BYTES:
-                    raise InputError(
+                    raise errors.InputError(
                         f"{name!r} holds {len(content)} bytes at {position:,}; expected an encoded image"
                     )
                 yield position + _HEADER_BYTES[opcode.name], len(content)
             elif opcode.name not in _OF_LISTS or lists > 1:
-                raise InputError(
+                raise errors.InputError(
                     f"{name!r} holds something else than a list of encoded images ({opcode.name})",
                     next="write one list of `bytes` with pickle protocol 3 or higher",
                 )
     except (ValueError, OverflowError, MemoryError) as error:
-        raise InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
+        raise errors.InputError(f"{name!r} is not an intact pickle", next="fetch it again") from error
     if stream.read(1):
-        raise InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
+        raise errors.InputError(f"{name!r} holds more than one pickle; expected one list of encoded images")
 
 
 def find_sparsh(
@@ -67,7 +66,7 @@ def find_sparsh(
     files = home.sizes()
     names = importing.visible_files(home, ".pkl")
     if not names:
-        raise InputError(f"{home.address()!r} holds no pickles (*.pkl)")
+        raise errors.InputError(f"{home.address()!r} holds no pickles (*.pkl)")
     for name in names:
         stem = name.rpartition(".")[0]
         folder, beside = (home, f"{stem}.csv") if table is None else importing.source_of(table)
@@ -77,7 +76,7 @@ def find_sparsh(
         if table is not None or beside in files:
             lines = importing.read_table(folder, beside, columns)
             if lines.rows != len(places):  # else they would be of other images
-                raise InputError(
+                raise errors.InputError(
                     f"{beside!r} has {lines.rows:,} lines; expected {len(places):,}, one for each image of "
                     f"{name!r}"
                 )

@@ -14,8 +14,7 @@ import pyarrow as pa
 
 from realtouch import contact, convert, stored_images, stored_round, touch, touch_options
 from realtouch.schema import POSE_COLUMN
-from tactile_toolkit import store
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit import errors, store
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
 _IMAGE = "image"
@@ -74,7 +73,7 @@ class TouchFormat:
         if len(rows):
             return pack(shard, index, _images_of(rows[_IMAGE]))
         if self.no_gaps:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
                 "without gaps; nothing of this file was written",
                 next="leave it out (`realtouch select`)",

@@ -13,8 +13,7 @@ from pathlib import PurePosixPath
 import numpy as np
 
 from realtouch import importing, video, video_files
-from tactile_toolkit import column_tables, store
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_tables, errors, store
 from tactile_toolkit.json_types import JsonDict
 
 _FILE = "file"
@@ -34,12 +33,12 @@ def find_video(
     lines = _lines(folder, columns, column, table, paths)
     said, unnamed = _classes(paths), None
     if lines is not None:
-        said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
+        said, unnamed = {}, errors.ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
     for row, path in enumerate(() if lines is None else map(importing.path_of, lines.texts(column))):
         problem = None if lines is None else lines.problem(row)
         if path in seen:
-            problem = ItemError("duplicate", "the same file as in an earlier line of the table")
+            problem = errors.ItemError("duplicate", "the same file as in an earlier line of the table")
         seen.add(path)
         values = {} if lines is None else lines.values(row)
         yield _recording(folder, path, values, problem, stems)
@@ -52,7 +51,7 @@ def _recording(
     folder: store.DataFolder,
     path: str,
     said: Mapping[str, object],
-    problem: ItemError | None,
+    problem: errors.ItemError | None,
     stems: Mapping[str, int],
 ) -> importing.Recording:
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
@@ -63,7 +62,7 @@ def _recording(
             raise problem
         store.size_inside(folder, path)
         found = video.open_video(folder, path)
-    except ItemError as error:
+    except errors.ItemError as error:
         return replace(whole, problem=error)
     size, times = found.picture_bytes, found.time_s
     return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
@@ -80,7 +79,9 @@ def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
         return folder, [name]
     paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
     if not paths:
-        raise InputError(f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS")
+        raise errors.InputError(
+            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
+        )
     return home, paths
 
 
@@ -124,13 +125,13 @@ def _lines(
             ]
             refused = refused or (other and (name, other[0]))
     if len(found) > 1:
-        raise InputError(
+        raise errors.InputError(
             f"{home.address()!r} has several tables of its videos: {', '.join(found)}",
             next="name one with --table",
         )
     if refused and not found:
         name, column = refused
-        raise InputError(
+        raise errors.InputError(
             f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
             next=f"add --map image={column}, or move the table out of the folder",
         )
@@ -139,7 +140,7 @@ def _lines(
 
 def _first_row(home: store.DataFolder, name: str) -> JsonDict:
     """Return the first row of a table, which may be long, or no table at all."""
-    with suppress(InputError):
+    with suppress(errors.InputError):
         return importing.column_table(home, name).first_row()
     return {}
 
@@ -149,7 +150,7 @@ def describe_conversion(touches: importing.FoundTouches) -> str:
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of each place in order; those of one file are read in one go."""
     for (home, path), group in groupby(places, key=attrgetter("file")):
         ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
@@ -160,5 +161,5 @@ def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes |
             ):
                 left -= 1
                 yield picture
-        except ItemError as error:
+        except errors.ItemError as error:
             yield from repeat(error, left)

@@ -16,8 +16,7 @@ import msgspec
 import pyarrow as pa
 
 from realtouch import importing, tars
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit import column_types, errors, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 
 # How files of gzip, bzip2, xz and Zstandard begin.
@@ -31,7 +30,7 @@ def find_webdataset(
 ) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar as touches, by their headers and JSON files alone."""
     if table is not None:
-        raise InputError(
+        raise errors.InputError(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
@@ -48,11 +47,11 @@ def find_webdataset(
 
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
     """Return the samples of a tar; of those of one key, which many writers number anew in each, the first."""
-    problems: dict[int, ItemError] = {}
+    problems: dict[int, errors.ItemError] = {}
     seen = set[str]()
     for number, sample in enumerate(samples):
         if sample.key in seen:
-            problems[number] = ItemError(
+            problems[number] = errors.ItemError(
                 "duplicate", f"the key {sample.key!r} stands in an earlier sample of this tar"
             )
         elif sample.problems:
@@ -60,7 +59,7 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
         seen.add(sample.key)
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MOST_FIELDS:
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MOST_FIELDS:,}",
             next="check that the names of fields are no values",
         )
@@ -89,7 +88,9 @@ def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     if is_file and not names:
         return [importing.source_of(place)]
     if not names:
-        raise InputError(f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars")
+        raise errors.InputError(
+            f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars"
+        )
     return [(home, name) for name in names]
 
 
@@ -110,7 +111,9 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
         with importing.open_source(folder, name) as stream:
             if stream.read(4).startswith(_PACKED):
-                raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
+                raise errors.InputError(
+                    f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
+                )
             stream.seek(0)
             for member in tars.files_of_tar(stream, folder.size_bytes(name)):
                 start, path = member.offset_data, importing.path_of(member.name)
@@ -124,7 +127,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                     content = stream.read(member.size)
                 yield _Member(f"{directory}{slash}{stem}", ending.lower(), start, member.size, content)
     except (tarfile.TarError, OSError) as error:
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written",
             next="fetch it again",
         ) from error
@@ -143,47 +146,44 @@ class _Sample(NamedTuple):
     image: _Member
     values: JsonObject
     texts: Collection[str]
-    problems: Sequence[ItemError]
+    problems: Sequence[errors.ItemError]
 
 
 def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColumns) -> _Sample:
     """Combine the files of one key."""
-    problems: list[ItemError] = []
+    problems: list[errors.ItemError] = []
     named = store.problem_of_name(key)
     if named:
-        problems.append(ItemError("name", f"the key {named}"))
+        problems.append(errors.ItemError("name", f"the key {named}"))
         key = key.encode(errors="backslashreplace").decode()
     wanted = columns.image_name.lower()
     images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
     if not images:
         expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
-        problems.append(ItemError("missing", f"no image; expected one of {expected}"))
+        problems.append(errors.ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
         found = ", ".join(each.ending for each in images)
         problems.append(
-            ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
+            errors.ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
         )
     values: JsonDict = {}
     for member in members:
         if member.ending == "json":
             try:
                 values |= _fields(member.content)
-            except ItemError as error:
+            except errors.ItemError as error:
                 problems.append(error)
         elif not _is_image(member.ending):
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
     # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
     texts = {name: value for name, value in values.items() if isinstance(value, str)}
     if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
-        for name in [name for name, value in texts.items() if not _is_unicode(value)]:
-            problems.append(ItemError("json", f"its field {name!r} holds text that is not Unicode"))
+        wrong = [name for name, text in texts.items() if text.encode(errors="ignore").decode() != text]
+        for name in wrong:
+            problems.append(errors.ItemError("json", f"its field {name!r} holds text that is not Unicode"))
             values = {}
     files = {member.ending for member in members}
     return _Sample(key, next(iter(images), _NO_FILE), values, files, problems)
-
-
-def _is_unicode(text: str) -> bool:
-    return text.encode(errors="ignore").decode() == text
 
 
 def _fields(content: bytes) -> JsonDict:
@@ -193,6 +193,6 @@ def _fields(content: bytes) -> JsonDict:
             return dict(msgspec.json.decode(content))
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
-        raise ItemError(
+        raise errors.ItemError(
             "json", "its JSON file cannot be read; expected an object of at most 1 MiB"
         ) from error

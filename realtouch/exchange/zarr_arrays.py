@@ -16,9 +16,8 @@ from typing import IO
 import numpy as np
 
 from realtouch.exchange import picture_arrays, zarr_layouts
-from tactile_toolkit import bounds, store
+from tactile_toolkit import bounds, errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import InputError, ItemError
 from tactile_toolkit.json_types import JsonDict
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
@@ -41,7 +40,7 @@ class ZarrGroup:
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
             bounds.require_plain_archive(archive)
-        except (*zarr_layouts.UNREADABLE, ItemError) as error:
+        except (*zarr_layouts.UNREADABLE, errors.ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
 
@@ -49,7 +48,7 @@ class ZarrGroup:
         if not self.is_zip:
             return store.open_inside(self.home, self._below(path))
         if path not in self._archive.NameToInfo:
-            raise ItemError("missing", "")
+            raise errors.ItemError("missing", "")
         return self._archive.open(path)
 
     def _below(self, path: str) -> str:
@@ -60,7 +59,7 @@ class ZarrGroup:
         try:
             with self._open(path) as stream:
                 found = stream.read(most + 1)
-        except ItemError as error:
+        except errors.ItemError as error:
             if error.reason == "missing":
                 return None
             raise self.refused(path, error.what) from error
@@ -106,10 +105,10 @@ class ZarrGroup:
         read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
         return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
-    def refused(self, path: str, problem: str) -> InputError:
+    def refused(self, path: str, problem: str) -> errors.InputError:
         """Return the error for a part of the group that cannot be used."""
         where = f"{self.place}/{path}".rstrip("/")
-        return InputError(f"{where!r}: {problem}")
+        return errors.InputError(f"{where!r}: {problem}")
 
     def _stored_bytes(self, path: str) -> int:
         """Return how many bytes are stored of an array: of a group in a zip, those of the zip."""

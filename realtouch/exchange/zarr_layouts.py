@@ -17,9 +17,8 @@ from importlib import import_module
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _DIRECTIONS = {"C": 1, "F": -1}
@@ -38,13 +37,9 @@ def _deflated(data: bytes, size: int) -> bytes:
     return zlib.decompressobj(47).decompress(data, size + 1)  # with the header of zlib or of gzip
 
 
-def _zstd(data: bytes, size: int) -> bytes:
-    return bytes(pa.Codec("zstd").decompress(data, size))
-
-
 def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) -> bytes:
     """Unpack where the header, at some places, states the size unpacked, and that of all where it does."""
-    with needs_extra("reading this Zarr group", "numcodecs", "zarr"):
+    with errors.needs_extra("reading this Zarr group", "numcodecs", "zarr"):
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
@@ -56,7 +51,7 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
     "gzip": _deflated,
     "lz4": partial(_by_numcodecs, "lz4", (0,)),
     "zlib": _deflated,
-    "zstd": _zstd,
+    "zstd": lambda data, size: bytes(pa.Codec("zstd").decompress(data, size)),
 }
 """Functions that unpack data to a given number of bytes; a result of another length means damage."""
 

@@ -15,9 +15,8 @@ import pyarrow as pa
 from realtouch import importing, touch, touch_options
 from realtouch.exchange import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.exchange.episodes import CONTACT
-from tactile_toolkit import column_types, store
+from tactile_toolkit import column_types, errors, store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError
 
 DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")
@@ -39,7 +38,9 @@ def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
         return zarr_arrays.ZarrGroup(home, "")
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
     if len(names) != 1:
-        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
+        raise errors.InputError(
+            f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}"
+        )
     return zarr_arrays.ZarrGroup(home, names[0])
 
 
@@ -47,7 +48,7 @@ def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MOST_ARRAYS:
-        raise InputError(
+        raise errors.InputError(
             f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
             f"expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
             next="give the group itself; a zip holds what is inside of the group's folder",
@@ -60,7 +61,7 @@ def chosen_pictures(group: zarr_arrays.ZarrGroup, named: str, known: Collection[
     if named in known or (not named and len(known) == 1):
         return named or next(iter(known))
     found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
-    raise InputError(
+    raise errors.InputError(
         f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
         next="name it with --map image=NAME",
     )

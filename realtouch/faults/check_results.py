@@ -16,9 +16,8 @@ from realtouch.faults import rules
 from realtouch.faults.sections import RoundSeen
 from realtouch.finding import MOST_NAMED, RecordingFinding
 from realtouch.rounds import TouchSingleRound
-from tactile_toolkit import pictures, read, wording
+from tactile_toolkit import errors, pictures, read, wording
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import IntegrityError
 
 _MOST_DRAWN = 8
 _TILE_PX = 240
@@ -98,7 +97,7 @@ def _draw(
     """Draw the first touches of a finding; those that cannot be read are left out."""
     tiles: list[pictures.Tile] = []
     for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:
-        with suppress(IntegrityError, ValueError, IndexError):
+        with suppress(errors.IntegrityError, ValueError, IndexError):
             record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
             if isinstance(record, TouchSingleRound):
                 pixels = record.sensor_image[touch]

@@ -20,8 +20,7 @@ from realtouch import (
 )
 from realtouch.faults import check_results, comparisons, rules
 from realtouch.faults.sections import PlacedRow, Section, look_at
-from tactile_toolkit import catalog, places, read, run
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit import catalog, errors, places, read, run
 
 MOST_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
@@ -145,7 +144,7 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             yield gathered
             gathered, touches = [], 0
         gathered.append(row)
-        with suppress(IntegrityError):  # a clip alone has frames enough
+        with suppress(errors.IntegrityError):  # a clip alone has frames enough
             touches += _FEWEST_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered

@@ -141,7 +141,8 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     rounds = [section.rounds[0].spot for section in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
         # A step inside of a round changes its gel as well, and is named by its touch.
-        if not any(_has_step(each) for each in session[index - 1 : index + 1]):
+        around = (fault.rule for each in session[index - 1 : index + 1] for fault in each.faults)
+        if "exposure-jumps" not in around:
             yield rules.Fault("exposure-jumps", rounds[index], step)
     if len(gels) < rules.MIN_ROUNDS:
         return
@@ -157,7 +158,3 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     largest = float(np.abs(np.diff(levels[:, channel])).max())
     if trend >= rules.TREND and largest < size / 2:
         yield from (rules.Fault("gel-drift", spot, size) for spot in rounds[-third:])
-
-
-def _has_step(section: Section) -> bool:
-    return any(fault.rule == "exposure-jumps" for fault in section.faults)

@@ -22,8 +22,7 @@ from realtouch.importing import (
     imported_rows,
     source_files,
 )
-from tactile_toolkit import touch
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, touch
 
 _TOUCHES_PER_SHARD = 4096
 _SHARD_BYTES = 256 << 20
@@ -52,11 +51,11 @@ class Arranged:
 def arranged(found: import_sources.FoundSource, classes: Sequence[str], split: str | None) -> Arranged:
     """Divide the touches of a source into rounds and splits; InputError if nothing can be imported."""
     if split is not None and not _SPLIT.fullmatch(split):
-        raise InputError(f"the split is {split!r}; expected letters, digits and underscores")
+        raise errors.InputError(f"the split is {split!r}; expected letters, digits and underscores")
     touches, columns, read = found.touches, found.columns, formats.IMPORTS[found.layout]
     names = tuple(classes) or _class_names(touches, columns.label)
     if len(set(map(fields.integer_text, classes))) < len(classes):
-        raise InputError(f"the classes are {', '.join(names)}; expected each once")
+        raise errors.InputError(f"the classes are {', '.join(names)}; expected each once")
     most_bytes = _ROUND_BYTES if found.cut else _SHARD_BYTES
     sizes = touches.where["size"].to_pylist()
     whole = _rounds(touches, columns, split)
@@ -123,7 +122,7 @@ def _rounds(
     splits = _splits(touches.texts(columns.split), found_touches.texts_in(touches.where["path"]), split)
     for place, (name, part) in enumerate(zip(rounds, splits, strict=True)):
         if not _SPLIT.fullmatch(part):
-            raise InputError(
+            raise errors.InputError(
                 f"{names[place]!r}: the split {fields.shown(part)!r}; expected letters and digits"
             )
         if not name:
@@ -133,7 +132,7 @@ def _rounds(
             while name in home or name in named:
                 name = f"{name}_{numbers[place]}"
         if home.setdefault(name, part) != part:
-            raise InputError(
+            raise errors.InputError(
                 f"{names[place]!r}: round {fields.shown(name)!r} lies in the splits {home[name]!r} and "
                 f"{part!r}; expected each round in one"
             )

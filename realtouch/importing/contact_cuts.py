@@ -14,9 +14,8 @@ from scipy.ndimage import median_filter
 
 from realtouch import avi, contact_picture
 from realtouch.importing import recordings, source_files
-from tactile_toolkit import pictures, touch, wording
+from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
-from tactile_toolkit.errors import ItemError
 
 JOIN_S = 0.2
 """Runs of pictures with contact are one touch if they are at most so far apart, seconds."""
@@ -86,7 +85,7 @@ def pictures_of(
     places = (recording.place(part.start, part.stop) for part in parts)
     for content in contents(places):
         try:
-            yield None if isinstance(content, ItemError) else touch.decode_image(content)
+            yield None if isinstance(content, errors.ItemError) else touch.decode_image(content)
         except ValueError:
             yield None
 
@@ -121,7 +120,7 @@ class GelAtRest:
             if cropped is not None and (index % step == 0 or not found):
                 found[number] = cropped.copy()
         if not found:
-            raise ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
+            raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
         self._numbers, pictures = list(found), np.stack(list(found.values()))
         self._base = contact_picture.median_in_memory(pictures)
         self._levels = self._levels_of(pictures)
@@ -182,7 +181,7 @@ def find_contacts(
     long = np.array(counts, np.int64) >= MIN_PICTURES
     runs = tuple(_with_margins(starts[long], stops[long], change))
     if not runs:
-        raise ItemError(
+        raise errors.ItemError(
             "contact",
             f"no touch in {recording.frames:,} pictures: none of {MIN_PICTURES} pictures or more in which "
             f"{rule.min_area_px:,} pixels differ by more than {rule.min_change} levels from the gel at rest",

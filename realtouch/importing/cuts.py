@@ -9,8 +9,7 @@ import numpy as np
 
 from realtouch.contact_picture import ContactRule
 from realtouch.importing import contact_cuts, fields, found_touches, import_columns, recordings, source_files
-from tactile_toolkit import column_types, units, wording
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_types, errors, units, wording
 
 RECORDING_COLUMNS = ("recording", "file")
 _FRAME = "start_frame"
@@ -32,7 +31,7 @@ class CutTable:
     def __init__(self, path: str, columns: import_columns.ImportColumns) -> None:
         home, name = source_files.source_of(path)
         if not home.exists(name):
-            raise InputError(
+            raise errors.InputError(
                 f"no cut {path!r}{wording.did_you_mean(path, recordings.CUTS)}; expected "
                 f"{', '.join(recordings.CUTS)} or a path of a table"
             )
@@ -43,7 +42,7 @@ class CutTable:
         starts = [each for each in known if each in names]
         if len(starts) != 1:
             found = " and ".join(starts) or ", ".join(map(str, names)) or "none"
-            raise InputError(
+            raise errors.InputError(
                 f"{self._place!r} should say once when touches start and end; found columns {found}",
                 next="name the columns start_s and end_s (or _ms, _us, _ns), or start_frame and end_frame",
             )
@@ -73,21 +72,21 @@ class CutTable:
         for count, number in enumerate(self._lines_of(recording)):
             other = self._used.setdefault(number, recording.name)
             if other != recording.name:
-                raise InputError(
+                raise errors.InputError(
                     f"{self._place!r}: row {number + 1:,} could mean {other!r} or {recording.name!r}",
                     next=f"write whole paths below the source, in a column {RECORDING_COLUMNS[0]!r}",
                 )
             name = f"{recording.name}_{count:03d}"
             try:
                 start, stop = self._interval(recording, number)
-            except ItemError as error:
+            except errors.ItemError as error:
                 clips.append(recording.unusable(error, name))
                 continue
             values = self._lines.values(number)
             said = {key: value for key, value in values.items() if key not in self._columns}
             clips.append(recordings.Clip(start, stop, name, said=said))
         if not clips:
-            clips = [recording.unusable(ItemError("cut", f"no line of {self._place!r} names it"))]
+            clips = [recording.unusable(errors.ItemError("cut", f"no line of {self._place!r} names it"))]
         return recording.clips(clips)
 
     def unused(self) -> found_touches.FoundTouches:
@@ -96,7 +95,9 @@ class CutTable:
         problems = {}
         for place, number in enumerate(rows):
             meant = fields.shown(self._meant[number]) or "no recording"
-            problems[place] = ItemError("recording", f"names {meant!r}; expected a recording of the source")
+            problems[place] = errors.ItemError(
+                "recording", f"names {meant!r}; expected a recording of the source"
+            )
         names = [f"row {number + 1} of the cuts" for number in rows]
         return found_touches.FoundTouches.of(names, self._place, "", {}, problems=problems)
 
@@ -118,13 +119,15 @@ class CutTable:
         if self._start == _FRAME:
             times = np.arange(recording.frames, dtype=np.float64)
         if times is None:
-            raise ItemError("times", "the recording has no times", next="state start_frame and end_frame")
+            raise errors.ItemError(
+                "times", "the recording has no times", next="state start_frame and end_frame"
+            )
         ends = [self._lines.columns[name].slice(number, 1) for name in (self._start, self._end)]
         first, last = fields.times_s(column_types.joined(ends), self._unit).tolist()
         start, stop = int(times.searchsorted(first)), int(times.searchsorted(last, side="right"))
         tolerance = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
         if start >= stop or first < times[0] - tolerance or last > times[-1] + tolerance:
-            raise ItemError(
+            raise errors.ItemError(
                 "interval",
                 f"{self._start} is {first:g}, {self._end} {last:g}; expected pictures of the recording, "
                 f"which lasts from {times[0]:g} to {times[-1]:g}",
@@ -197,7 +200,7 @@ class Cutter:
     def _by_contact(self, recording: recordings.Recording) -> Iterator[recordings.Clip]:
         try:
             found = contact_cuts.find_contacts(recording, self._contents, self._rule)
-        except ItemError as error:
+        except errors.ItemError as error:
             yield recording.unusable(error)
             return
         self.too_short += found.too_short

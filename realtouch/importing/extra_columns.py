@@ -13,8 +13,7 @@ import pyarrow.compute as pc
 
 from realtouch.importing import found_touches, import_columns, recordings, source_files
 from realtouch.schema import EXTRA_PREFIX
-from tactile_toolkit import column_types, shown_text
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import column_types, errors, shown_text
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
@@ -51,7 +50,7 @@ def extra_sources(
             continue
         name = renamed.get(source, source)
         if name in sources:
-            raise InputError(
+            raise errors.InputError(
                 f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                 next=f"name one of them: --map NEW={sources[name]}",
             )

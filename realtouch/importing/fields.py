@@ -11,9 +11,8 @@ import pyarrow as pa
 
 from realtouch.importing import found_touches, import_columns, source_files
 from realtouch.poses import bad_pose
-from tactile_toolkit import arithmetic, column_types, spatial, units
+from tactile_toolkit import arithmetic, column_types, errors, spatial, units
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import InputError, ItemError
 
 UNKNOWN = ("-1", "-1.0")
 """The number of a class that is not known, as `datasets` has it."""
@@ -45,7 +44,7 @@ def integer_text(text: str) -> str:
 
 def labels_of(
     touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
-) -> tuple[Int64, dict[int, ItemError]]:
+) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the number of the class of each touch, -1 if it is unknown, and those that are no class."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
     problems = _no_names(touches.value(column or source_files.NUMBERED))
@@ -61,32 +60,34 @@ def labels_of(
             seen[label] = numbers.get(label, numbers.get(integer_text(label)))
         number = seen[label]
         if number is None:
-            problems[place] = ItemError("label", f"the label {shown(label)!r}; expected a class")
+            problems[place] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
             found[place] = number
     return found, problems
 
 
-def _no_names(column: pa.Array | None) -> dict[int, ItemError]:
+def _no_names(column: pa.Array | None) -> dict[int, errors.ItemError]:
     """Return the labels that are lists or objects of JSON."""
     if column is None or column_types.is_leaf(column.type):
         return {}
     values = column_types.values_of(column)
     return {
-        place: ItemError("label", f"the label {shown(value)}; expected a name or a number")
+        place: errors.ItemError("label", f"the label {shown(value)}; expected a name or a number")
         for place, value in enumerate(values)
         if isinstance(value, (dict, list))
     }
 
 
-def objects_of(touches: found_touches.FoundTouches, column: str | None) -> tuple[Int64, dict[int, ItemError]]:
+def objects_of(
+    touches: found_touches.FoundTouches, column: str | None
+) -> tuple[Int64, dict[int, errors.ItemError]]:
     """Return the number of the object of each touch, 0 without a column of them, and what is none."""
-    found, problems = np.zeros(len(touches), np.int64), dict[int, ItemError]()
+    found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
     for place, text in enumerate(map(integer_text, touches.texts(column)) if column else ()):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:
             found[place] = int(text)
         else:
-            problems[place] = ItemError("object", f"the object {shown(text)!r}; expected an integer")
+            problems[place] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
     return found, problems
 
 
@@ -95,20 +96,20 @@ def each_of(
     fields: Fields,
     columns: import_columns.ImportColumns,
     rows: Int64,
-) -> tuple[Float64 | None, dict[int, ItemError]]:
+) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
     """Read some touches or pictures at once, or one by one where some are wrong.
 
     Returns an array with an entry for each row, NaN for those that are not read, and what is wrong with those
     that cannot be used; without a single one that can, there is no array.
     """
-    problems: dict[int, ItemError] = {}
+    problems: dict[int, errors.ItemError] = {}
     found: Float64 | None = None
     parts = [rows]
     while parts:
         part = parts.pop()
         try:
             some = read({name: column.take(pa.array(part)) for name, column in fields.items()}, columns)
-        except ItemError as error:
+        except errors.ItemError as error:
             if len(part) == 1:
                 problems[int(part[0])] = error
             else:
@@ -130,7 +131,7 @@ def positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     if columns.frame is not None:
         turn, shift = _frame(columns)
         if np.abs(turn[:2, 2]).max() > _NO_TILT:
-            raise InputError(
+            raise errors.InputError(
                 "the frame tilts, so that an x and y of the source is no x and y of the cell",
                 next="leave out the positions: --map position=",
             )
@@ -149,7 +150,7 @@ def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     place, turns = read(numbers, columns)
     wrong = bad_pose(place, turns)
     if wrong is not None:
-        raise ItemError("pose", wrong[1])
+        raise errors.ItemError("pose", wrong[1])
     if columns.frame is not None:
         turn, shift = _frame(columns)
         place = place @ turn.T + shift
@@ -175,7 +176,7 @@ def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
     is_flat = found.shape == (len(values),)
     if not is_flat or not np.isfinite(found).all():
         wrong = int(np.isfinite(found).argmin()) if is_flat else 0
-        raise ItemError(
+        raise errors.ItemError(
             "time",
             f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on; "
             "expected finite numbers, or points in time",
@@ -213,7 +214,7 @@ def _turned(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Fl
     if columns.euler is not None:
         return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
-        raise ItemError(
+        raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
             "(--angle-unit states another unit)",
@@ -225,7 +226,7 @@ def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tu
     """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
     if not arithmetic.are_rigid(matrices):
-        raise ItemError(
+        raise errors.ItemError(
             "pose",
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
@@ -243,7 +244,7 @@ def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
 def _require_metres(places: Float64, reason: str) -> None:
     is_far = (np.abs(places) > _FARTHEST_M[: places.shape[1]]).any(axis=1)
     if is_far.any():
-        raise ItemError(
+        raise errors.ItemError(
             reason,
             f"the position {shown(tuple(places[is_far.argmax()].tolist()))}, in metres, lies farther outside "
             "of the cell than it is wide; expected metres in the cell frame (--length-unit states another "
@@ -271,5 +272,7 @@ def _numbers(
         if len(sizes) > 1:
             counts = import_columns.expected_counts(sizes[1:])
             expected += f", or {counts} of a matrix (--euler and --rotvec are of 6)"
-        raise ItemError(reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}")
+        raise errors.ItemError(
+            reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}"
+        )
     return numbers / columns.divisors(names, numbers.shape[1])

@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import column_types
+from tactile_toolkit import column_types, errors
 from tactile_toolkit.array_types import Bool, Int64
-from tactile_toolkit.errors import ItemError
 
 _WHERE = pa.schema(
     {
@@ -96,7 +95,7 @@ class FoundTouches(Sequence[PicturePlace]):
         said: Mapping[str, pa.Array] | pa.Table,
         *,
         per_frame: Mapping[str, pa.Array] | None = None,
-        problems: Mapping[int, ItemError] | None = None,
+        problems: Mapping[int, errors.ItemError] | None = None,
         **columns: object,
     ) -> FoundTouches:
         """Return touches of one source; of ``columns`` of ``where``, one value stands for all."""
@@ -198,7 +197,7 @@ class FoundTouches(Sequence[PicturePlace]):
         said = dict(zip(self.said.column_names, self.said.columns, strict=True))
         return replace(self, said=_table({**said, **columns}))
 
-    def with_problems(self, problems: Mapping[int, ItemError]) -> FoundTouches:
+    def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
         """Return the touches, some with a problem, by place; the first problem of a touch counts."""
         if not problems:
             return self
@@ -208,11 +207,11 @@ class FoundTouches(Sequence[PicturePlace]):
                 reasons[number], messages[number] = error.reason, error.message
         return self.with_where(reason=reasons, problem=messages)
 
-    def problems(self) -> Iterator[tuple[int, str, ItemError]]:
+    def problems(self) -> Iterator[tuple[int, str, errors.ItemError]]:
         """Yield number and name of each touch that cannot be used, and why."""
         held = self.where.filter(pc.is_valid(self.where["problem"]))
         for row in held.select(["number", "name", "reason", "problem"]).to_pylist():
-            yield row["number"], row["name"], ItemError(row["reason"], row["problem"])
+            yield row["number"], row["name"], errors.ItemError(row["reason"], row["problem"])
 
 
 def texts_in(column: pa.Array | pa.ChunkedArray) -> list[str]:

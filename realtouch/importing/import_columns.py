@@ -8,8 +8,7 @@ from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import checked_fields, parsed_text, units
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import checked_fields, errors, parsed_text, units
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.kind import lazy
 
@@ -171,7 +170,7 @@ class ImportColumns:
             ("pose", self.pose or (), self.pose_sizes),
         ):
             if len(names) not in (0, 1, 2, *counts):
-                raise InputError(
+                raise errors.InputError(
                     f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
                     "one that holds a list of them, or two with the position and the orientation",
                     next="of six numbers, --euler or --rotvec states what the last three are",
@@ -179,7 +178,7 @@ class ImportColumns:
             self.divisors(names, max(len(names), min(counts)))
         order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
         if sorted(order) == sorted("wxyz") and order != self.order:
-            raise InputError(
+            raise errors.InputError(
                 f"the columns of the quaternion are {', '.join((self.pose or ())[_LENGTHS:])}; expected the "
                 f"order {', '.join(self.order)}",
                 next="name them in that order, or add --quaternion-order wxyz",
@@ -195,18 +194,18 @@ class ImportColumns:
         }
         given = [option for option, value in stated.items() if value is not None]
         if len(given) > 1:
-            raise InputError(f"{' and '.join(given)} contradict each other; expected one of them")
+            raise errors.InputError(f"{' and '.join(given)} contradict each other; expected one of them")
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
-            raise InputError(
+            raise errors.InputError(
                 f"the Euler angles are {self.euler!r}; expected three axes such as xyz (fixed) or XYZ "
                 "(turning), neighbours different"
             )
         names = self.pose or ()
         is_stated = len(names) == _ANGLE_POSE and all(map(units.stated_unit, names[_LENGTHS:]))
         if names and self.angle_unit is None and not is_stated:
-            raise InputError(
+            raise errors.InputError(
                 "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
             )
 
@@ -215,12 +214,12 @@ class ImportColumns:
         names = [name for name, _ in self.extra]
         for name in names:
             if not is_extra_name(name):
-                raise InputError(
+                raise errors.InputError(
                     f"the extra column {name[:LONGEST_NAME]!r}; expected a name of 1 to {LONGEST_NAME} "
                     "letters that can be printed"
                 )
             if names.count(name) > 1:
-                raise InputError(f"the extra column {name!r} is named twice; expected different names")
+                raise errors.InputError(f"the extra column {name!r} is named twice; expected different names")
 
     def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
         """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.

@@ -23,9 +23,8 @@ from realtouch.importing import (
     imported_clips,
     imported_rows,
 )
-from tactile_toolkit import store
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import IntegrityError, ItemError
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
@@ -35,10 +34,10 @@ _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 
 
-def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:
+def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterator[bytes | errors.ItemError]:
     """Yield contents, and add each to a digest."""
     for content in contents:
-        if isinstance(content, ItemError):
+        if isinstance(content, errors.ItemError):
             digest.update(b"unreadable\n")
         else:
             digest.update(b"%d\n" % len(content))
@@ -53,7 +52,7 @@ class _Said(NamedTuple):
     objects: Int64
     poses: Float64
     positions: Float64
-    problems: Mapping[int, ItemError]
+    problems: Mapping[int, errors.ItemError]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +69,7 @@ class ImportTouches:
     schema: pa.Schema
     versions: Mapping[found_touches.File, import_sources.Version]
 
-    def _contents(self, touches: found_touches.FoundTouches) -> Iterator[bytes | ItemError]:
+    def _contents(self, touches: found_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
         return formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
     def digest(self, touches: found_touches.FoundTouches) -> str:
@@ -97,7 +96,7 @@ class ImportTouches:
         files = {place.file for place in touches} if self.versions else ()
         for file in self.versions.keys() & files:
             if import_sources.version_of(file) != self.versions[file]:
-                raise IntegrityError(
+                raise errors.IntegrityError(
                     f"{'/'.join(file)!r} "
                     "was replaced or changed while it was imported: images would be taken for others",
                     next="run the same command with --overwrite",
@@ -135,13 +134,13 @@ class ImportTouches:
         touches: found_touches.FoundTouches,
         rows: Int64,
         said: _Said,
-        contents: Iterator[bytes | ItemError],
-    ) -> tuple[imported_rows.StoredTouches, dict[int, ItemError]]:
+        contents: Iterator[bytes | errors.ItemError],
+    ) -> tuple[imported_rows.StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
         made: dict[int, bytes | imported_clips.ImportedClip] = {}
-        problems: dict[int, ItemError] = {}
+        problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
             try:
@@ -153,7 +152,7 @@ class ImportTouches:
                     made[place] = imported_clips.clip_of(
                         piece, place, cast(Sequence[bytes], pictures), size, self.columns
                     )
-            except ItemError as error:
+            except errors.ItemError as error:
                 problems[place] = error
                 made.pop(place, None)
         problems |= _of_other_rounds(piece, said, rows, list(made))
@@ -168,15 +167,15 @@ class ImportTouches:
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
         return imported_rows.StoredTouches(piece.take(kept), *about, encoded, clips), problems
 
-    def _size(self, pictures: Sequence[bytes | ItemError], *, is_clip: bool) -> tuple[int, int]:
+    def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
         size = self.image_size
         for number, picture in enumerate(pictures):
             try:
                 size = stored_images.upright_size(picture, size)
-            except ItemError as error:
+            except errors.ItemError as error:
                 where = f"picture {number}: " if is_clip else ""
-                raise ItemError(error.reason, f"{where}{error.message}") from error
+                raise errors.ItemError(error.reason, f"{where}{error.message}") from error
         return size or (0, 0)
 
 
@@ -194,12 +193,12 @@ def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
 
 def _of_other_rounds(
     piece: found_touches.FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
-) -> dict[int, ItemError]:
+) -> dict[int, errors.ItemError]:
     """Return the touches whose label or object is not that of the first touch of their round."""
     places = np.array(kept, np.int64)
     codes = found_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
-    error = ItemError("round", "another label or object than the first touch of its round")
+    error = errors.ItemError("round", "another label or object than the first touch of its round")
     differs = np.zeros(len(places), bool)
     for about in (said.labels[rows[places]], said.objects[rows[places]]):
         differs |= about != about[first[of_round]]

@@ -21,8 +21,7 @@ from realtouch.importing import (
 from realtouch.importing.fields import each_of, times_s
 from realtouch.importing.streams import Aligner, StreamReport
 from realtouch.touch_options import Alignment, require_layout
-from tactile_toolkit import column_types, store, touch
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit import column_types, errors, store, touch
 
 _SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
 
@@ -77,7 +76,7 @@ def find_source(place: str, reading: Reading) -> FoundSource:
     if reading.layout is not None:
         require_layout(reading.layout, formats.IMPORTS)
     if not home.exists():
-        raise InputError(
+        raise errors.InputError(
             f"{home.address()!r} does not exist; expected a folder or file of recordings",
             next="check the name",
         )
@@ -105,9 +104,9 @@ def find_source(place: str, reading: Reading) -> FoundSource:
             parts.append(_timed(each, columns))
     touches = found_touches.FoundTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
-        raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
+        raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     if reading.cut is not None and not cutter.done:
-        raise InputError(
+        raise errors.InputError(
             f"{home.address()!r} holds single pictures; --cut applies to recordings", next="leave out --cut"
         )
     # The time may be that of a stream, of which only what was aligned is left.
@@ -149,7 +148,7 @@ def _timed(
     if values is None:
         return touches
     if recordings.TIME_S in touches.names and columns.time != recordings.TIME_S:
-        raise InputError(
+        raise errors.InputError(
             f"the source has a column {recordings.TIME_S!r} beside that of the time, {columns.time!r}",
             next=f"map one of them to the time, or name the other one: --map NEW={recordings.TIME_S}",
         )
@@ -166,7 +165,7 @@ def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
     is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
     problems = {}
     for number in np.flatnonzero(is_large.to_numpy()).tolist():
-        problems[number] = ItemError(
+        problems[number] = errors.ItemError(
             "image", f"{where['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
         )
     return touches.with_problems(problems).with_where(number=np.arange(len(touches)))
@@ -198,7 +197,7 @@ def said_of_whole(
             first = both.take(pa.array(np.where(has_own, 0, len(first)) + np.arange(len(first))))
         problems = {}
         if name != source_files.NUMBERED:
-            error = ItemError(
+            error = errors.ItemError(
                 "frames",
                 f"{name!r} differs between the pictures of the clip; "
                 "expected one value (--cut frames has one each)",

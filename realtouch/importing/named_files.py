@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 
 from realtouch.importing.import_columns import LONGEST_NAME, MAPPED, Matrix
-from tactile_toolkit import wording
+from tactile_toolkit import errors, wording
 from tactile_toolkit.arithmetic import are_rigid
-from tactile_toolkit.errors import InputError
 
 _CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
 _LARGEST_FILE = 1 << 20  # bytes
@@ -41,9 +40,11 @@ def _content_of(place: str | os.PathLike[str]) -> bytes:
         with Path(place).expanduser().open("rb") as stream:
             content = stream.read(_LARGEST_FILE + 1)
     except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
+        raise errors.InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
     if len(content) > _LARGEST_FILE:
-        raise InputError(f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file")
+        raise errors.InputError(
+            f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file"
+        )
     return content
 
 
@@ -54,9 +55,9 @@ def rigid_frame(values: object, where: str) -> Matrix:
     except (TypeError, ValueError, OverflowError):
         matrix = np.empty(0)
     if matrix.shape != (4, 4):
-        raise InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
+        raise errors.InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
     if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
-        raise InputError(
+        raise errors.InputError(
             f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
             "and the last row 0 0 0 1"
         )
@@ -68,10 +69,10 @@ def read_mapped(texts: Sequence[str]) -> dict[str, str]:
     found: dict[str, str] = {}
     for name, column in _pairs(texts):
         if name in found:
-            raise InputError(f"--map names {name!r} twice; expected each name once")
+            raise errors.InputError(f"--map names {name!r} twice; expected each name once")
         close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
         if name not in MAPPED and close:
-            raise InputError(
+            raise errors.InputError(
                 f"--map names {name!r}, which is none of {', '.join(MAPPED)}"
                 f"{wording.did_you_mean(name, MAPPED)}",
                 next="correct it; an extra column needs a name that is less like these",
@@ -94,7 +95,7 @@ def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
         for line in lines:
             name, equals, column = line.partition("=")
             if not equals or not name.strip():
-                raise InputError(
+                raise errors.InputError(
                     f"{where} has {line[:LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
                     "pose=x,y,z,qx,qy,qz,qw"
                 )

@@ -11,8 +11,7 @@ from typing import IO, NamedTuple
 
 from realtouch import kind, video_files
 from realtouch.importing import formats, source_files
-from tactile_toolkit import column_tables, places, store, text_tables
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import column_tables, errors, places, store, text_tables
 
 _MOST_LOOKED_AT = 20_000
 _MOST_FOLDERS = 200
@@ -93,13 +92,15 @@ def recognised(place: str) -> Recognised:
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
     if not found:
         shown = ", ".join(paths[:_SHOWN]) or "nothing"
-        raise InputError(
+        raise errors.InputError(
             f"{place!r} holds no recordings of a format that is known (found {shown})",
             next=f"name the format with --format: {', '.join(formats.IMPORTS)}",
         )
     if len(found) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
-        raise InputError(f"{place!r} may be read in several formats: {words}", next="name one with --format")
+        raise errors.InputError(
+            f"{place!r} may be read in several formats: {words}", next="name one with --format"
+        )
     ((layout, first),) = found.items()
     return Recognised(layout, first)
 
@@ -118,7 +119,7 @@ def _of_file(place: str) -> Recognised:
     found = "is empty"
     if head:
         found = f"begins with {head[:8].hex(' ')}"
-    raise InputError(
+    raise errors.InputError(
         f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
@@ -136,7 +137,7 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
         return None
     place = places.folder_place(home).require(kind.KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
-        raise InputError(
+        raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )

@@ -10,9 +10,8 @@ import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.importing.found_touches import FoundTouches, PicturePlace
-from tactile_toolkit import column_types
+from tactile_toolkit import column_types, errors
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import ItemError
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
@@ -36,7 +35,7 @@ class Clip:
     stop: int
     name: str
     contact: tuple[int, int] | None = None
-    problem: ItemError | None = None
+    problem: errors.ItemError | None = None
     said: Mapping[str, object] = field(default_factory=dict)
 
 
@@ -86,7 +85,7 @@ class Recording:
     values: Mapping[str, object] = field(default_factory=dict)
     per_frame: Mapping[str, pa.Array] = field(default_factory=dict)
     time_s: Float64 | None = None
-    problem: ItemError | None = None
+    problem: errors.ItemError | None = None
     round: str = ""
     cut: str = ""
     contact: tuple[int, int] | None = None
@@ -101,20 +100,20 @@ class Recording:
         """Return the recording, with a problem if it has no picture, or times that run back."""
         problem = self.problem
         if problem is None and not self.frames:
-            problem = ItemError("empty", "the recording has no picture")
+            problem = errors.ItemError("empty", "the recording has no picture")
         if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
             found = f"{len(self.time_s):,} times of {self.frames:,} pictures"
-            problem = ItemError("time", f"{found}; expected one for each")
+            problem = errors.ItemError("time", f"{found}; expected one for each")
         elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN
             if not is_later.all():
                 number = int(is_later.argmin()) + 1
                 before, after = self.time_s[number - 1 : number + 1].tolist()
                 found = f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
-                problem = ItemError("times", f"{found}; expected times that rise")
+                problem = errors.ItemError("times", f"{found}; expected times that rise")
         return replace(self, problem=problem)
 
-    def unusable(self, problem: ItemError | None, name: str = "") -> Clip:
+    def unusable(self, problem: errors.ItemError | None, name: str = "") -> Clip:
         """Return a clip for all that cannot be used, for one line in the list."""
         return Clip(0, min(self.frames, 1), name or self.name, problem=problem)
 
@@ -128,7 +127,7 @@ class Recording:
         for number in np.flatnonzero(counts > MAX_CLIP_FRAMES).tolist():
             problems.setdefault(
                 number,
-                ItemError(
+                errors.ItemError(
                     "length",
                     f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}",
                     next=_SHORTER,

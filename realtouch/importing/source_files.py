@@ -16,8 +16,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 
 from realtouch.importing import found_touches, import_columns
-from tactile_toolkit import column_tables, column_types, run, store, text_tables, wording
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit import column_tables, column_types, errors, run, store, text_tables, wording
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
@@ -56,8 +55,8 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
     try:
         return store.open_inside(folder, name)
-    except ItemError as error:
-        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+    except errors.ItemError as error:
+        raise errors.InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
@@ -76,7 +75,7 @@ def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTab
 
     def opened() -> IO[bytes]:
         if folder.version(name) != version:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{place!r} was replaced or changed while it was read", next="run the same command again"
             )
         return open_source(folder, name)
@@ -92,11 +91,11 @@ class SourceTable(NamedTuple):
     rows: int
     too_long: frozenset[int] = frozenset()
 
-    def problem(self, row: int) -> ItemError | None:
+    def problem(self, row: int) -> errors.ItemError | None:
         """Return what is wrong with a row."""
         if row not in self.too_long:
             return None
-        return ItemError("columns", "the line has more values than the table has columns")
+        return errors.ItemError("columns", "the line has more values than the table has columns")
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where nothing is said."""
@@ -124,7 +123,7 @@ def read_table(
         table = column_table(folder, name)
         rows, _ = table.scan()
         if rows > _MOST_LINES:
-            raise InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
+            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
         return SourceTable(table.names, typed, rows)
@@ -161,7 +160,7 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
             found = f"{count} columns {name!r}; expected one"
             if not count:
                 found = f"no column {name!r}{wording.did_you_mean(name, known)}"
-            raise InputError(
+            raise errors.InputError(
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
@@ -171,7 +170,7 @@ def image_files(
     home: store.DataFolder,
     paths: Sequence[str],
     said: Mapping[str, pa.Array],
-    problems: Mapping[int, ItemError] | None = None,
+    problems: Mapping[int, errors.ItemError] | None = None,
 ) -> found_touches.FoundTouches:
     """Return a touch for each path of an image; a missing file is the touch's problem.
 
@@ -182,14 +181,14 @@ def image_files(
         parent, _, base = path.rpartition("/")
         named = store.problem_of_name(path)
         if named:
-            wrong[number] = ItemError("name", f"the name {named}; expected a path below the folder")
+            wrong[number] = errors.ItemError("name", f"the name {named}; expected a path below the folder")
             continue
         try:
             size = found(parent).get(base, -1)
-        except InputError:  # of a folder that may not be listed
+        except errors.InputError:  # of a folder that may not be listed
             size = 0
         if size == -1:
-            wrong[number] = ItemError("missing", "the file does not exist")
+            wrong[number] = errors.ItemError("missing", "the file does not exist")
         else:
             sizes[number] = size or 0  # of what is no file; it says so where it is read
     # A name that is not Unicode is a problem already; here it is shown.
@@ -197,11 +196,11 @@ def image_files(
     return found_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
-ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | ItemError]]
+ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
 
-def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | ItemError]:
+def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
@@ -219,8 +218,8 @@ def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes 
 def _contents(
     open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
     places: Sequence[found_touches.PicturePlace],
-) -> list[bytes | ItemError]:
-    found: list[bytes | ItemError] = []
+) -> list[bytes | errors.ItemError]:
+    found: list[bytes | errors.ItemError] = []
     try:
         folder, known = open_folder(places[0].home)
         if len(places) == 1 and not places[0].start:
@@ -233,8 +232,8 @@ def _contents(
                 content = stream.read(place.size)
                 found.append(content)
                 at = place.start + len(content)
-    except ItemError as error:
+    except errors.ItemError as error:
         found += [error] * (len(places) - len(found))
-    except (OSError, InputError):  # what they say differs between systems
-        found += [ItemError("image", "the file cannot be read")] * (len(places) - len(found))
+    except (OSError, errors.InputError):  # what they say differs between systems
+        found += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(found))
     return found

@@ -12,9 +12,8 @@ import pyarrow as pa
 
 from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
 from realtouch.touch_options import Alignment
-from tactile_toolkit import alignment, column_tables, column_types, store, units
+from tactile_toolkit import alignment, column_tables, column_types, errors, store, units
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import InputError, ItemError
 
 TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
 """Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
@@ -90,7 +89,7 @@ def open_stream(
     column = _time_column(table.names, columns.time, place)
     rows, values = table.scan(column)
     if not rows:
-        raise InputError(f"{place!r} has no rows; expected a row for each sample")
+        raise errors.InputError(f"{place!r} has no rows; expected a row for each sample")
     whole = PurePosixPath(name).stem
     shown = whole.removeprefix(stem).lstrip(_JOINTS) or whole
     if not column:
@@ -105,7 +104,7 @@ def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
     known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
     found = [name for name in names if name.lower() in known]
     if len(found) > 1:
-        raise InputError(
+        raise errors.InputError(
             f"{place!r} has several columns of times: {', '.join(found)}",
             next="name one: `--map time=COLUMN`",
         )
@@ -116,7 +115,7 @@ def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Fl
     """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
     what, stated = f"{place!r}: the times {column!r}", units.stated_unit(column)
     if pa.types.is_integer(values.type) and not (stated or given):
-        raise InputError(
+        raise errors.InputError(
             f"{what} are integers, whose unit is not known",
             next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
         )
@@ -124,12 +123,12 @@ def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Fl
         found = fields.times_s(
             values, import_columns.ImportColumns(time=column, time_unit=None if stated else given)
         )
-    except ItemError as error:
-        raise InputError(f"{what}: {error.what}") from error
+    except errors.ItemError as error:
+        raise errors.InputError(f"{what}: {error.what}") from error
     back = np.flatnonzero(np.diff(found) < 0)
     if len(back):
         row = int(back[0])
-        raise InputError(
+        raise errors.InputError(
             f"{place!r}: the time runs back, from {found[row]:.6f} s in row {row + 1:,} to "
             f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that rise",
             next="sort the rows, or divide the table where the clock was set",
@@ -196,7 +195,7 @@ class Aligner:
         self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
-        self._beside = cache(_tables_in)
+        self._beside = cache(lambda home, folder: tables_by_stem(store.open_folder(home).entries(folder)))
 
     def aligned(self, recording: recordings.Recording) -> recordings.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
@@ -210,10 +209,10 @@ class Aligner:
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
             found, reports = with_streams(recording, beside, self._how, self._columns)
-        except ItemError as error:
+        except errors.ItemError as error:
             return replace(recording, problem=error)
-        except InputError as error:
-            return replace(recording, problem=ItemError("stream", f"{error.message}{_NO_STREAM}"))
+        except errors.InputError as error:
+            return replace(recording, problem=errors.ItemError("stream", f"{error.message}{_NO_STREAM}"))
         found, of_named = with_streams(found, self._named, self._how, self._columns)
         self.reports += [*reports, *of_named]
         return found
@@ -240,10 +239,6 @@ class Aligner:
 def _address(path: str) -> str:
     home, name = source_files.source_of(path)
     return home.address(name)
-
-
-def _tables_in(home: str, folder: str) -> dict[str, list[str]]:
-    return tables_by_stem(store.open_folder(home).entries(folder))
 
 
 def with_streams(
@@ -296,7 +291,7 @@ def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Arr
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} "
             f"{recording.frames:,} pictures; expected as many, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
@@ -314,7 +309,7 @@ def _by_time(
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r} lasts from {sample_s[0]:.3f} to {sample_s[-1]:.3f} s, the recording "
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
@@ -323,7 +318,7 @@ def _by_time(
     around = alignment.Neighbours.of(time_s, sample_s, max_gap_s)
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
             f"samples, about {step_s:g} s apart, and the longest gap is {how.max_gap_ms:g} ms",
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
@@ -386,7 +381,7 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
         lengths = column_types.lengths_of(column)
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
-            raise InputError(
+            raise errors.InputError(
                 f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
                 "lists of one number of numbers"
             )
