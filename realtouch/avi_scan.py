@@ -1,4 +1,4 @@
-"""The JPEGs of an AVI of others, found by the headers of its chunks.
+"""The JPEGs of any AVI, found by the headers of its chunks.
 
 No index is used: recorders leave it out, and it may be wrong. The layout is that of Microsoft's AVI RIFF file
 reference and of the OpenDML AVI file format extensions, by which files over 1 GB have several RIFF parts.

@@ -1,4 +1,4 @@
-"""Maps of depth, stored as images of 16 bits that count whole micrometres.
+"""Maps of depth, stored as images of 16 bits in whole micrometres.
 
 A map states how far each point of the gel is pressed in: 0 where nothing touches it, 65,535 um at most. A
 second one of this kind states the expected error of each pixel.

@@ -1,4 +1,4 @@
-"""Further columns of touches, of which this toolkit knows nothing but their types: forces, temperatures."""
+"""Further columns of touches, such as forces and temperatures: only their types are known."""
 
 from __future__ import annotations
 

@@ -65,7 +65,7 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
 def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
     """Return the names of the classes as the first file states them, or else those of the digits.
 
-    Without labels there are none.
+    Empty for data sets without labels.
     """
     files = list(shards)
     stated = stated_class_names(files)

@@ -128,7 +128,7 @@ class SensorImages(Sequence[UInt8]):
         in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
-        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
+        """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
         place = read.checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:

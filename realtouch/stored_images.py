@@ -1,4 +1,4 @@
-"""Stored images: checked, named, and encoded again only where they must be."""
+"""Stored images: checks, file names, and encoding where a reader needs JPEG."""
 
 from __future__ import annotations
 

@@ -131,7 +131,7 @@ def _plain_content(
 
 
 def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Iterator[UInt8 | None]:
-    """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
+    """Decode the first pictures of an index of files or of a column of images; tars give no pictures."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
         for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):

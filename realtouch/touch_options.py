@@ -1,4 +1,4 @@
-"""What commands of touches have options of, imported with nothing heavy."""
+"""Options of the commands for touches; importing this module is fast."""
 
 from __future__ import annotations
 

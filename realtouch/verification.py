@@ -233,7 +233,10 @@ def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage
 def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[stored_columns.Damage]:
     try:
         name = row.name()
-    except (errors.InputError, errors.IntegrityError):  # there are none, or it is named with the other fields
+    except (
+        errors.InputError,
+        errors.IntegrityError,
+    ):  # no column of ids, or an id that is reported with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)

@@ -58,7 +58,7 @@ _BOX = struct.Struct(">I4s")
 def demuxer_of(start: bytes) -> str:
     """Return FFmpeg's name for the container that a file begins as: avi, mov, matroska or mpegts.
 
-    Empty if it is none of these; ``start`` is what :func:`read_start` returns.
+    Empty for other containers; ``start`` is what :func:`read_start` returns.
     """
     if start[:4] == b"RIFF" and start[8:12] in (b"AVI ", b"AVIX"):
         return "avi"

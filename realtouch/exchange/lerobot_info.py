@@ -1,4 +1,4 @@
-"""What a LeRobotDataset v3.0 says of itself: ``info.json``, ``stats.json``, ``tasks.parquet`` in ``meta``."""
+"""Metadata of a LeRobotDataset v3.0: ``info.json``, ``stats.json``, ``tasks.parquet`` in ``meta``."""
 
 from __future__ import annotations
 

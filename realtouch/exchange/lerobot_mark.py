@@ -1,4 +1,4 @@
-"""What a LeRobotDataset that this toolkit wrote says of itself, and by what names it comes back."""
+"""The mark of LeRobotDatasets of this toolkit, and the names of their columns on import."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _OF_EPISODE = ("label", "label_name", "object_id")
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """What an export of this toolkit says of itself.
+    """Mark of an export of this toolkit.
 
     ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
     feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.

@@ -1,4 +1,4 @@
-"""Pages of Parquet files of others, whose headers may state any size; Arrow makes room for it first.
+"""Sizes of Parquet pages: Arrow allocates what a header states, so headers of untrusted files are checked.
 
 Facts of the format: a column of a row group is a run of pages. Each begins with a header in the compact
 protocol of Thrift, whose fields 2 and 3 are the sizes of the page, unpacked and stored.

@@ -1,4 +1,4 @@
-"""Arrays of others: pictures, of which some axis holds the channels, and what is said of each picture.
+"""Arrays from other programs: pictures with a channel axis, and columns with a row for each picture.
 
 Arrays of 8 bits are taken as they are. Of all others, every value is looked at before anything is made: only
 what 8 bits hold without loss is converted.

@@ -100,7 +100,7 @@ def _lines(
     table: str | None,
     paths: Sequence[str],
 ) -> importing.SourceTable | None:
-    """Return the table of the videos; None if there is none."""
+    """Return the table of the videos, or None."""
 
     def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
         found = importing.read_table(folder, name, columns, [image])

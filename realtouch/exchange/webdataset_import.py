@@ -46,7 +46,7 @@ def find_webdataset(
 
 
 def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
-    """Return the samples of a tar; of those of one key, which many writers number anew in each, the first."""
+    """Return the samples of a tar; of samples with the same key, the first one can be used."""
     problems: dict[int, errors.ItemError] = {}
     seen = set[str]()
     for number, sample in enumerate(samples):

@@ -1,4 +1,4 @@
-"""Groups of Zarr 2 and 3 that others wrote, in a folder or a zip: read without codecs that run code.
+"""Groups of Zarr 2 and 3 from other programs, in a folder or zip; codecs that run code are refused.
 
 Metadata of an array are checked before a chunk is opened, see :mod:`realtouch.exchange.zarr_layouts`.
 """
@@ -55,7 +55,7 @@ class ZarrGroup:
         return f"{self.path}/{path}".strip("/")
 
     def read(self, path: str, most: int = _MOST_METADATA_BYTES) -> bytes | None:
-        """Return a file of the group, of ``most`` bytes at most; None if there is none."""
+        """Return a file of the group, of ``most`` bytes at most; None if it does not exist."""
         try:
             with self._open(path) as stream:
                 found = stream.read(most + 1)
@@ -70,7 +70,7 @@ class ZarrGroup:
         return found
 
     def json(self, path: str) -> JsonDict:
-        """Return a file of the group as a JSON object; an empty one where there is none."""
+        """Return a file of the group as a JSON object; empty if the file does not exist."""
         try:
             return dict(json.loads(self.read(path) or b"{}"))
         except (ValueError, TypeError, RecursionError) as error:
@@ -87,7 +87,7 @@ class ZarrGroup:
         return {name: each["shape"] for name, each in stated.items() if "shape" in each}
 
     def _stated(self, path: str) -> tuple[int, JsonDict]:
-        """Return the version of Zarr of an array, and its metadata; empty ones where there is none."""
+        """Return the version of Zarr of an array, and its metadata; 0 and empty if it does not exist."""
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 

@@ -75,7 +75,7 @@ def recordings_of(
 ) -> Iterator[importing.Recording]:
     """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
 
-    InputError for pictures that are none, and for a column that was named and is not one. What this toolkit
+    InputError for an array without pictures, and a named column that cannot be used. What this toolkit
     wrote comes back by its own names.
     """
     name, sensor = pictures

@@ -34,7 +34,7 @@ class Strip:
 
     ``at`` stands for all of them; ``spots``, ``digests`` and ``poses`` have an entry for each picture, whose
     digest is empty if it has no content. ``seen`` are pictures by their numbers. ``time_s`` are the times of
-    frames, NaN where missing; empty if there are none.
+    frames, NaN where missing; empty for images.
     """
 
     at: rules.Spot

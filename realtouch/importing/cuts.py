@@ -111,7 +111,7 @@ class CutTable:
         return sorted(number for name in names for number in self._named.get(name, ()))
 
     def _interval(self, recording: recordings.Recording, number: int) -> tuple[int, int]:
-        """Return the first picture of a touch, and the one behind its last; ItemError if there is none."""
+        """Return the first picture of a touch, and the one after its last, or raise ItemError."""
         problem = recording.problem or self._lines.problem(number)
         if problem is not None:
             raise problem

@@ -1,4 +1,4 @@
-"""Columns of a source that mean nothing to this toolkit: kept with their types, as extra columns.
+"""Columns of a source whose meaning this toolkit does not know: kept with their types, as extra columns.
 
 A touch has one value of each, or one for each picture of its clip. Missing values stay missing.
 """

@@ -1,4 +1,4 @@
-"""What the fields of a source say of touches and pictures, in our units; each is refused with the reason."""
+"""Values of the fields of a source, in the units of this toolkit; each wrong one is refused with the reason."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def integer_text(text: str) -> str:
 def labels_of(
     touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
-    """Return the number of the class of each touch, -1 if it is unknown, and those that are no class."""
+    """Return the class number of each touch, -1 if it is unknown, and the problems by place."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
     problems = _no_names(touches.value(column or source_files.NUMBERED))
     found = np.full(len(touches), -1)
@@ -81,7 +81,7 @@ def _no_names(column: pa.Array | None) -> dict[int, errors.ItemError]:
 def objects_of(
     touches: found_touches.FoundTouches, column: str | None
 ) -> tuple[Int64, dict[int, errors.ItemError]]:
-    """Return the number of the object of each touch, 0 without a column of them, and what is none."""
+    """Return the object id of each touch, 0 without such a column, and the problems by place."""
     found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
     for place, text in enumerate(map(integer_text, touches.texts(column)) if column else ()):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:

@@ -1,4 +1,4 @@
-"""Touches to import, as columns: where their pictures are, what is said of them, and what is wrong."""
+"""Touches to import, as columns: places of their pictures, their fields, and their problems."""
 
 from __future__ import annotations
 
@@ -173,7 +173,7 @@ class FoundTouches(Sequence[PicturePlace]):
         }
 
     def value(self, name: str) -> pa.Array | None:
-        """Return a column of what is said of touches; None if there is none."""
+        """Return a column of what is said of touches; None without such a column."""
         return one_chunk(self.said[name]) if name in self.said.column_names else None
 
     def texts(self, name: str | None) -> list[str]:

@@ -1,4 +1,4 @@
-"""Which columns of the recordings of others mean what, in which units, imported with nothing heavy."""
+"""The meaning and units of the columns of recordings; importing this module is fast."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an import would make, before anything is written."""
+"""Preview of an import: what it would make; nothing is written."""
 
 from __future__ import annotations
 

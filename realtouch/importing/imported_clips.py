@@ -108,7 +108,7 @@ def clip_times_s(
 def clip_poses(
     touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
 ) -> Float64:
-    """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for what is none."""
+    """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for invalid ones."""
     found = _each_picture(poses, touches, row, columns, columns.pose or ())
     return np.repeat(found, touches.where["frames"][row].as_py() // len(found), axis=0)
 

@@ -20,7 +20,7 @@ _WIDTHS = {"position": 3, "quaternion": 4}
 
 @dataclass(frozen=True, eq=False)
 class StoredTouches:
-    """Touches of whole rounds as they are stored, an entry for each; what no column states is empty.
+    """Touches of whole rounds as they are stored, an entry for each; empty without a column.
 
     ``positions`` have the shape (n, 2), ``poses`` (n, 7), or of clips (all pictures, 7). ``media`` are images
     or clips.

@@ -365,7 +365,7 @@ def _is_number(column: pa.Array) -> bool:
 
 
 def _with_gaps(values: Float64, around: alignment.Neighbours) -> pa.Array:
-    """Return interpolated values, null where there are none."""
+    """Return interpolated values, null where a picture has no value."""
     column = column_types.from_numpy(np.ascontiguousarray(values))
     numbers = np.arange(len(values))
     return column.take(pa.array(numbers, mask=around.missing))
