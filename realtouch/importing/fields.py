@@ -1,4 +1,4 @@
-"""Values of the fields of a source, in the units of this toolkit; each wrong one is refused with the reason."""
+"""Values of the fields of a source, in the units of this toolkit; a wrong one is refused with a reason."""
 
 from __future__ import annotations
 
