@@ -21,6 +21,7 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
 from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
+from tactile_toolkit import wording
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
@@ -69,7 +70,9 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
     if count * pixels > _MOST_PIXELS:
         raise ItemError(
-            "length", f"{count:,} pictures of {pixels:,} pixels; the limit is {_MOST_PIXELS:,} in all"
+            "length",
+            f"{wording.with_count(count, 'pictures')} of {pixels:,} pixels; the limit is {_MOST_PIXELS:,} "
+            "in all",
         )
     picture_bytes = packets.total_bytes // len(packets.pts)
     if not reader.is_kept:

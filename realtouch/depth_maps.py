@@ -15,7 +15,7 @@ import numpy as np
 from PIL import Image
 
 from realtouch.stored_round import StoredRound
-from tactile_toolkit import errors, read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import Float32, Floating
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
 
@@ -94,4 +94,4 @@ class DepthMaps(Sequence[Float32]):
         return (DepthMaps, (self.row, self._column))
 
     def __repr__(self) -> str:
-        return f"DepthMaps({self._count} touches)"
+        return f"DepthMaps({wording.with_count(self._count, 'touches')})"

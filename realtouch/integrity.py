@@ -8,7 +8,7 @@ from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
 from realtouch import schema, sensor_images, stored_columns, stored_round, touch_clips
-from tactile_toolkit import catalog, errors, read, run
+from tactile_toolkit import catalog, errors, read, run, wording
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
 
 _NAMES_SHOWN = 12
@@ -162,7 +162,7 @@ def check_round(
                 row.number,
                 None,
                 "pos_in_cell",
-                f"{count} touches; expected {expected_touches} as in the other rounds",
+                f"{wording.with_count(count, 'touches')}; expected {expected_touches} as in the other rounds",
             )
         )
     for name in schema.extra_columns(row.group.names):

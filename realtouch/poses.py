@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from tactile_toolkit import read, spatial
+from tactile_toolkit import read, spatial, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
@@ -136,7 +136,8 @@ class PoseSequences(Sequence[Poses]):
         return Poses(self.position_m[index], self.quaternion[index])
 
     def __repr__(self) -> str:
-        return f"PoseSequences({len(self)} touches, {sum(map(len, self.position_m)):,} poses)"
+        poses = wording.with_count(sum(map(len, self.position_m)), "poses")
+        return f"PoseSequences({wording.with_count(len(self), 'touches')}, {poses})"
 
 
 def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:

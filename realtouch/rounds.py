@@ -20,7 +20,7 @@ from realtouch import (
     stored_round,
     touch_clips,
 )
-from tactile_toolkit import errors, read, system
+from tactile_toolkit import errors, read, system, wording
 from tactile_toolkit.array_types import Floating, Int64, UInt8
 from tactile_toolkit.json_types import JsonDict
 
@@ -115,11 +115,13 @@ class TouchRound(read.Record):
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
         pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return picture_views.round_html(title, [*words, f"{self.touch_count} touches"], pictures)
+        return picture_views.round_html(
+            title, [*words, wording.with_count(self.touch_count, "touches")], pictures
+        )
 
     def tile_html(self) -> str:
         """Return HTML of a small picture with a caption, for notebooks."""
-        words = [*self.label_words(), f"{self.touch_count} touches"]
+        words = [*self.label_words(), wording.with_count(self.touch_count, "touches")]
         return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:

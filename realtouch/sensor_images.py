@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from realtouch.stored_round import StoredRound
-from tactile_toolkit import errors, read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import UInt8
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
@@ -41,7 +41,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     if out is None:
         if count * height * width > MAX_BATCH_PIXELS:
             raise ValueError(
-                f"{count:,} images of {width} x {height} pixels at once; the limit is "
+                f"{wording.with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
                 f"{MAX_BATCH_PIXELS:,} pixels"
             )
         return np.empty((count, height, width, 3), np.uint8)
@@ -148,4 +148,4 @@ class SensorImages(Sequence[UInt8]):
         return (SensorImages, (self.row,))
 
     def __repr__(self) -> str:
-        return f"SensorImages({self._count} touches)"
+        return f"SensorImages({wording.with_count(self._count, 'touches')})"

@@ -15,7 +15,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import avi, extras, schema
-from tactile_toolkit import errors, read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
@@ -201,9 +201,11 @@ class StoredColumns(Row):
         values = column.flat(1, start, stop)
         touches = stop - start
         if len(values) != touches * width:
-            problem = f"{len(values)} values for {touches} touches; expected {width} each"
+            problem = (
+                f"{wording.with_count(len(values), 'values')} for {touches} touches; expected {width} each"
+            )
             if touch is not None:
-                problem = f"{len(values)} values; expected {width}"
+                problem = f"{wording.with_count(len(values), 'values')}; expected {width}"
             raise self.damaged(name, problem, touch)
         return values.reshape(touches, width)
 
@@ -264,7 +266,10 @@ class StoredColumns(Row):
         values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
         if len(values) != wanted * max(width, 1):
             raise self.damaged(
-                name, f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each", touch
+                name,
+                f"{wording.with_count(len(values), 'values')} for {wanted} frames; expected "
+                f"{max(width, 1)} each",
+                touch,
             )
         return values.reshape(wanted, width) if width else values
 
@@ -294,7 +299,9 @@ class StoredColumns(Row):
             if frames is None:
                 frames = pa.nulls(length, values.type.value_type)
             if len(frames) < length:
-                raise self.damaged(stored, f"{len(frames)} frames; expected at least {length}", touch)
+                raise self.damaged(
+                    stored, f"{wording.with_count(len(frames), 'frames')}; expected at least {length}", touch
+                )
             with self.naming(stored, touch):
                 found.append(extras.array_with_gaps(frames.slice(0, length)))
         return tuple(found)

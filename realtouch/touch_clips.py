@@ -16,7 +16,7 @@ from numpy.typing import DTypeLike
 
 from realtouch import avi, contact, contact_picture, picture_views, schema, sensor_images, stored_round
 from realtouch.poses import Poses
-from tactile_toolkit import errors, read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
 from tactile_toolkit.touch import decode_image, image_size
 
@@ -253,13 +253,15 @@ class TouchClip(Sequence[UInt8]):
         return (TouchClip, (self.row, self.touch))
 
     def __repr__(self) -> str:
-        return f"TouchClip(touch {self.touch}, {len(self)} frames)"
+        return f"TouchClip(touch {self.touch}, {wording.with_count(len(self), 'frames')})"
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
         frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
         pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return picture_views.round_html(f"Touch {self.touch}", [f"{len(self)} frames"], pictures)
+        return picture_views.round_html(
+            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], pictures
+        )
 
 
 class SensorClips(Sequence[TouchClip]):
@@ -298,7 +300,7 @@ class SensorClips(Sequence[TouchClip]):
         return (SensorClips, (self.row,))
 
     def __repr__(self) -> str:
-        return f"SensorClips({self._count} touches)"
+        return f"SensorClips({wording.with_count(self._count, 'touches')})"
 
 
 def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:

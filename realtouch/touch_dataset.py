@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from realtouch import contact, integrity, rounds, schema, stored_round
 from realtouch.touches import AnyTouches, R, Touches
-from tactile_toolkit import errors, read, touch
+from tactile_toolkit import errors, read, touch, wording
 from tactile_toolkit.array_types import Float64, Int64
 
 
@@ -135,7 +135,8 @@ class TouchDataset(read.RecordDataset[R]):
         values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
             raise errors.IntegrityError(
-                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
+                f"{wording.with_count(len(values), 'poses')} of touches for {self.touch_starts[-1]:,} "
+                "touches; expected one each",
                 next="run `realtouch verify`, which names the rounds",
             )
         return values

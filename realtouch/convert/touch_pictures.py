@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch import contact, rounds, schema, sensor_images, stored_round, touch_clips, touch_options
 from realtouch.poses import Poses
-from tactile_toolkit import read
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 
 # What exports and their readers know by other meanings.
@@ -125,6 +125,10 @@ def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[Touc
         if frames is None:  # missing for the whole clip
             frames = pa.nulls(each.frame + 1, entries.type.value_type)
         if each.frame >= len(frames):
-            raise row.damaged(stored, f"{len(frames)} frames; expected at least {each.frame + 1}", each.touch)
+            raise row.damaged(
+                stored,
+                f"{wording.with_count(len(frames), 'frames')}; expected at least {each.frame + 1}",
+                each.touch,
+            )
         found.append(frames.slice(each.frame, 1))
     return pa.concat_arrays(found)

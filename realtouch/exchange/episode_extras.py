@@ -9,7 +9,7 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch import extras, schema, stored_round
-from tactile_toolkit import read
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray
 
 FEATURE = "observation."
@@ -59,7 +59,9 @@ class ExtraColumn:
         elif touch is not None:
             values = values.take(pa.array([touch] * count))
         if len(values) < count:
-            raise row.damaged(self.stored, f"{len(values)} frames; expected at least {count}", touch)
+            raise row.damaged(
+                self.stored, f"{wording.with_count(len(values), 'frames')}; expected at least {count}", touch
+            )
         with row.naming(self.stored, touch):
             return self._packed(extras.array_with_gaps(values))
 

@@ -16,7 +16,7 @@ import pyarrow as pa
 
 from realtouch import importing, video
 from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
-from tactile_toolkit import column_types, errors, store
+from tactile_toolkit import column_types, errors, store, wording
 from tactile_toolkit.array_types import Float64
 
 _ROWS = ".parquet"
@@ -171,7 +171,8 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
         raise errors.ItemError(
             "video",
-            f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s, "
+            f"the {wording.with_count(len(shown_s), 'pictures')} of its video are shown until "
+            f"{shown_s[-1]:.3f} s, "
             f"not at the times of its frames, until {wanted_s[-1]:.3f} s",
         )
     return first

@@ -12,7 +12,7 @@ import numpy as np
 
 from realtouch.exchange import oxt, picture_arrays, zarr_arrays, zarr_groups, zarr_recordings
 from realtouch.finding import RecordingFinding
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import AnyArray, Int64
 
 _CAMERA = "camera_(main|ego)_rgb|(left|right)_wrist_camera_rgb"
@@ -49,11 +49,11 @@ def _rises(times: AnyArray, starts: Int64) -> str:
     if not len(wrong):
         return ""
     before, after = times[wrong[0] - 1 : wrong[0] + 1].tolist()
-    return f"{before} and then {after} in frame {wrong[0]:,}; {len(wrong):,} such frames"
+    return f"{before} and then {after} in frame {wrong[0]:,}; {wording.with_count(len(wrong), 'such frames')}"
 
 
 def _such_as(wrong: AnyArray) -> str:
-    return f"{len(wrong):,} values such as {wrong[0]}" if len(wrong) else ""
+    return f"{wording.with_count(len(wrong), 'values')} such as {wrong[0]}" if len(wrong) else ""
 
 
 def _is_text(pattern: str, values: AnyArray, starts: Int64) -> str:

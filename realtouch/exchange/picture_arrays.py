@@ -14,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 
 from realtouch import importing
-from tactile_toolkit import bounds, errors, touch
+from tactile_toolkit import bounds, errors, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
 
 _CHANNELS = (1, 3)
@@ -88,7 +88,10 @@ class PictureArray:
             raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
         most = _MOST_UNSTORED + stored // _LEAST_PICTURE_BYTES
         if len(pictures) > most:  # each takes time, though it need not take a byte
-            raise array.refused(f"{len(pictures):,} pictures in {stored:,} bytes; expected at most {most:,}")
+            raise array.refused(
+                f"{wording.with_count(len(pictures), 'pictures')} in {stored:,} bytes; expected at most "
+                f"{most:,}"
+            )
         return pictures if array.dtype == np.uint8 else cls(array, pictures._lossless(), sensor)
 
     def __len__(self) -> int:

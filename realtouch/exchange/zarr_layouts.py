@@ -17,7 +17,7 @@ from importlib import import_module
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import errors, store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.json_types import JsonObject, JsonValue
 
@@ -98,7 +98,11 @@ class ZarrLayout:
         if not fits:
             return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
         count = math.prod(self.counts)
-        return f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
+        return (
+            f"{wording.with_count(count, 'chunks')}; the limit is {_MOST_CHUNKS:,}"
+            if count > _MOST_CHUNKS
+            else ""
+        )
 
     def chunk_name(self, index: Iterable[int]) -> str:
         """Return the name of the file of a chunk."""

@@ -138,7 +138,8 @@ def _in_words(value: JsonValue, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:
-        return f"{len(value)} entries, the first {shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]}"
+        first = shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]
+        return f"{len(value)} entries, the first {first}"
     return shown_text.printable(str(value))[:_LONGEST_SHOWN]
 
 

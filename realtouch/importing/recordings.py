@@ -10,7 +10,7 @@ import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
 from realtouch.importing.found_touches import FoundTouches, PicturePlace
-from tactile_toolkit import column_types, errors
+from tactile_toolkit import column_types, errors, wording
 from tactile_toolkit.array_types import Float64
 
 CUTS = ("frames", "whole", "contact")
@@ -102,7 +102,7 @@ class Recording:
         if problem is None and not self.frames:
             problem = errors.ItemError("empty", "the recording has no picture")
         if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
-            found = f"{len(self.time_s):,} times of {self.frames:,} pictures"
+            found = f"{wording.with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
             problem = errors.ItemError("time", f"{found}; expected one for each")
         elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN

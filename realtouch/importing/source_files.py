@@ -157,7 +157,7 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
     for name in wanted:
         count = known.count(name)
         if count != 1:
-            found = f"{count} columns {name!r}; expected one"
+            found = f"{wording.with_count(count, 'columns')} {name!r}; expected one"
             if not count:
                 found = f"no column {name!r}{wording.did_you_mean(name, known)}"
             raise errors.InputError(

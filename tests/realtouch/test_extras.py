@@ -145,7 +145,7 @@ def test_a_column_is_read_when_it_is_asked_for(images: Path, tmp_path: Path) -> 
         (
             "extra_seq.a",
             pa.array([[[1.0]] * 3, [[1.0]] * 2]),
-            "touch 0, field 'extra_seq.a': 1 frames; expected",
+            "touch 0, field 'extra_seq.a': 1 frame; expected",
         ),
         (
             "extra_seq.a",
