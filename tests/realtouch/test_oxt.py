@@ -275,11 +275,11 @@ def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) 
         ({"right_tactile_sensor_gripper": np.full(T, "DIGIT")}, {}),
         (
             {"timestamps": np.array([0, 1, 1, 2, 0, 1, 2])},
-            {"times timestamps": "1 and then 1 in frame 2; 1 such frames"},
+            {"times timestamps": "1 and then 1 in frame 2; 1 such frame"},
         ),
         (
             {"timestamps": np.array([0, 1, 2, np.nan, 0, 1, 2])},
-            {"times timestamps": "2.0 and then nan in frame 3; 1 such frames"},
+            {"times timestamps": "2.0 and then nan in frame 3; 1 such frame"},
         ),
         ({"right_wrist_pose": np.zeros((T - 1, 6))}, {"length right_wrist_pose": "(6, 6)"}),
         ({"extra": np.zeros((T, 99))}, {}),
