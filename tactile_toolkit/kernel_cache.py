@@ -37,7 +37,7 @@ _COMPILER = "tactile_toolkit.compiled"
 class _AllFiles(_Locator):
     """Adds a digest of all files behind a kernel to the names of its files in the cache.
 
-    Numba reads a whole index before it sees that it is out of date, and fails at a class that no longer exists.
+    Numba reads a whole index before it sees that it is out of date, and fails at classes that are gone.
     """
 
     files_digest = ""
