@@ -8,7 +8,8 @@ from functools import partial
 import realtouch
 from cli import declared_options, output, runs
 from cli.options import Making, argument, out_folder
-from realtouch import alignment_options, import_columns, touch_options
+from realtouch import touch_options
+from realtouch.importing import import_columns
 from realtouch.kind import KIND
 from tactile_toolkit import store
 from tactile_toolkit.checked_fields import choice, text
@@ -48,7 +49,7 @@ def import_touches(
         metavar="FILE", help="Table of the images or videos; by default the only one in SOURCE."
     ),
     streams: list[str] | None = _STREAMS,
-    alignment: alignment_options.Alignment,
+    alignment: touch_options.Alignment,
     cut: str | None = text(
         metavar="frames|whole|contact|FILE",
         help="How a recording becomes touches: each picture, the whole, by contact, or as a table says.",

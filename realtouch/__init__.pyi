@@ -1,6 +1,6 @@
 """The public names of this package; type checkers read this list, and each name is imported on first use."""
 
-from .alignment_options import Alignment as Alignment
+from .touch_options import Alignment as Alignment, CheckLimits as CheckLimits
 from .contact_picture import (
     ContactRule as ContactRule,
     ContactScore as ContactScore,
@@ -22,7 +22,8 @@ from .convert.picture_files import frames as frames
 from .convert.reading_depth import add_depth as add_depth
 from .convert.selection import select as select
 from .finding import RecordingFinding as RecordingFinding
-from .faults.checking import CheckResult as CheckResult, check as check
+from .faults.check_results import CheckResult as CheckResult
+from .faults.checking import check as check
 from .depth_maps import DepthMaps as DepthMaps
 from .exchange.exporting import export as export
 from .importing.import_preview import ImportPreview as ImportPreview, preview_import as preview_import
@@ -49,8 +50,7 @@ from .touch_dataset import (
     TouchStream as TouchStream,
     dataset_of as dataset_of,
 )
-from .import_columns import ImportColumns as ImportColumns
-from .touch_options import CheckLimits as CheckLimits
+from .importing.import_columns import ImportColumns as ImportColumns
 from .touches import Touches as Touches
 from .verification import TouchVerification as TouchVerification, verify as verify
 

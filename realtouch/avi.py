@@ -102,8 +102,10 @@ class Avi:
         is_early = self.starts[1:] < ends[:-1]
         if np.count_nonzero(is_early) or self.starts[0] < movie[0] or ends[-1] > sum(movie):
             fits = np.append(self.starts[0] >= movie[0], ~is_early) & (ends <= sum(movie))
-            found = f"frame {fits.argmin()} of {len(self)} outside of it or over another"
-            raise ValueError(f"an AVI whose index has {found}; expected that of the stream")
+            raise ValueError(
+                f"an AVI whose index has frame {fits.argmin()} of {len(self)} outside of it or over another; "
+                "expected that of the stream"
+            )
 
     @property
     def slots(self) -> Int64:
@@ -115,8 +117,10 @@ class Avi:
         start, size = int(self.starts[number]), int(self.sizes[number])
         name, stated = _CHUNK.unpack_from(self.data, start - _CHUNK.size)
         if name not in self._names or stated != size:
-            where = f"frame {number} of {len(self)} where the stream has no frame of that size"
-            raise ValueError(f"an AVI whose index names {where}")
+            raise ValueError(
+                "an AVI whose index names "
+                f"frame {number} of {len(self)} where the stream has no frame of that size"
+            )
         return self.data[start : start + size]
 
 

@@ -1,4 +1,4 @@
-"""The JPEGs of an AVI of others, found by the headers of its chunks.
+"""The JPEGs of any AVI, found by the headers of its chunks.
 
 No index is used: recorders leave it out, and it may be wrong. The layout is that of Microsoft's AVI RIFF file
 reference and of the OpenDML AVI file format extensions, by which files over 1 GB have several RIFF parts.
@@ -73,8 +73,10 @@ class AviPictures:
             elif start + size > end or not name.isascii() or not name.decode().isprintable():
                 if self.is_cut or start > riff_end:  # what follows the file is padding
                     break
-                problem = f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures"
-                raise ValueError(f"{problem}; expected a chunk inside of the file")
+                raise ValueError(
+                    f"an AVI that is damaged at byte {start - _CHUNK_BYTES:,}, after {slot:,} pictures; "
+                    "expected a chunk inside of the file"
+                )
             elif name in self._names:
                 if size:
                     places.extend((start, size, slot))

@@ -21,6 +21,7 @@ from av.video.reformatter import VideoReformatter
 from av.video.stream import VideoStream
 
 from realtouch.video_files import CUT_SHORT, MAX_PICTURES, Video, kept_jpeg, seconds_of
+from tactile_toolkit import wording
 from tactile_toolkit.array_types import Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS, ImageFormat, encode_image
@@ -68,8 +69,11 @@ def coded_video(stream: IO[bytes], demuxer: str, is_cut: bool) -> Video:
         words.append(CUT_SHORT)
     count, pixels = len(packets.shown), reader.video.height * reader.video.width
     if count * pixels > _MOST_PIXELS:
-        what = f"{count:,} pictures of {pixels:,} pixels"
-        raise ItemError("length", f"{what}; the limit is {_MOST_PIXELS:,} in all")
+        raise ItemError(
+            "length",
+            f"{wording.with_count(count, 'pictures')} of {pixels:,} pixels; the limit is {_MOST_PIXELS:,} "
+            "in all",
+        )
     picture_bytes = packets.total_bytes // len(packets.pts)
     if not reader.is_kept:
         stored = "PNG" if reader.kind == "png" else f"JPEG of quality {JPEG_QUALITY}"
@@ -133,8 +137,11 @@ class _Reader:
         self.video = found[0]
         context = self.video.codec_context
         if not 0 < context.width * context.height <= MAX_IMAGE_PIXELS:
-            what = f"pictures of {context.width:,} x {context.height:,} pixels"
-            raise ItemError("size", f"{what}; the limit is {MAX_IMAGE_PIXELS:,} pixels")
+            raise ItemError(
+                "size",
+                f"pictures of {context.width:,} x {context.height:,} pixels; "
+                f"the limit is {MAX_IMAGE_PIXELS:,} pixels",
+            )
         context.thread_count = 1
         context.options = _DECODER_OPTIONS
 
@@ -157,8 +164,11 @@ class _Reader:
             for number, packet in enumerate(self._packets()):
                 total_bytes += packet.size
                 if number >= MAX_PICTURES or total_bytes > _MOST_READ * file_bytes + _SPARE_BYTES:
-                    what = f"{number:,} pictures or more, which take {total_bytes:,} bytes"
-                    raise ItemError("length", f"{what}; the limit is {MAX_PICTURES:,}, and those of the file")
+                    raise ItemError(
+                        "length",
+                        f"{number:,} pictures or more, which take {total_bytes:,} bytes; "
+                        f"the limit is {MAX_PICTURES:,}, and those of the file",
+                    )
                 pts.append(cast(int, packet.pts))
                 is_cut = packet.is_corrupt
                 if not packet.is_discard:
@@ -173,8 +183,9 @@ class _Reader:
             raise ItemError("length", "a video without pictures from which decoding could begin")
         same = int(np.count_nonzero(np.diff(times[order]) == 0))
         if same:
-            what = f"{same:,} pictures are shown at the same time as another"
-            raise ItemError("time", f"{what}; expected rising times")
+            raise ItemError(
+                "time", f"{same:,} pictures are shown at the same time as another; expected rising times"
+            )
         tick_s = Fraction(cast(Fraction, self.video.time_base))
         return _Packets(times, order, times[order], starts, times[starts], tick_s, total_bytes), is_cut
 
@@ -185,8 +196,9 @@ class _Reader:
         """
         run = _Run(self, packets, 0, _PICTURES_TRIED, is_kept=False)
         if run.frame is None:
-            what = f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
-            raise ItemError("frame", what)
+            raise ItemError(
+                "frame", f"none of the first {_PICTURES_TRIED} pictures can be decoded ({self.codec})"
+            )
         first = cast("VideoFrame", run.frame)
         words = [] if self.is_kept else _words_of(first)
         _require_upright(first)
@@ -300,8 +312,11 @@ class _Run:
 
 
 def _untimed() -> ItemError:
-    what = "the file does not state when its pictures are shown, which is not their order in it"
-    return ItemError("time", what, next="convert it to MP4 or MKV")
+    return ItemError(
+        "time",
+        "the file does not state when its pictures are shown, which is not their order in it",
+        next="convert it to MP4 or MKV",
+    )
 
 
 def _require_upright(frame: VideoFrame) -> None:
@@ -311,8 +326,10 @@ def _require_upright(frame: VideoFrame) -> None:
         return
     found = np.frombuffer(cast("memoryview", matrix), np.int32)
     if not np.array_equal(found[_TURN], _UPRIGHT[_TURN]):
-        problem = "its display matrix asks to turn its pictures, which some readers do; expected upright ones"
-        raise ItemError("image", problem)
+        raise ItemError(
+            "image",
+            "its display matrix asks to turn its pictures, which some readers do; expected upright ones",
+        )
 
 
 def _words_of(frame: VideoFrame) -> list[str]:

@@ -8,20 +8,8 @@ from itertools import islice
 
 import numpy as np
 
+from realtouch import contact_picture, rounds, schema, sensor_images, touch_clips
 from realtouch.contact import ContactHeight
-from realtouch.contact_picture import (
-    ContactRule,
-    ContactScore,
-    as_pictures,
-    best_of,
-    contact_score,
-    median_in_memory,
-    median_of,
-)
-from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.schema import has_poses
-from realtouch.sensor_images import SensorImages, in_parallel
-from realtouch.touch_clips import TouchClip
 from realtouch.touches import AnyTouches, Touches, with_no_contact
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
 from tactile_toolkit.errors import InputError
@@ -31,7 +19,7 @@ _BATCH_BYTES = 64 << 20
 BY_IMAGE = "the picture differs from the background (`contacts_by_image`); there are no poses"
 """The rule by which touches of sets without poses count as contact; part of a sentence."""
 
-_MOST_SHARED = 256  # images whose median is the background of those that are alone in their rounds
+_MOST_SHARED = 256  # images; their median is the background of images that are alone in their rounds
 
 
 def background(pictures: object) -> UInt8:
@@ -69,28 +57,28 @@ def _with_median(pictures: object) -> tuple[UInt8, Iterable[UInt8]]:
             "no pictures to take a background of; expected a clip, a round or touches that hold any"
         )
     if len(first) == 1:
-        return median_in_memory(first[0]), first
-    return median_of(lambda: _batches(pictures)), _batches(pictures)
+        return contact_picture.median_in_memory(first[0]), first
+    return contact_picture.median_of(lambda: _batches(pictures)), _batches(pictures)
 
 
 def _batches(pictures: object) -> Iterator[UInt8]:
     """Yield pictures a few at a time, shape (n, H, W, 3)."""
-    if isinstance(pictures, TouchSingleRound):
+    if isinstance(pictures, rounds.TouchSingleRound):
         pictures = pictures.sensor_image
-    if isinstance(pictures, (TouchClip, SensorImages)):
+    if isinstance(pictures, (touch_clips.TouchClip, sensor_images.SensorImages)):
         yield from _pieces(len(pictures), pictures.__getitem__)
-    elif isinstance(pictures, TouchSeqRound):
+    elif isinstance(pictures, rounds.TouchSeqRound):
         for clip in pictures.sensor_video:
             yield from _batches(clip)
     elif isinstance(pictures, Touches) and len(pictures):
-        if isinstance(pictures[0].round, TouchSingleRound):
+        if isinstance(pictures[0].round, rounds.TouchSingleRound):
             yield from _pieces(len(pictures), pictures.images)
         else:
             for touch in pictures:
                 yield from _batches(touch.clip)
     elif hasattr(pictures, "touches"):
         yield from _batches(pictures.touches())
-    elif not isinstance(pictures, Touches) and len(found := as_pictures(pictures)):
+    elif not isinstance(pictures, Touches) and len(found := contact_picture.as_pictures(pictures)):
         yield found
 
 
@@ -103,8 +91,11 @@ def _pieces(count: int, read: Callable[[slice], UInt8]) -> Iterator[UInt8]:
 
 
 def best_frame(
-    clip: TouchClip | UInt8, rule: ContactRule | None = None, *, base: UInt8 | None = None
-) -> tuple[int, ContactScore]:
+    clip: touch_clips.TouchClip | UInt8,
+    rule: contact_picture.ContactRule | None = None,
+    *,
+    base: UInt8 | None = None,
+) -> tuple[int, contact_picture.ContactScore]:
     """Return the frame that shows the contact best, and its score.
 
     Parameters
@@ -129,17 +120,17 @@ def best_frame(
     IntegrityError
         A frame is damaged.
     """
-    if not isinstance(clip, TouchClip):
-        return best_of(as_pictures(clip), rule, base)
+    if not isinstance(clip, touch_clips.TouchClip):
+        return contact_picture.best_of(contact_picture.as_pictures(clip), rule, base)
     pieces = list(islice(_batches(clip), 2))
     if len(pieces) < 2:
-        return best_of(pieces[0] if pieces else clip.frames(), rule, base)
+        return contact_picture.best_of(pieces[0] if pieces else clip.frames(), rule, base)
     # Of a clip that does not fit in memory, a few frames at a time.
     if base is None:
         base = background(clip)
-    start, best = 0, (0, ContactScore(0, 0.0))
+    start, best = 0, (0, contact_picture.ContactScore(0, 0.0))
     for piece in _batches(clip):
-        frame, score = best_of(piece, rule, base)
+        frame, score = contact_picture.best_of(piece, rule, base)
         if start == 0 or score.total_change > best[1].total_change:
             best = start + frame, score
         start += len(piece)
@@ -148,7 +139,7 @@ def best_frame(
 
 def contact_rule_text(columns: Container[str]) -> str:
     """Return the rule of :meth:`realtouch.Touches.in_contact` for some columns, as part of a sentence."""
-    return str(ContactHeight.of(columns)) if has_poses(columns) else BY_IMAGE
+    return str(ContactHeight.of(columns)) if schema.has_poses(columns) else BY_IMAGE
 
 
 @dataclass(frozen=True, eq=False)
@@ -197,12 +188,14 @@ class Contacts:
     def picture(self, index: int) -> UInt8:
         """Decode the best picture of one touch, shape (H, W, 3), uint8."""
         touch = self.touches[index]
-        if isinstance(touch.round, TouchSingleRound):
+        if isinstance(touch.round, rounds.TouchSingleRound):
             return touch.image
         return touch.clip[int(self.frame[index])]
 
 
-def contacts_by_image(touches: AnyTouches, rule: ContactRule | None = None, *, threads: int = 1) -> Contacts:
+def contacts_by_image(
+    touches: AnyTouches, rule: contact_picture.ContactRule | None = None, *, threads: int = 1
+) -> Contacts:
     """Find the image of each touch that shows contact best, and decide whether there was contact.
 
     The background is the median of each clip; for single images, the median of those images of the round that
@@ -235,10 +228,10 @@ def contacts_by_image(touches: AnyTouches, rule: ContactRule | None = None, *, t
         raise InputError(
             f"a {type(given).__name__} was given; expected touches, such as `realtouch.load(...).touches()`"
         )
-    rule = rule or ContactRule()
+    rule = rule or contact_picture.ContactRule()
     frame, area = np.zeros((2, len(touches)), np.int64)
-    score = ContactScore(area, np.zeros(len(touches)))
-    if len(touches) and isinstance(touches[0].round, TouchSingleRound):
+    score = contact_picture.ContactScore(area, np.zeros(len(touches)))
+    if len(touches) and isinstance(touches[0].round, rounds.TouchSingleRound):
         _measure_images(touches, rule, threads, score)
     else:
         _measure_clips(touches, rule, threads, frame, score)
@@ -246,7 +239,11 @@ def contacts_by_image(touches: AnyTouches, rule: ContactRule | None = None, *, t
 
 
 def _measure_clips(
-    touches: AnyTouches, rule: ContactRule, threads: int, frame: Int64, score: ContactScore
+    touches: AnyTouches,
+    rule: contact_picture.ContactRule,
+    threads: int,
+    frame: Int64,
+    score: contact_picture.ContactScore,
 ) -> None:
     """Fill in the best frame of each clip and its score."""
 
@@ -254,10 +251,12 @@ def _measure_clips(
         frame[index], found = best_frame(touches[index].clip, rule)
         score.area_px[index], score.intensity[index] = found.area_px, found.intensity
 
-    in_parallel(measure, len(touches), threads)
+    sensor_images.in_parallel(measure, len(touches), threads)
 
 
-def _measure_images(touches: AnyTouches, rule: ContactRule, threads: int, score: ContactScore) -> None:
+def _measure_images(
+    touches: AnyTouches, rule: contact_picture.ContactRule, threads: int, score: contact_picture.ContactScore
+) -> None:
     """Fill in the score of each image; images of a round have their background in common."""
     places = touches.round_positions
     _, sizes = np.unique(places, return_counts=True)
@@ -274,8 +273,8 @@ def _measure_images(touches: AnyTouches, rule: ContactRule, threads: int, score:
             base = shared
         done = 0
         for images in batches:
-            found, part = contact_score(images, base, rule), chosen[done : done + len(images)]
+            found, part = contact_picture.contact_score(images, base, rule), chosen[done : done + len(images)]
             score.area_px[part], score.intensity[part] = found.area_px, found.intensity
             done += len(images)
 
-    in_parallel(measure, len(by_round), threads)
+    sensor_images.in_parallel(measure, len(by_round), threads)

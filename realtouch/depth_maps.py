@@ -1,4 +1,4 @@
-"""Maps of depth, stored as images of 16 bits that count whole micrometres.
+"""Maps of depth, stored as images of 16 bits in whole micrometres.
 
 A map states how far each point of the gel is pressed in: 0 where nothing touches it, 65,535 um at most. A
 second one of this kind states the expected error of each pixel.
@@ -15,11 +15,9 @@ import numpy as np
 from PIL import Image
 
 from realtouch.stored_round import StoredRound
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import Float32, Floating
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.touch import MAX_IMAGE_PIXELS
-from tactile_toolkit.wording import with_count
 
 DEPTH, DEPTH_ERROR = "depth_um", "depth_error_um"
 """Columns of the maps of a round of images, with an entry for each touch."""
@@ -36,7 +34,7 @@ def encode_map(depth_m: Floating) -> bytes:
     Raises InputError for values that are not finite, or of more than 65.535 mm.
     """
     if not np.isfinite(depth_m).all() or depth_m.max(initial=0) * _PER_M > _MOST:
-        raise InputError(
+        raise errors.InputError(
             f"depth of {np.max(depth_m):g} m; expected finite numbers of at most {_MOST / _PER_M} m"
         )
     counts = np.rint(np.maximum(depth_m, 0) * _PER_M).astype(np.uint16)
@@ -74,16 +72,16 @@ class DepthMaps(Sequence[Float32]):
         found, start, stop = row.entries_of(column)  # refuses a round with more or less than T maps
         self.row = row
         self._column, self._start, self._count = column, start, stop - start
-        self._blobs: BytesColumn = found.values
+        self._blobs: read.BytesColumn = found.values
 
     def __len__(self) -> int:
         return self._count
 
     def __getitem__(self, index: Any) -> Float32:  # type: ignore[override]
         """Decode one map, or some of one size; IntegrityError where one is damaged."""
-        if picks_several(index):
-            return np.stack([self._decode(touch) for touch in positions(index, self._count).tolist()])
-        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+        if read.picks_several(index):
+            return np.stack([self._decode(touch) for touch in read.positions(index, self._count).tolist()])
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def __iter__(self) -> Iterator[Float32]:
         return map(self._decode, range(self._count))
@@ -96,4 +94,4 @@ class DepthMaps(Sequence[Float32]):
         return (DepthMaps, (self.row, self._column))
 
     def __repr__(self) -> str:
-        return f"DepthMaps({with_count(self._count, 'touches')})"
+        return f"DepthMaps({wording.with_count(self._count, 'touches')})"

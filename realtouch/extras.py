@@ -1,4 +1,4 @@
-"""Further columns of touches, of which this toolkit knows nothing but their types: forces, temperatures."""
+"""Further columns of touches, such as forces and temperatures: only their types are known."""
 
 from __future__ import annotations
 
@@ -9,21 +9,20 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import did_you_mean
 
 _MOST_EXACT = 1 << 53  # below which float64 holds every integer
 
 
-class UnknownExtraError(InputError, KeyError):
+class UnknownExtraError(errors.InputError, KeyError):
     """A further column that a data set does not have; a KeyError, as of every mapping."""
 
     def __init__(self, name: object, path: str, known: Collection[str]) -> None:
         found = ", ".join(map(repr, known)) or "none"
         super().__init__(
-            f"{path!r} has no further column {name!r}; it has {found}{did_you_mean(str(name), known)}",
+            f"{path!r} has no further column {name!r}; it has {found}"
+            f"{wording.did_you_mean(str(name), known)}",
             next="name one of these, or import it again with that column",
         )
         self.args = (name, path, tuple(known))  # by which it crosses process borders
@@ -39,7 +38,7 @@ class Extras(Mapping[str, Any]):
 
     __slots__ = ("_names", "_read")
 
-    def __init__(self, names: Collection[str], read: Callable[[str], Any]) -> None:
+    def __init__(self, names: Collection[str], read: Callable[[str], object]) -> None:
         self._names = names
         self._read = read
 

@@ -18,15 +18,13 @@ _PAPER, _INK = (250, 250, 248), (30, 60, 110)
 _COLOURS = np.array(
     [(14, 12, 44), (110, 26, 110), (222, 73, 62), (252, 165, 40), (252, 250, 190)], np.float64
 )
-_OFF_MIDDLE = 0.1  # of the width or height of the image
 _HEAD, _HALF_HEAD_RAD = 0.35, 0.45  # of an arrow
 
 
 def force_views(touch: Touch) -> list[UInt8]:
     """Return the picture of a touch, and those of pressure and of the motion of markers that it has.
 
-    They are of one size. Maps of another size than the image are left out, as is the motion of markers that
-    are around another middle than that of the image: they are of the image before a change of its size.
+    They are of one size. Maps of another size than the image, as after `realtouch resize`, are left out.
     """
     image, extra = touch.image, touch.extra
     height, width = image.shape[:2]
@@ -35,19 +33,12 @@ def force_views(touch: Touch) -> list[UInt8]:
         views.append(pressure_picture(np.reshape(extra["pressure_kpa"], (height, width))))
     if {"marker_positions_px", "marker_flow_px"} <= set(extra):
         positions, flow = (np.reshape(extra[f"marker_{name}_px"], (-1, 2)) for name in ("positions", "flow"))
-        rest = positions - flow
-        if _is_around_middle(rest, (width, height)):
-            views.append(flow_picture(rest, flow, (width, height)))
+        views.append(flow_picture(positions - flow, flow, (width, height)))
     if not views:
         return [image]
     scale = max(1, -(-_LEAST_PX // width))
     shape = (width * scale, height * scale)
     return [resized(view, *shape) for view in (image, *views)]
-
-
-def _is_around_middle(rest_px: AnyArray, size_px: tuple[int, int]) -> bool:
-    middle, size = (rest_px.min(axis=0) + rest_px.max(axis=0) + 1) / 2, np.array(size_px)
-    return bool((np.abs(middle - size / 2) < _OFF_MIDDLE * size).all())
 
 
 def pressure_picture(pressure: AnyArray) -> UInt8:

@@ -7,20 +7,15 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager, suppress
 from functools import partial
 
-from realtouch import schema
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_columns import Damage, DamagedRoundError, unreadable_file, unreadable_rows
-from realtouch.stored_round import StoredRound, rows_of, stored_touch_counts
-from realtouch.touch_clips import TouchClip
-from tactile_toolkit import catalog, read, run
-from tactile_toolkit.errors import InputError, IntegrityError
+from realtouch import schema, sensor_images, stored_columns, stored_round, touch_clips
+from tactile_toolkit import catalog, errors, read, run, wording
 from tactile_toolkit.touch import CLASS_NAMES, MEDIA_COLUMN, decode_image, image_size
 
 _NAMES_SHOWN = 12
 
 
 def agreeing_files(
-    shards: Iterable[read.Shard], where: str, left_out: list[Damage] | None = None
+    shards: Iterable[read.Shard], where: str, left_out: list[stored_columns.Damage] | None = None
 ) -> list[read.Shard]:
     """Return the files of a data set that can be read and agree with the first of them.
 
@@ -36,10 +31,10 @@ def agreeing_files(
             if files:
                 _require_agreement(shard, files)
             files.append(shard)
-        except (InputError, IntegrityError) as error:
-            if left_out is None or (isinstance(error, InputError) and not files):
+        except (errors.InputError, errors.IntegrityError) as error:
+            if left_out is None or (isinstance(error, errors.InputError) and not files):
                 raise
-            left_out.append(unreadable_file(shard.path, error))
+            left_out.append(stored_columns.unreadable_file(shard.path, error))
     return files
 
 
@@ -47,7 +42,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     """Refuse a file of another kind, or with other classes, than those before it; IntegrityError."""
     first = schema.media_kind(files[0].schema, files[0].path)
     if schema.media_kind(shard.schema, shard.path) != first:
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{shard.path!r}, field {MEDIA_COLUMN[first]!r}: the column is not there; expected it as in "
             f"{files[0].path!r}",
             next="open files of one data set together",
@@ -55,7 +50,7 @@ def _require_agreement(shard: read.Shard, files: Sequence[read.Shard]) -> None:
     names, expected = shard.class_names, stated_class_names(files)
     if names is not None and expected is not None and names != expected:
         found, wanted = (", ".join(each[:_NAMES_SHOWN]) for each in (names, expected))
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{shard.path!r}, field 'label': the classes are named {found}; expected {wanted} as in the "
             "files before it",
             next="open them apart, or make them again",
@@ -70,7 +65,7 @@ def stated_class_names(shards: Iterable[read.RowSource]) -> tuple[str, ...] | No
 def class_names_of(shards: Iterable[read.RowSource]) -> tuple[str, ...]:
     """Return the names of the classes as the first file states them, or else those of the digits.
 
-    Without labels there are none.
+    Empty for data sets without labels.
     """
     files = list(shards)
     stated = stated_class_names(files)
@@ -89,8 +84,8 @@ def modal_touch_count(shards: Sequence[read.Shard]) -> int | None:
         return None
     counts: Counter[int] = Counter()
     for shard, index in read.row_groups(shards):
-        with suppress(IntegrityError):
-            counts.update(stored_touch_counts(shard, index).tolist())
+        with suppress(errors.IntegrityError):
+            counts.update(stored_round.stored_touch_counts(shard, index).tolist())
     return next((count for count, rounds in counts.items() if 2 * rounds > counts.total()), None)
 
 
@@ -101,54 +96,56 @@ def checked_rows(
     *,
     decode: bool = True,
     workers: int = 1,
-) -> Iterator[tuple[StoredRound | None, list[Damage]]]:
+) -> Iterator[tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]]:
     """Yield all rows of row groups with what is wrong with each; None for unreadable rows.
 
     Arguments as of :func:`check_round`; what is found does not depend on the number of threads.
     """
 
-    def checked(found: StoredRound | Damage) -> tuple[StoredRound | None, list[Damage]]:
-        if isinstance(found, Damage):
+    def checked(
+        found: stored_round.StoredRound | stored_columns.Damage,
+    ) -> tuple[stored_round.StoredRound | None, list[stored_columns.Damage]]:
+        if isinstance(found, stored_columns.Damage):
             return None, [found]
         return found, check_round(found, expected_touches, decode=decode, class_names=class_names)
 
     return run.in_threads(checked, readable_rows(groups), workers)
 
 
-def readable_rows(groups: Iterable[tuple[read.Shard, int]]) -> Iterator[StoredRound | Damage]:
+def readable_rows(
+    groups: Iterable[tuple[read.Shard, int]],
+) -> Iterator[stored_round.StoredRound | stored_columns.Damage]:
     """Yield all rows, and for unreadable ones their damage."""
     for shard, index in groups:
         try:
-            yield from rows_of(shard.blocks(index))
-        except IntegrityError as error:
-            yield unreadable_rows(shard, index, error)
+            yield from stored_round.rows_of(shard.blocks(index))
+        except errors.IntegrityError as error:
+            yield stored_columns.unreadable_rows(shard, index, error)
 
 
 def check_round(
-    row: StoredRound,
+    row: stored_round.StoredRound,
     expected_touches: int | None = None,
     *,
     decode: bool = True,
     class_names: Sequence[str] | None = None,
-) -> list[Damage]:
+) -> list[stored_columns.Damage]:
     """List the damage of one round: one entry per field of it, and one per field of each touch.
 
     ``expected_touches`` is the T that it must have, where that is known; the label must be one of
     ``class_names``, where those are stated. Without ``decode``, headers of images and frames are read only.
     """
-    found: list[Damage] = []
+    found: list[stored_columns.Damage] = []
     noted = partial(_noted, found, row)
     scalars: dict[str, Callable[[], object]] = {
         "id": row.name,
         "object_id": partial(row.integer, "object_id"),
         "label": partial(row.label_value, class_names),
     }
-    if row.has_info():
+    checks = [row.read_info] if row.has_info() else list[Callable[[], object]]()
+    for check in [*checks, *(scalars[name] for name in filter(row.has, scalars))]:
         with noted():
-            row.read_info()
-    for name in filter(row.has, scalars):
-        with noted():
-            scalars[name]()
+            check()
     for name in schema.per_touch_columns(row.group.names):
         with noted():
             # A list of fixed length would hide a null.
@@ -159,11 +156,27 @@ def check_round(
             return found  # the number of touches is unknown
     count = row.touch_total()
     if expected_touches is not None and count != expected_touches:
-        problem = f"{count} touches; expected {expected_touches} as in the other rounds"
-        found.append(Damage(row.path, row.number, None, "pos_in_cell", problem))
+        found.append(
+            stored_columns.Damage(
+                row.path,
+                row.number,
+                None,
+                "pos_in_cell",
+                f"{wording.with_count(count, 'touches')}; expected {expected_touches} as in the other rounds",
+            )
+        )
     for name in schema.extra_columns(row.group.names):
         with noted():
             row.extra_values(name)
+    sizes = _check_touches(row, count, noted, decode=decode)
+    # Several fields may report the same fault.
+    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
+
+
+def _check_touches(
+    row: stored_round.StoredRound, count: int, noted: _Noted, *, decode: bool
+) -> dict[int, tuple[int, ...]]:
+    """Check position, pose and picture of each touch; return height and width of the pictures."""
     read_pose: Callable[[int], object] = row.poses
     picture_size: _PictureSize = _image_size
     size_of: _SizeOf = image_size
@@ -183,21 +196,20 @@ def check_round(
         if touch < stop - start:  # if images or clips are missing, the others are checked
             with noted():
                 sizes[touch] = picture_size(row, touch, size_of, noted)
-    # Several fields may report the same fault.
-    return list(dict.fromkeys([*found, *_odd_sizes(row, sizes, MEDIA_COLUMN[row.kind])]))
+    return sizes
 
 
 @contextmanager
-def _noted(found: list[Damage], row: StoredRound) -> Iterator[None]:
+def _noted(found: list[stored_columns.Damage], row: stored_round.StoredRound) -> Iterator[None]:
     """Add what is wrong to a list instead of raising it."""
     try:
         yield
-    except DamagedRoundError as error:
+    except stored_columns.DamagedRoundError as error:
         found.append(error.damage)
-    except (InputError, IntegrityError) as error:
-        found.append(Damage(row.path, row.number, None, "", error.what))
+    except (errors.InputError, errors.IntegrityError) as error:
+        found.append(stored_columns.Damage(row.path, row.number, None, "", error.what))
     except ValueError as error:
-        found.append(Damage(row.path, row.number, None, "", str(error)))
+        found.append(stored_columns.Damage(row.path, row.number, None, "", str(error)))
 
 
 def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
@@ -207,18 +219,20 @@ def _decoded_size(data: bytes | memoryview) -> tuple[int, int]:
 
 _SizeOf = Callable[[memoryview], tuple[int, int]]
 _Noted = Callable[[], AbstractContextManager[None]]
-_PictureSize = Callable[[StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
+_PictureSize = Callable[[stored_round.StoredRound, int, _SizeOf, _Noted], tuple[int, ...]]
 
 
-def _image_size(row: StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted) -> tuple[int, ...]:
+def _image_size(
+    row: stored_round.StoredRound, touch: int, size_of: _SizeOf, _noted: _Noted
+) -> tuple[int, ...]:
     """Return height and width of an image."""
     with row.naming("sensor_image", touch):
-        return size_of(SensorImages(row).encoded(touch))
+        return size_of(sensor_images.SensorImages(row).encoded(touch))
 
 
-def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
+def _clip_size(row: stored_round.StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) -> tuple[int, ...]:
     """Return height and width of all frames of a clip; nothing of a clip without frames."""
-    clip = TouchClip(row, touch)
+    clip = touch_clips.TouchClip(row, touch)
     with noted():
         if row.has("touch_start_time_rel") and row.has("touch_end_time_rel"):
             _ = clip.contact_window
@@ -234,14 +248,21 @@ def _clip_size(row: StoredRound, touch: int, size_of: _SizeOf, noted: _Noted) ->
     return first
 
 
-def _odd_sizes(row: StoredRound, sizes: dict[int, tuple[int, ...]], media: str) -> Iterator[Damage]:
+def _odd_sizes(
+    row: stored_round.StoredRound, sizes: dict[int, tuple[int, ...]], media: str
+) -> Iterator[stored_columns.Damage]:
     """List the touches whose pictures differ in size from most of the round, on a tie the first."""
     known = {touch: size for touch, size in sizes.items() if size}
     modal = max(known.values(), key=list(known.values()).count, default=())
     for touch, size in known.items():
         if size != modal:
-            problem = f"{_describe(size)}; expected {_describe(modal)} as of the other touches"
-            yield Damage(row.path, row.number, touch, media, problem)
+            yield stored_columns.Damage(
+                row.path,
+                row.number,
+                touch,
+                media,
+                f"{_describe(size)}; expected {_describe(modal)} as of the other touches",
+            )
 
 
 def _describe(size: tuple[int, ...]) -> str:

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, overload
 
-from realtouch.integrity import agreeing_files
-from realtouch.kind import KIND
-from realtouch.schema import media_kind
-from realtouch.touch_dataset import TouchSeqDataset, TouchSingleDataset, TouchStream, dataset_of
+from realtouch import integrity, kind, schema, touch_dataset
 from tactile_toolkit import places
 
 SHORT_NAMES = {
-    name: entry.repo_id.partition("/")[2] for entry in KIND.published for name in (entry.name, *entry.aliases)
+    name: entry.repo_id.partition("/")[2]
+    for entry in kind.KIND.published
+    for name in (entry.name, *entry.aliases)
 }
 """Short name to the name of the published repository, without its owner."""
 
@@ -25,7 +24,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> TouchSeqDataset | TouchSingleDataset: ...
+) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset: ...
 @overload
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -34,7 +33,7 @@ def load(
     streaming: Literal[True],
     revision: str | None = None,
     config: str | None = None,
-) -> TouchStream: ...
+) -> touch_dataset.TouchStream: ...
 @overload
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
@@ -43,7 +42,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> TouchSeqDataset | TouchSingleDataset | TouchStream: ...
+) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset | touch_dataset.TouchStream: ...
 def load(
     name: places.Name | places.Place | Sequence[places.Name],
     split: str | None = None,
@@ -51,7 +50,7 @@ def load(
     revision: str | None = None,
     *,
     config: str | None = None,
-) -> TouchSeqDataset | TouchSingleDataset | TouchStream:
+) -> touch_dataset.TouchSeqDataset | touch_dataset.TouchSingleDataset | touch_dataset.TouchStream:
     """Open a data set of real touches.
 
     Parameters
@@ -84,7 +83,7 @@ def load(
         The repository cannot be reached or does not exist.
     """
     place = places.open_place(name, revision=revision, config=config)
-    files = agreeing_files(place.shards(split, kind=KIND, streaming=streaming), place.name)
+    files = integrity.agreeing_files(place.shards(split, kind=kind.KIND, streaming=streaming), place.name)
     if streaming:
-        return TouchStream(tuple(files), media_kind(files[0].schema, files[0].path))
-    return dataset_of(files)
+        return touch_dataset.TouchStream(tuple(files), schema.media_kind(files[0].schema, files[0].path))
+    return touch_dataset.dataset_of(files)

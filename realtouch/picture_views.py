@@ -8,10 +8,9 @@ from contextlib import suppress
 
 import numpy as np
 
+from tactile_toolkit import errors, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.pictures import TILE_STYLE, Tile, figure_html, sheet
-from tactile_toolkit.touch import resized
 
 MOST_TILES = 32
 """Touches that a notebook shows of a round."""
@@ -28,7 +27,7 @@ def evenly_spaced(count: int, most: int) -> list[int]:
 
 def fitted(image: UInt8, width: int) -> UInt8:
     """Return an image, (H, W, 3), at another width in pixels, its proportions kept."""
-    return resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
+    return touch.resized(image, width, max(1, round(width * image.shape[0] / image.shape[1])))
 
 
 def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _TILE_WIDTH) -> UInt8:
@@ -37,7 +36,7 @@ def contact_sheet(images: Sequence[UInt8], columns: int = 8, tile_width: int = _
     All get the proportions of the first.
     """
     height = fitted(images[0], tile_width).shape[0]
-    tiles = [Tile(resized(image, tile_width, height)) for image in images]
+    tiles = [Tile(touch.resized(image, tile_width, height)) for image in images]
     return sheet(tiles, min(columns, len(images)), gap_px=_GAP, margin_px=_GAP)
 
 
@@ -45,11 +44,10 @@ def round_html(title: str, words: Sequence[str], pictures: Sequence[tuple[str, C
     """Return a notebook's view of a round: a caption, which counts damaged pictures, and the others."""
     tiles = []
     for caption, read in pictures:
-        with suppress(IntegrityError):
+        with suppress(errors.IntegrityError):
             tiles.append(touch_html(read(), caption))
     if len(tiles) < len(pictures):
-        missing = f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"
-        words = [*words, missing]
+        words = [*words, f"{len(pictures) - len(tiles)} of {len(pictures)} pictures cannot be shown"]
     grid = f'<div style="display:flex;flex-wrap:wrap;gap:{_GAP}px">{"".join(tiles)}</div>'
     return f"<div><b>{html.escape(title)}</b>: {', '.join(words)}{grid}</div>"
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, overload
 
 import numpy as np
 
-from tactile_toolkit import read, spatial
+from tactile_toolkit import read, spatial, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating
 
 if TYPE_CHECKING:
@@ -136,12 +136,13 @@ class PoseSequences(Sequence[Poses]):
         return Poses(self.position_m[index], self.quaternion[index])
 
     def __repr__(self) -> str:
-        return f"PoseSequences({len(self)} touches, {sum(map(len, self.position_m)):,} poses)"
+        poses = wording.with_count(sum(map(len, self.position_m)), "poses")
+        return f"PoseSequences({wording.with_count(len(self), 'touches')}, {poses})"
 
 
 def rigid_transform(position_m: AnyArray, quaternion: AnyArray) -> Pose:
     """Make rigid transforms of positions (..., 3) in metres and quaternions (..., 4) x, y, z, w."""
-    from realtouch.pose import Pose
+    from realtouch.pose import Pose  # scipy.spatial, which takes long to import
 
     return Pose.of(position_m, quaternion)
 
@@ -161,6 +162,7 @@ def bad_pose(position_m: AnyArray, quaternion: AnyArray) -> tuple[int, str] | No
         return None
     index = int(wrong[0])
     if not finite[index]:
-        found = f"position {position_m[index]}, quaternion {quaternion[index]}"
-        return index, f"a pose that is not finite: {found}"
+        return index, (
+            f"a pose that is not finite: position {position_m[index]}, quaternion {quaternion[index]}"
+        )
     return index, f"a quaternion of length {float(np.sqrt(squares[index])):.4g}; expected length one"

@@ -9,24 +9,25 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
-from realtouch import picture_views, touch_clips
-from realtouch.contact import require_method
-from realtouch.depth_maps import DEPTH, DEPTH_ERROR, DepthMaps
-from realtouch.extras import Extras
-from realtouch.poses import Poses, PoseSequences
-from realtouch.schema import extra_columns, flat_row, take_touches
-from realtouch.sensor_images import SensorImages, in_parallel
-from realtouch.stored_round import StoredRound
+from realtouch import (
+    contact,
+    depth_maps,
+    extras,
+    picture_views,
+    poses,
+    schema,
+    sensor_images,
+    stored_round,
+    touch_clips,
+)
+from tactile_toolkit import errors, read, system, wording
 from tactile_toolkit.array_types import Floating, Int64, UInt8
-from tactile_toolkit.errors import InputError, ToolkitError
 from tactile_toolkit.json_types import JsonDict
-from tactile_toolkit.read import Record, RowGroup, positions
-from tactile_toolkit.system import usable_cores
 
 _MOST_THREADS = 4
 
 
-class TouchRound(Record):
+class TouchRound(read.Record):
     """T touches of one object; fields are loaded on first use.
 
     Poses and positions are metres in the cell frame: origin at the cell centre, x right of the robot, y away
@@ -34,7 +35,7 @@ class TouchRound(Record):
     """
 
     __slots__ = ()
-    row: StoredRound
+    row: stored_round.StoredRound
 
     @property
     def id(self) -> str:
@@ -57,16 +58,16 @@ class TouchRound(Record):
         return dict(self._once("info", lambda: self.row.read_info()))
 
     @property
-    def extra(self) -> Extras:
+    def extra(self) -> extras.Extras:
         """Further columns by their own names, such as ``extra["force_n"]``; each is read on first use.
 
         A column with an entry per touch is an array of shape (T,), or (T, k) of vectors; one with an entry
         per frame is a tuple of T arrays, shapes (N_i,) or (N_i, k). What is missing is NaN, of texts and
         booleans None; integers with gaps are floats.
         """
-        return Extras(tuple(extra_columns(self.row.group.names)), self._extra)
+        return extras.Extras(tuple(schema.extra_columns(self.row.group.names)), self._extra)
 
-    def _extra(self, name: str) -> Any:
+    def _extra(self, name: str) -> object:
         return self._once(f"extra {name}", lambda: self.row.extra_values(name))
 
     @property
@@ -87,18 +88,18 @@ class TouchRound(Record):
     def with_touches(self, touches: Sequence[int]) -> Self:
         """Return a round of some of the touches, in the order given; a copy of their stored bytes."""
         row = self.row
-        table = flat_row(row)
-        chosen = take_touches(table, touches, self.touch_count)
-        return type(self)(StoredRound(RowGroup(chosen, row.path, row.number), 0))
+        table = schema.flat_row(row)
+        chosen = schema.take_touches(table, touches, self.touch_count)
+        return type(self)(stored_round.StoredRound(read.RowGroup(chosen, row.path, row.number), 0))
 
     def describe_field(self, name: str, in_words: Callable[[Any], str] = repr) -> str | None:
         """Return a field as text for people; None without such a column, or if the class is not known."""
         try:
             value = getattr(self, name)
             return None if name == "label" and value == -1 else in_words(value)
-        except InputError:
+        except errors.InputError:
             return None
-        except (ToolkitError, ValueError, OSError):
+        except (errors.ToolkitError, ValueError, OSError):
             return "unreadable"
 
     def __repr__(self) -> str:
@@ -114,11 +115,13 @@ class TouchRound(Record):
         touches = picture_views.evenly_spaced(self.touch_count, picture_views.MOST_TILES)
         pictures = [(f"{touch}", partial(self.contact_image, touch)) for touch in touches]
         title = self.describe_field("id", str) or "Round"
-        return picture_views.round_html(title, [*words, f"{self.touch_count} touches"], pictures)
+        return picture_views.round_html(
+            title, [*words, wording.with_count(self.touch_count, "touches")], pictures
+        )
 
     def tile_html(self) -> str:
         """Return HTML of a small picture with a caption, for notebooks."""
-        words = [*self.label_words(), f"{self.touch_count} touches"]
+        words = [*self.label_words(), wording.with_count(self.touch_count, "touches")]
         return picture_views.touch_html(self.contact_image(self.touch_count // 2), ", ".join(words))
 
     def label_words(self) -> list[str]:
@@ -141,29 +144,31 @@ class TouchSingleRound(TouchRound):
     __slots__ = ()
 
     @property
-    def gel_pose_cell_frame(self) -> Poses:
+    def gel_pose_cell_frame(self) -> poses.Poses:
         """Pose of the gel at contact, T poses; their arrays are views."""
         return self._once("gel_pose_cell_frame", lambda: self.row.poses())
 
     @property
-    def sensor_image(self) -> SensorImages:
+    def sensor_image(self) -> sensor_images.SensorImages:
         """Images, T of them, decoded on demand: int -> (H, W, 3) uint8, else (n, H, W, 3)."""
 
-        def images() -> SensorImages:
+        def images() -> sensor_images.SensorImages:
             self.row.entries_of("sensor_image")  # refuses a round with more or less than T images
-            return SensorImages(self.row)
+            return sensor_images.SensorImages(self.row)
 
         return self._once("sensor_image", images)
 
     @property
-    def depth_m(self) -> DepthMaps:
+    def depth_m(self) -> depth_maps.DepthMaps:
         """Maps of how far the gel is pressed in, T of them, metres; of sets that `realtouch depth` wrote."""
-        return self._once(DEPTH, lambda: DepthMaps(self.row, DEPTH))
+        return self._once(depth_maps.DEPTH, lambda: depth_maps.DepthMaps(self.row, depth_maps.DEPTH))
 
     @property
-    def depth_error_m(self) -> DepthMaps:
+    def depth_error_m(self) -> depth_maps.DepthMaps:
         """Maps of the expected error of :attr:`depth_m`, T of them, metres."""
-        return self._once(DEPTH_ERROR, lambda: DepthMaps(self.row, DEPTH_ERROR))
+        return self._once(
+            depth_maps.DEPTH_ERROR, lambda: depth_maps.DepthMaps(self.row, depth_maps.DEPTH_ERROR)
+        )
 
     def contact_image(self, touch: int) -> UInt8:
         """As :meth:`TouchRound.contact_image`."""
@@ -185,7 +190,7 @@ class TouchSeqRound(TouchRound):
         return self.row.clip_lengths()
 
     @property
-    def gel_pose_cell_frame_seq(self) -> PoseSequences:
+    def gel_pose_cell_frame_seq(self) -> poses.PoseSequences:
         """Pose of the gel in each frame: T sequences of N_i poses; their arrays are views."""
         return self._once("gel_pose_cell_frame_seq", lambda: self.row.pose_sequences())
 
@@ -235,7 +240,7 @@ class TouchSeqRound(TouchRound):
         -------
         ndarray, shape (T, H, W, 3), uint8
         """
-        clips, chosen = self.sensor_video, require_method(method)
+        clips, chosen = self.sensor_video, contact.require_method(method)
         pixels, cores = clips.room(len(clips), out), _cores(threads)
         if chosen == "best":  # by the pictures: each clip is decoded whole
 
@@ -243,7 +248,7 @@ class TouchSeqRound(TouchRound):
                 clip = clips[touch]
                 clip.decode_into(pixels[touch], clip.contact_index(chosen))
 
-            in_parallel(decode, len(clips), cores)
+            sensor_images.in_parallel(decode, len(clips), cores)
         else:
             touch_clips.decode_frames(
                 clips, range(len(clips)), touch_clips.contact_frames_of(self.row, chosen), pixels, cores
@@ -268,7 +273,7 @@ class TouchSeqRound(TouchRound):
             The frames of :attr:`realtouch.TouchClip.contact_window` of each touch; views of one array.
         """
         clips = self.sensor_video
-        wanted = positions(touches, len(clips))
+        wanted = read.positions(touches, len(clips))
         windows = [touch_clips.contact_windows(self.row, touch)[0] for touch in wanted.tolist()]
         counts = [window.stop - window.start for window in windows]
         pixels = clips.room(sum(counts))
@@ -279,4 +284,4 @@ class TouchSeqRound(TouchRound):
 
 
 def _cores(threads: int | None) -> int:
-    return threads or min(usable_cores(), _MOST_THREADS)
+    return threads or min(system.usable_cores(), _MOST_THREADS)

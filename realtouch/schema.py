@@ -9,9 +9,8 @@ import numpy as np
 import pyarrow as pa
 
 from realtouch.contact import CONTACT_METHODS, PLATE_COLUMN, ContactMethod
-from tactile_toolkit import read, store
+from tactile_toolkit import errors, read, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind
 
 POSE_COLUMN: dict[Kind, str] = {"seq": "gel_pose_cell_frame_seq", "single": "gel_pose_cell_frame"}
@@ -103,7 +102,7 @@ def require_poses_for(method: ContactMethod, names: Container[str], where: str) 
     """Raise InputError if a method to choose a frame needs poses and some columns hold none."""
     if method == "peak" and not has_poses(names):
         others = ", ".join(other for other in CONTACT_METHODS if other != method)
-        raise InputError(
+        raise errors.InputError(
             f"{where!r} has no column '{POSE_COLUMN['seq']}.position', which 'peak' needs",
             next=f"choose the frame by one of {others}",
         )
@@ -116,7 +115,7 @@ def media_kind(schema: pa.Schema | None, where: str) -> Kind:
         names = read.column_names(schema)
     kinds = [kind for kind, column in MEDIA_COLUMN.items() if column in names]
     if len(kinds) != 1:
-        raise InputError(
+        raise errors.InputError(
             f"{where!r} is not a data set of touches: expected a column 'sensor_video' or 'sensor_image', "
             f"found {', '.join(names) or 'no columns'}",
             next="name one, such as real-single-64x64",
@@ -156,7 +155,9 @@ def require_types(shard: read.Shard) -> None:
         if all(f"{prefix}{name}" in types for prefix in EXTRA_PREFIX.values()):
             problem = f"field {name!r}: there is a column of touches and one of frames; expected one of them"
     if problem:
-        raise IntegrityError(f"{shard.path!r}, {problem}", next="download or convert the data set again")
+        raise errors.IntegrityError(
+            f"{shard.path!r}, {problem}", next="download or convert the data set again"
+        )
 
 
 def _expected_extras(types: Mapping[str, pa.DataType]) -> dict[str, read.Expected]:

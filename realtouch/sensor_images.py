@@ -10,12 +10,10 @@ from typing import Any
 import numpy as np
 
 from realtouch.stored_round import StoredRound
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.read import BytesColumn, checked_index, picks_several, positions
 from tactile_toolkit.run import in_threads
 from tactile_toolkit.touch import decode_image, image_size
-from tactile_toolkit.wording import with_count
 
 # Long enough that overhead is small, short enough that threads end together.
 _LONGEST_RUN = 16
@@ -43,7 +41,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
     if out is None:
         if count * height * width > MAX_BATCH_PIXELS:
             raise ValueError(
-                f"{with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
+                f"{wording.with_count(count, 'images')} of {width} x {height} pixels at once; the limit is "
                 f"{MAX_BATCH_PIXELS:,} pixels"
             )
         return np.empty((count, height, width, 3), np.uint8)
@@ -55,7 +53,7 @@ def room_for(count: int, size: tuple[int, int], out: UInt8 | None = None) -> UIn
         return out
     shape = (count, height, width, 3)
     found = f"{out.dtype} of shape {out.shape}" if isinstance(out, np.ndarray) else type(out).__name__
-    raise InputError(
+    raise errors.InputError(
         f"out is {found}; expected a writable array of uint8 and shape {shape} with C-contiguous images",
         next=f"make one with numpy.empty({shape}, numpy.uint8), or leave `out` out",
     )
@@ -74,7 +72,7 @@ class SensorImages(Sequence[UInt8]):
         column = row.group.nested("sensor_image")
         start, stop = column.inside(0, row.index, row.index + 1)
         self.row = row
-        self._blobs: BytesColumn = column.values
+        self._blobs: read.BytesColumn = column.values
         self._start, self._count = start, stop - start
 
     def __len__(self) -> int:
@@ -86,9 +84,9 @@ class SensorImages(Sequence[UInt8]):
         Raises IntegrityError when an image is damaged, or differs in size from the others asked for; it names
         file, row and touch.
         """
-        if picks_several(index):
+        if read.picks_several(index):
             return self.batch(index)
-        return self._decode(checked_index(operator.index(index), self._count, "touch", "touches"))
+        return self._decode(read.checked_index(operator.index(index), self._count, "touch", "touches"))
 
     def __iter__(self) -> Iterator[UInt8]:
         return (self._decode(touch) for touch in range(self._count))
@@ -116,7 +114,7 @@ class SensorImages(Sequence[UInt8]):
         IntegrityError
             As for indexing; or the images exceed :data:`realtouch.sensor_images.MAX_BATCH_PIXELS`.
         """
-        touches = positions(index, self._count).tolist()
+        touches = read.positions(index, self._count).tolist()
         first, size = [*touches, 0][0], (0, 0)
         if self._count:
             size = self.size(first)
@@ -130,8 +128,8 @@ class SensorImages(Sequence[UInt8]):
         in_parallel(lambda index: self._decode(touches[index], out[index]), len(touches), threads)
 
     def encoded(self, touch: int) -> memoryview:
-        """Return the stored bytes of one image, without a copy; raises IntegrityError when there are none."""
-        place = checked_index(touch, self._count, "touch", "touches")
+        """Return the stored bytes of one image, without a copy; IntegrityError if no bytes are stored."""
+        place = read.checked_index(touch, self._count, "touch", "touches")
         blob = self._blobs[self._start + place]
         if blob is None or len(blob) == 0:
             raise self.row.damaged("sensor_image", "no bytes are stored; expected a JPEG", place)
@@ -150,4 +148,4 @@ class SensorImages(Sequence[UInt8]):
         return (SensorImages, (self.row,))
 
     def __repr__(self) -> str:
-        return f"SensorImages({with_count(self._count, 'touches')})"
+        return f"SensorImages({wording.with_count(self._count, 'touches')})"

@@ -10,17 +10,14 @@ import re
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch import schema
-from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.extras import UnknownExtraError, array_with_gaps
-from tactile_toolkit import read
+from realtouch import avi, extras, schema
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Floating, Int64
-from tactile_toolkit.errors import InputError, IntegrityError, ToolkitError
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.read import NestedColumn, Row, checked_index, whole_number, whole_numbers
 from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
@@ -39,7 +36,7 @@ _COUNTED = (
 
 _UNREADABLE = (ValueError, pa.ArrowException)
 
-_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {MAX_CLIP_FRAMES:,}"
+_TOO_LONG = f"a clip of {{:,}} frames; expected an integer of 0 to {avi.MAX_CLIP_FRAMES:,}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +69,7 @@ class Damage:
         return f"{', '.join([repr(self.file), *parts])}: {self.problem}"
 
 
-class DamagedRoundError(IntegrityError):
+class DamagedRoundError(errors.IntegrityError):
     """An :class:`IntegrityError` that carries its :class:`Damage`; internal, catch ``IntegrityError``."""
 
     def __init__(self, damage: Damage) -> None:
@@ -83,7 +80,7 @@ class DamagedRoundError(IntegrityError):
         return (DamagedRoundError, (self.damage,))
 
 
-def unreadable_file(path: str, error: ToolkitError) -> Damage:
+def unreadable_file(path: str, error: errors.ToolkitError) -> Damage:
     """Return the damage of an entire file, from the error that opening it raised."""
     words = _cause(path, error)
     named = _FIELD.match(words)
@@ -92,7 +89,7 @@ def unreadable_file(path: str, error: ToolkitError) -> Damage:
     return Damage(path, None, None, named[1], named[2])
 
 
-def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Damage:
+def unreadable_rows(shard: read.Shard, index: int, error: errors.IntegrityError) -> Damage:
     """Return the damage of a row group, from the error that reading it raised; ``row`` is its first row."""
     first, last = shard.group_starts[index], shard.group_starts[index + 1] - 1
     rows = f"rows {first} to {last} cannot be read" if last > first else "cannot be read"
@@ -100,7 +97,7 @@ def unreadable_rows(shard: read.Shard, index: int, error: IntegrityError) -> Dam
     return Damage(shard.path, first, None, "", f"{rows} ({found}); expected a whole Parquet file")
 
 
-def _cause(path: str, error: ToolkitError) -> str:
+def _cause(path: str, error: errors.ToolkitError) -> str:
     """Return what an error says, without the file and the next step, which a list names once for all."""
     words = " ".join(error.what.split())
     return words.removeprefix(repr(path)).lstrip(",: ")
@@ -137,9 +134,9 @@ class StoredColumns(Row):
         except ValueError as error:
             raise self.damaged(field, f"{where}{error}", touch) from error
 
-    def missing_column(self, field: str) -> InputError:
+    def missing_column(self, field: str) -> errors.InputError:
         """Return the error for a column that was asked for and that the data set does not have."""
-        return InputError(
+        return errors.InputError(
             f"{self.path!r} has no column {field!r}",
             next="use a data set that has it, such as the `seq` or the `single` form of the same touches",
         )
@@ -204,9 +201,11 @@ class StoredColumns(Row):
         values = column.flat(1, start, stop)
         touches = stop - start
         if len(values) != touches * width:
-            problem = f"{len(values)} values for {touches} touches; expected {width} each"
+            problem = (
+                f"{wording.with_count(len(values), 'values')} for {touches} touches; expected {width} each"
+            )
             if touch is not None:
-                problem = f"{len(values)} values; expected {width}"
+                problem = f"{wording.with_count(len(values), 'values')}; expected {width}"
             raise self.damaged(name, problem, touch)
         return values.reshape(touches, width)
 
@@ -214,11 +213,11 @@ class StoredColumns(Row):
         """Return what is read of all touches, shape (T, ...), float64; NaN where a touch is damaged."""
         try:
             return read(None).astype(np.float64)
-        except IntegrityError:
+        except errors.IntegrityError:
             # Touch by touch only if something is damaged; all at once is many times as fast.
             known = np.full((self.touch_total(), *shape), np.nan)
         for touch in range(len(known)):
-            with suppress(IntegrityError):
+            with suppress(errors.IntegrityError):
                 known[touch] = read(touch)[0]
         return known
 
@@ -229,7 +228,7 @@ class StoredColumns(Row):
         """
         values = self.per_touch("video_length_frames")
         # False for NaN, which stands for a missing one.
-        possible = (values >= 0) & (values <= MAX_CLIP_FRAMES) & whole_numbers(values)
+        possible = (values >= 0) & (values <= avi.MAX_CLIP_FRAMES) & whole_numbers(values)
         self.require_each("video_length_frames", possible, None, _TOO_LONG, values)
         return values.astype(np.int64, copy=False)
 
@@ -237,7 +236,7 @@ class StoredColumns(Row):
         """Return the number of frames of one clip; raises as :func:`clip_lengths`."""
         column, place, _ = self.entries_of("video_length_frames", touch)
         frames = column.values[place]
-        if not (0 <= frames <= MAX_CLIP_FRAMES and int(frames) == frames):
+        if not (0 <= frames <= avi.MAX_CLIP_FRAMES and int(frames) == frames):
             raise self.damaged("video_length_frames", _TOO_LONG.format(frames), touch)
         return int(frames)
 
@@ -266,8 +265,12 @@ class StoredColumns(Row):
             raise self.damaged(name, f"{stop - start} frames; expected at least {wanted}", touch)
         values = column.flat(2, start, start + wanted) if width else column.values[start : start + wanted]
         if len(values) != wanted * max(width, 1):
-            problem = f"{len(values)} values for {wanted} frames; expected {max(width, 1)} each"
-            raise self.damaged(name, problem, touch)
+            raise self.damaged(
+                name,
+                f"{wording.with_count(len(values), 'values')} for {wanted} frames; expected "
+                f"{max(width, 1)} each",
+                touch,
+            )
         return values.reshape(wanted, width) if width else values
 
     def extra_entries(self, name: str) -> pa.Array:
@@ -285,23 +288,25 @@ class StoredColumns(Row):
         """
         known = schema.extra_columns(self.group.names)
         if name not in known:
-            raise UnknownExtraError(name, self.path, known)
+            raise extras.UnknownExtraError(name, self.path, known)
         stored, values = known[name], self.extra_entries(known[name])
         if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
             with self.naming(stored):
-                return array_with_gaps(values)
+                return extras.array_with_gaps(values)
         found = []
         for touch, length in enumerate(self.clip_lengths().tolist()):
             frames = values[touch].values
             if frames is None:
                 frames = pa.nulls(length, values.type.value_type)
             if len(frames) < length:
-                raise self.damaged(stored, f"{len(frames)} frames; expected at least {length}", touch)
+                raise self.damaged(
+                    stored, f"{wording.with_count(len(frames), 'frames')}; expected at least {length}", touch
+                )
             with self.naming(stored, touch):
-                found.append(array_with_gaps(frames.slice(0, length)))
+                found.append(extras.array_with_gaps(frames.slice(0, length)))
         return tuple(found)
 
-    def plain_value(self, name: str) -> Any:
+    def plain_value(self, name: str) -> JsonValue:
         """Return a field as numpy's scalar or Python's object.
 
         Raises InputError when the data set has no such column, IntegrityError when no value is stored, or
@@ -317,7 +322,7 @@ class StoredColumns(Row):
             raise self.damaged(name, "no value is stored")
         return value
 
-    def stored_value(self, name: str) -> Any:
+    def stored_value(self, name: str) -> JsonValue:
         """Return a field of any type as Python's objects, looking at no other row.
 
         Raises IntegrityError for text that is not Unicode.

@@ -1,19 +1,26 @@
-"""Stored images: checked, named, and encoded again only where they must be."""
+"""Stored images: checks, file names, and encoding where a reader needs JPEG."""
 
 from __future__ import annotations
 
+import io
+import struct
 from collections.abc import Sequence
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
 from realtouch.contact_picture import median_in_memory
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError, IntegrityError
+from tactile_toolkit.errors import InputError, IntegrityError, ItemError
 from tactile_toolkit.touch import MEDIA_TYPE, decode_image, encode_image, image_size, is_jpeg
 
 _JPEG_END = b"\xff\xd9"
 _ENDINGS = {b"\xff\xd8": "jpg", b"\x89P": "png"}
+
+_ORIENTATION = 0x0112
+_TURNED = range(2, 9)
+_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 
 
 def require_intact(data: bytes | memoryview) -> tuple[int, int]:
@@ -74,3 +81,34 @@ def background_of(images: Sequence[bytes | memoryview], names: Sequence[str]) ->
         )
     pixels = [decoded(image, name) for image, name in zip(images, names, strict=True)]
     return encode_image(median_in_memory(np.stack(pixels)))
+
+
+def upright_size(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tuple[int, int]:
+    """Return the size of a picture; ItemError unless it is intact, upright and of the expected size."""
+    if isinstance(picture, ItemError):
+        raise picture
+    try:
+        size = require_intact(picture)
+    except ValueError as error:
+        raise ItemError("image", str(error)) from error
+    if _is_turned(picture):
+        raise ItemError(
+            "image", "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
+        )
+    if expected is not None and size != expected:
+        (height, width), (common_height, common_width) = size, expected
+        raise ItemError(
+            "size", f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
+        )
+    return size
+
+
+def _is_turned(image: bytes) -> bool:
+    """Return whether Exif or XMP data ask readers to turn the image."""
+    if is_jpeg(image) and _APP1 not in image:
+        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
+    try:
+        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
+            return opened.getexif().get(_ORIENTATION) in _TURNED
+    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
+        return False  # such data turn nothing

@@ -11,10 +11,8 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 
-from realtouch.contact import PLATE_COLUMN, ContactHeight
+from realtouch import contact, schema, stored_columns
 from realtouch.poses import Poses, PoseSequences, bad_pose, rigid_transform
-from realtouch.schema import POSE_COLUMN
-from realtouch.stored_columns import StoredColumns
 from tactile_toolkit import read
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, Int64
 from tactile_toolkit.json_types import JsonDict, JsonValue
@@ -26,12 +24,12 @@ if TYPE_CHECKING:
 _NO_TIME = "no time is stored; expected a duration or float seconds"
 _SECOND = np.timedelta64(1, "s")
 _CONTACT_START, _CONTACT_END = "touch_start_time_rel", "touch_end_time_rel"
-_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+_POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 # With an entry a touch; pictures are the last, as these fill the memory.
 _COUNTING = ("pos_in_cell", "video_length_frames", f"{_POSE}.position", *MEDIA_COLUMN.values())
 
 
-class StoredRound(StoredColumns):
+class StoredRound(stored_columns.StoredColumns):
     """A stored round; T is the number of its touches, N_i the number of frames of touch i."""
 
     __slots__ = ()
@@ -135,7 +133,7 @@ class StoredRound(StoredColumns):
         Metres, cell frame; of a ``single`` round, that is the height of its one pose per touch. Raises
         IntegrityError, which names the touch, for a height that is missing or not finite.
         """
-        name = f"{POSE_COLUMN[kind]}.position"
+        name = f"{schema.POSE_COLUMN[kind]}.position"
         if kind == "single":
             heights = self.vectors(name, 3, touch)[:, 2].astype(np.float64)
         else:
@@ -147,9 +145,9 @@ class StoredRound(StoredColumns):
 
     def stored_plate_z_m(self) -> float:
         """Return the stored height of the plate in a round, metres, cell frame; NaN without one."""
-        if not self.has(PLATE_COLUMN) or self.value(PLATE_COLUMN) is None:
+        if not self.has(contact.PLATE_COLUMN) or self.value(contact.PLATE_COLUMN) is None:
             return math.nan
-        return float(self.value(PLATE_COLUMN))
+        return float(self.value(contact.PLATE_COLUMN))
 
     def rendered_plate_z_m(self) -> float:
         """Return the height of the plate in a rendered round; sets of a GelSight Mini need not store it."""
@@ -160,7 +158,7 @@ class StoredRound(StoredColumns):
 
     def plate_z_m(self) -> float:
         """Return the known or stored height of the plate in a round, metres, cell frame; NaN without one."""
-        if ContactHeight.of(self.group.names).plate == "known":
+        if contact.ContactHeight.of(self.group.names).plate == "known":
             return self.rendered_plate_z_m()
         return self.stored_plate_z_m()
 
@@ -178,8 +176,9 @@ class StoredRound(StoredColumns):
             return -1
         label = self.integer("label")
         if names is not None and label >= len(names):
-            limit = f"expected less than {len(names)}, the number of named classes"
-            raise self.damaged("label", f"the value is {label}; {limit}")
+            raise self.damaged(
+                "label", f"the value is {label}; expected less than {len(names)}, the number of named classes"
+            )
         return label
 
     def has_info(self) -> bool:
@@ -258,7 +257,7 @@ def stored_touch_counts(source: read.RowSource, *groups: int) -> Int64:
     return np.concatenate([each.to_numpy() for each in counts] or [np.zeros(0)]).astype(np.int64)
 
 
-def nested_info(row: StoredColumns) -> JsonDict:
+def nested_info(row: stored_columns.StoredColumns) -> JsonDict:
     """Read the metadata of a round that has some.
 
     Raises IntegrityError for an invalid pose, or for a name of both a value and a group of values.
@@ -279,7 +278,7 @@ def nested_info(row: StoredColumns) -> JsonDict:
     return {key: _with_poses(row, value, f"info.{key}") for key, value in nested.items()}
 
 
-def _with_poses(row: StoredColumns, value: JsonValue, name: str) -> JsonValue:
+def _with_poses(row: stored_columns.StoredColumns, value: JsonValue, name: str) -> JsonValue:
     """Replace groups of a position and a quaternion by poses."""
     if not isinstance(value, dict):
         return value
@@ -288,18 +287,22 @@ def _with_poses(row: StoredColumns, value: JsonValue, name: str) -> JsonValue:
     return {key: _with_poses(row, each, f"{name}.{key}") for key, each in value.items()}
 
 
-def _pose(row: StoredColumns, values: JsonDict, name: str) -> Pose | Poses:
+def _pose(row: stored_columns.StoredColumns, values: JsonDict, name: str) -> Pose | Poses:
     """Make the pose, or the poses if there is one per touch."""
     try:
         position = np.asarray(values["position"], np.float64)
         quaternion = np.asarray(values["quaternion"], np.float64)
     except (TypeError, ValueError) as error:
-        problem = "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
-        raise row.damaged(name, problem) from error
+        raise row.damaged(
+            name, "values that are not numbers, or vectors of several lengths; expected a pose's numbers"
+        ) from error
     outer = position.shape[:-1]
     if len(outer) > 1 or position.shape != (*outer, 3) or quaternion.shape != (*outer, 4):
-        found = f"position {position.shape} and quaternion {quaternion.shape}"
-        raise row.damaged(name, f"{found}; expected (3,) and (4,), or (n, 3) and (n, 4)")
+        raise row.damaged(
+            name,
+            f"position {position.shape} and quaternion {quaternion.shape}; "
+            "expected (3,) and (4,), or (n, 3) and (n, 4)",
+        )
     wrong = bad_pose(position.reshape(-1, 3), quaternion.reshape(-1, 4))
     if wrong is not None:  # one invalid pose makes the metadata of the round unreadable
         raise row.damaged(name, f"pose {wrong[0]}: {wrong[1]}" if outer else wrong[1])

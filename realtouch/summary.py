@@ -10,18 +10,16 @@ from operator import itemgetter
 
 import numpy as np
 
-from realtouch.contacts import contact_rule_text
-from realtouch.rounds import TouchRound
-from realtouch.schema import POSE_COLUMN, extra_columns, extra_type_text
-from realtouch.touch_dataset import AnyDataset
+from realtouch import contacts, schema, touch_dataset
 from realtouch.touches import AnyTouches
-from tactile_toolkit import read
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, read
 from tactile_toolkit.touch import CELL_M
 
 # Tactile MNIST paper, section on the real data set: 600 printed digits, 256 touches each, two gels.
 _ROUNDS = {"train": 500, "test": 100}
+_CLASSES = {"train": "10 of 50 rounds", "test": "10 of 10 rounds"}
 _TOUCHES_OF_A_GEL = 76_800
+_PICTURES = "320 x 240 or 64 x 64 pixels"
 _AMOUNTS = {False: "none", True: "some"}
 _SIZES = ((320, 240), (64, 64))
 
@@ -76,7 +74,7 @@ class Summary:
         return asdict(self)
 
 
-def summarise(dataset: AnyDataset) -> Summary:
+def summarise(dataset: touch_dataset.AnyDataset) -> Summary:
     """Count what a data set holds; reads small columns and one image or clip.
 
     Parameters
@@ -97,7 +95,7 @@ def summarise(dataset: AnyDataset) -> Summary:
     """
     touches = dataset.touches()
     if not len(touches):
-        raise InputError("an empty data set has no summary", next="choose other filters")
+        raise errors.InputError("an empty data set has no summary", next="choose other filters")
     counts = np.bincount(touches.round_positions, minlength=len(dataset))
     first = touches[0]
     found = Summary(
@@ -105,7 +103,7 @@ def summarise(dataset: AnyDataset) -> Summary:
         rounds=len(dataset),
         touches=int(counts.sum()),
         touches_per_round=(int(counts.min()), int(counts.max())),
-        contact_rule=contact_rule_text(dataset.column_names),
+        contact_rule=contacts.contact_rule_text(dataset.column_names),
         extra=_extra_types(dataset),
         image_size=first.round.picture_size(first.touch_index),
     )
@@ -115,7 +113,7 @@ def summarise(dataset: AnyDataset) -> Summary:
         found = replace(found, labels={name: len(rows) for name, rows in dataset.by_label().items()})
     if dataset.has_column("object_id"):
         found = replace(found, objects=len(np.unique(dataset.int_column("object_id"))))
-    if dataset.has_column(f"{POSE_COLUMN[dataset.kind]}.position"):
+    if dataset.has_column(dataset.pose_column):
         share = float(touches.in_contact().mean())
         rules = dict.fromkeys(map(str, dataset.contact_rules()))
         found = replace(found, contact_share=share, contact_rule="; or ".join(rules))
@@ -126,10 +124,10 @@ def summarise(dataset: AnyDataset) -> Summary:
     return found
 
 
-def _extra_types(dataset: AnyDataset) -> dict[str, str]:
+def _extra_types(dataset: touch_dataset.AnyDataset) -> dict[str, str]:
     types = read.column_types(dataset.table.schemas[0])
-    columns = extra_columns(dataset.column_names)
-    return {name: extra_type_text(stored, types[stored]) for name, stored in columns.items()}
+    columns = schema.extra_columns(dataset.column_names)
+    return {name: schema.extra_type_text(stored, types[stored]) for name, stored in columns.items()}
 
 
 def _clip_frames(touches: AnyTouches) -> tuple[int, int, int]:
@@ -170,7 +168,7 @@ class PaperNumber:
         return asdict(self)
 
 
-def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
+def paper_numbers(splits: Mapping[str, touch_dataset.AnyDataset]) -> list[PaperNumber]:
     """Measure what the paper states about real touches; reads one picture only.
 
     Parameters
@@ -193,14 +191,21 @@ def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
     # Ids begin with the time of recording, so that their order is that of the gels.
     rounds = sorted(
         (
-            (str(record.id), record.touch_count, dict(record.info).get("gel_id"), _reach_m(record))
+            (
+                str(record.id),
+                record.touch_count,
+                dict(record.info).get("gel_id"),
+                float(np.abs(record.pos_in_cell_m).max(initial=0.0)),
+            )
             for data in splits.values()
             for _, record in data.rounds_without_media()
         ),
         key=itemgetter(0),
     )
     if not rounds:
-        raise InputError("the set holds no rounds", next="name one that does, such as real-single-64x64")
+        raise errors.InputError(
+            "the set holds no rounds", next="name one that does, such as real-single-64x64"
+        )
     _, counts, gels, reaches_m = zip(*rounds, strict=True)
     objects = [set(data.int_column("object_id").tolist()) for data in splits.values()]
     different = len(set().union(*objects))
@@ -214,25 +219,17 @@ def paper_numbers(splits: Mapping[str, AnyDataset]) -> list[PaperNumber]:
         ("touches", "153,600", f"{sum(counts):,}"),
         ("touches of a round", "256", ", ".join(map(str, sorted(set(counts))))),
         *((f"rounds in {split}", f"{count}", f"{len(labels[split]):,}") for split, count in _ROUNDS.items()),
-        *(
-            (f"classes in {split}", f"10 of {count // 10} rounds", _class_text(labels[split]))
-            for split, count in _ROUNDS.items()
-        ),
+        *((f"classes in {split}", _CLASSES[split], _class_text(labels[split])) for split in _ROUNDS),
         ("objects", "600", f"{different:,}"),
         ("objects in two splits", "none", _AMOUNTS[sum(map(len, objects)) > different]),
     ]
-    gel = f"{_TOUCHES_OF_A_GEL:,} touches, once"
-    picture = f"{size[0]} x {size[1]} pixels"
+    once = f"{_TOUCHES_OF_A_GEL:,} touches, once"
     return [
         *(PaperNumber(what, paper, found, paper == found) for what, paper, found in counted),
         PaperNumber("intended positions", "within 12 x 12 cm", reach, max(reaches_m) <= CELL_M[0] / 2),
-        PaperNumber("gel replaced after", gel, replaced, ends == [_TOUCHES_OF_A_GEL]),
-        PaperNumber("picture", "320 x 240 or 64 x 64 pixels", picture, size in _SIZES),
+        PaperNumber("gel replaced after", once, replaced, ends == [_TOUCHES_OF_A_GEL]),
+        PaperNumber("picture", _PICTURES, f"{size[0]} x {size[1]} pixels", size in _SIZES),
     ]
-
-
-def _reach_m(record: TouchRound) -> float:
-    return float(np.abs(record.pos_in_cell_m).max(initial=0.0))
 
 
 def _class_text(labels: Sequence[int]) -> str:

@@ -3,13 +3,9 @@
 from __future__ import annotations
 
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from realtouch.depth_maps import DEPTH, DEPTH_ERROR, DepthMaps
-from realtouch.extras import Extras
-from realtouch.picture_views import touch_html
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.touch_clips import TouchClip, contact_frames_of
+from realtouch import depth_maps, extras, picture_views, rounds, touch_clips
 from tactile_toolkit.array_types import Float32, Floating, UInt8
 from tactile_toolkit.errors import InputError
 
@@ -39,11 +35,11 @@ class Touch:
     """
 
     __slots__ = ("_index_in_row", "round", "touch_index")
-    round: TouchRound
+    round: rounds.TouchRound
     touch_index: int
     _index_in_row: int
 
-    def __init__(self, round: TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
+    def __init__(self, round: rounds.TouchRound, touch_index: int, index_in_row: int | None = None) -> None:
         object.__setattr__(self, "round", round)
         object.__setattr__(self, "touch_index", touch_index)
         if index_in_row is None:
@@ -80,14 +76,14 @@ class Touch:
         return position
 
     @property
-    def extra(self) -> Extras:
+    def extra(self) -> extras.Extras:
         """Further columns by their own names: a value, a vector, or an array with an entry per frame.
 
         See :attr:`realtouch.TouchRound.extra`.
         """
-        return Extras(tuple(self.round.extra), self._extra)
+        return extras.Extras(tuple(self.round.extra), self._extra)
 
-    def _extra(self, name: str) -> Any:
+    def _extra(self, name: str) -> object:
         return self.round.extra[name][self._index_in_row]
 
     @property
@@ -97,9 +93,9 @@ class Touch:
         Reads this touch only, and opens no clip where the times of its frames are stored.
         """
         row, touch = self.round.row, self._index_in_row
-        if isinstance(self.round, TouchSingleRound):
+        if isinstance(self.round, rounds.TouchSingleRound):
             return row.poses(touch)[0]
-        (frame,) = contact_frames_of(row, "contact_end", touch)
+        (frame,) = touch_clips.contact_frames_of(row, "contact_end", touch)
         return row.pose_sequences(touch)[0][frame]
 
     @property
@@ -116,18 +112,18 @@ class Touch:
         InputError
             `realtouch depth` did not write the data set.
         """
-        return self._map(DEPTH)
+        return self._map(depth_maps.DEPTH)
 
     @property
     def depth_error_m(self) -> Float32:
         """Expected error of each pixel of :attr:`depth_m`, shape (H, W), metres."""
-        return self._map(DEPTH_ERROR)
+        return self._map(depth_maps.DEPTH_ERROR)
 
     def _map(self, column: str) -> Float32:
-        return DepthMaps(self.round.row, column)[self._index_in_row]
+        return depth_maps.DepthMaps(self.round.row, column)[self._index_in_row]
 
     @property
-    def clip(self) -> TouchClip:
+    def clip(self) -> touch_clips.TouchClip:
         """The clip of a touch of a ``seq`` set.
 
         Raises
@@ -135,7 +131,7 @@ class Touch:
         InputError
             The data set holds images.
         """
-        if not isinstance(self.round, TouchSeqRound):
+        if not isinstance(self.round, rounds.TouchSeqRound):
             raise self.round.row.missing_column("sensor_video")
         return self.round.sensor_video[self._index_in_row]
 
@@ -177,6 +173,6 @@ class Touch:
         with suppress(InputError):  # without positions
             x_mm, y_mm = (1000.0 * float(value) for value in self.pos_in_cell_m)
             words.append(f"x {x_mm:.1f} mm, y {y_mm:.1f} mm")
-        return touch_html(self.image, ", ".join(words))
+        return picture_views.touch_html(self.image, ", ".join(words))
 
     tile_html = _repr_html_

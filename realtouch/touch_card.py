@@ -11,20 +11,13 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from realtouch import picture_views, schema
-from realtouch.contact import ContactHeight
-from realtouch.contacts import contact_rule_text
+from realtouch import contact, contacts, picture_views, rounds, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
-from realtouch.rounds import TouchSeqRound, TouchSingleRound
-from realtouch.stored_round import StoredRound
 from realtouch.touch import Touch
-from realtouch.touch_dataset import AnyDataset, dataset_of
-from tactile_toolkit import cards, read, store, touch
+from tactile_toolkit import cards, errors, read, shown_text, store, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import ToolkitError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.pictures import png_bytes
-from tactile_toolkit.shown_text import markdown_code
 
 WORDS = "touch_words.toml"
 """File of ``data_cards`` with the words of all cards of touches."""
@@ -72,7 +65,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
         unknown = {}
     origin = schema.origin_of(facts.schema, manifest)
     of_origin = words["origins"][origin]
-    rule = ContactHeight.of(read.column_types(facts.schema))
+    rule = contact.ContactHeight.of(read.column_types(facts.schema))
     licence_text, heights = of_origin["licence_text"], [of_origin.get("drift")]
     # Plain pictures and rows in foreign formats are not rounds that could be loaded.
     if operation in ("frames", "export"):
@@ -108,7 +101,7 @@ def write_card(folder: store.DataFolder, manifest: store.Manifest | None = None)
             **content.values,
             **unknown,
             "rounds": f"{facts.rows:,}",
-            "contact_rule": contact_rule_text(read.column_types(facts.schema)),
+            "contact_rule": contacts.contact_rule_text(read.column_types(facts.schema)),
             "frames": of_origin.get("frames", " ".join(filter(None, [cell, *heights]))),
             "printability": of_origin["printability"],
             "licence_text": licence_text,
@@ -138,7 +131,7 @@ def _plain_content(
 
 
 def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Iterator[UInt8 | None]:
-    """Decode the first pictures of an index of files or of a column of images; of tars there are none."""
+    """Decode the first pictures of an index of files or of a column of images; tars give no pictures."""
     names = read.column_names(facts.schema)
     if "image.bytes" in names:
         for row in islice(cards.rows_to_draw(facts, ["image.bytes"]), _TILES):
@@ -152,14 +145,14 @@ def _plain_pictures(folder: store.DataFolder, facts: cards.FolderSummary) -> Ite
 def _stored_content(
     facts: cards.FolderSummary,
     kind: touch.Kind,
-    rule: ContactHeight,
+    rule: contact.ContactHeight,
     manifest: store.Manifest | None,
     words: JsonDict,
 ) -> _Content:
     """Return what a card says of rounds; reads small columns and a few rounds."""
-    datasets = [dataset_of(split.shards) if split.rows else None for split in facts.splits]
+    datasets = [touch_dataset.dataset_of(split.shards) if split.rows else None for split in facts.splits]
 
-    def of_each(count: Callable[[AnyDataset], Any], empty: Any = None) -> list[Any]:
+    def of_each(count: Callable[[touch_dataset.AnyDataset], Any], empty: Any = None) -> list[Any]:
         return [empty if dataset is None else _or_none(count, dataset) for dataset in datasets]
 
     touches = of_each(lambda dataset: int(dataset.touch_counts.sum()), 0)
@@ -212,7 +205,7 @@ def _extra_words(facts: cards.FolderSummary) -> dict[str, cards.ColumnWords]:
         is_known = all(isinstance(each, (int, float)) for each in found)
         # Parquet may state 0 as -0, so 0 is added.
         between = f", {min(found) + 0:g} to {max(found) + 0:g}" if is_known else ""
-        words[stored] = (shape, f"{markdown_code(name)} of the source{between}")
+        words[stored] = (shape, f"{shown_text.markdown_code(name)} of the source{between}")
     return words
 
 
@@ -238,24 +231,26 @@ def _sheet(pictures: Iterable[UInt8 | None]) -> bytes | None:
     return png_bytes(picture_views.contact_sheet(intact, tile_width=_TILE_WIDTH)) if intact else None
 
 
-def _first_rounds(facts: cards.FolderSummary, kind: touch.Kind) -> Iterator[TouchSeqRound | TouchSingleRound]:
+def _first_rounds(
+    facts: cards.FolderSummary, kind: touch.Kind
+) -> Iterator[rounds.TouchSeqRound | rounds.TouchSingleRound]:
     """Yield the first rounds, decoding the blocks they lie in and keeping none in the cache."""
-    record = TouchSingleRound if kind == "single" else TouchSeqRound
+    record = rounds.TouchSingleRound if kind == "single" else rounds.TouchSeqRound
     shard = next((shard for split in facts.splits for shard in split.shards if len(shard)), None)
     for group in islice(shard.blocks(0) if shard is not None else (), _ROUNDS_SEEN):
         # One of each block, so that a damaged block does not use up all tries.
-        yield record(StoredRound(group, 0))
+        yield record(stored_round.StoredRound(group, 0))
 
 
 def _or_none(ask: Callable[..., T], *parts: object) -> T | None:
     """Return what can be read; None if it is missing or damaged."""
     try:
         return ask(*parts)
-    except (ToolkitError, KeyError, ValueError):
+    except (errors.ToolkitError, KeyError, ValueError):
         return None
 
 
-def _missed(touches: list[int | None], shares: list[float | None], rule: ContactHeight) -> list[str]:
+def _missed(touches: list[int | None], shares: list[float | None], rule: contact.ContactHeight) -> list[str]:
     """State how many touches met no object, if that is known, from the counts and shares of all splits."""
     found = [(count, share) for count, share in zip(touches, shares, strict=True) if count]
     if any(share is None for _, share in found):

@@ -14,18 +14,11 @@ from typing import TYPE_CHECKING, Any, overload
 import numpy as np
 from numpy.typing import DTypeLike
 
-from realtouch import contact, picture_views
-from realtouch.avi import Avi
-from realtouch.contact_picture import best_of
+from realtouch import avi, contact, contact_picture, picture_views, schema, sensor_images, stored_round
 from realtouch.poses import Poses
-from realtouch.schema import require_poses_for
-from realtouch.sensor_images import in_parallel, room_for
-from realtouch.stored_round import StoredRound
-from tactile_toolkit import read
+from tactile_toolkit import errors, read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, UInt8
-from tactile_toolkit.errors import needs_extra
 from tactile_toolkit.touch import decode_image, image_size
-from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from torchcodec.decoders import VideoDecoder
@@ -64,17 +57,20 @@ class TouchClip(Sequence[UInt8]):
 
     __slots__ = ("_avi", "data", "row", "touch")
 
-    def __init__(self, row: StoredRound, touch: int) -> None:
+    def __init__(self, row: stored_round.StoredRound, touch: int) -> None:
         self.row, self.touch = row, touch
         self.data = row.stored_clip(touch)
         stated = row.clip_length(touch)
         try:
-            self._avi = Avi(self.data)
+            self._avi = avi.Avi(self.data)
         except ValueError as error:
             raise row.damaged("sensor_video", str(error), touch) from error
         if len(self._avi) != stated:
-            problem = f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'"
-            raise row.damaged("sensor_video", problem, touch)
+            raise row.damaged(
+                "sensor_video",
+                f"a clip of {len(self._avi)} frames; expected {stated} by 'video_length_frames'",
+                touch,
+            )
 
     def __len__(self) -> int:
         return len(self._avi)
@@ -112,8 +108,10 @@ class TouchClip(Sequence[UInt8]):
         """
         wanted = read.positions(index, len(self)).tolist()
         with self.row.naming("sensor_video", self.touch):
-            pixels = room_for(len(wanted), self.size)
-        in_parallel(lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads)
+            pixels = sensor_images.room_for(len(wanted), self.size)
+        sensor_images.in_parallel(
+            lambda number: self._decode(wanted[number], pixels[number]), len(wanted), threads
+        )
         return pixels
 
     def __iter__(self) -> Iterator[dict[str, object]]:  # type: ignore[override]
@@ -121,7 +119,7 @@ class TouchClip(Sequence[UInt8]):
         to_data: Callable[[UInt8], object] = np.asarray
         # Consumers of torchvision's reader expect tensors; without torch the arrays do.
         with suppress(ImportError):
-            import torch
+            import torch  # an extra
 
             to_data = torch.from_numpy
         for frame, time_s in enumerate(self.media_times_s):
@@ -226,7 +224,7 @@ class TouchClip(Sequence[UInt8]):
         """
         chosen = contact.require_method(method)
         if chosen == "best":
-            return best_of(self.frames())[0]
+            return contact_picture.best_of(self.frames())[0]
         return contact_frames_of(self.row, chosen, self.touch)[0]
 
     def contact_frame(self, method: str = "contact_end") -> UInt8:
@@ -241,8 +239,8 @@ class TouchClip(Sequence[UInt8]):
         MissingExtraError
             torchcodec is not installed.
         """
-        with needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
-            from torchcodec.decoders import VideoDecoder
+        with errors.needs_extra("TouchClip.to_torchcodec()", "torchcodec", "torch"):
+            from torchcodec.decoders import VideoDecoder  # an extra
         return VideoDecoder(bytes(self.data))
 
     def _decode(self, frame: int, out: UInt8 | None = None) -> UInt8:
@@ -255,13 +253,15 @@ class TouchClip(Sequence[UInt8]):
         return (TouchClip, (self.row, self.touch))
 
     def __repr__(self) -> str:
-        return f"TouchClip(touch {self.touch}, {with_count(len(self), 'frames')})"
+        return f"TouchClip(touch {self.touch}, {wording.with_count(len(self), 'frames')})"
 
     def _repr_html_(self) -> str:
         """Show frames from first to last in a notebook; those that are damaged are left out."""
         frames = picture_views.evenly_spaced(len(self), _SHOWN_FRAMES)
         pictures = [(f"frame {frame}", partial(self.__getitem__, frame)) for frame in frames]
-        return picture_views.round_html(f"Touch {self.touch}", [with_count(len(self), "frames")], pictures)
+        return picture_views.round_html(
+            f"Touch {self.touch}", [wording.with_count(len(self), "frames")], pictures
+        )
 
 
 class SensorClips(Sequence[TouchClip]):
@@ -269,7 +269,7 @@ class SensorClips(Sequence[TouchClip]):
 
     __slots__ = ("_count", "row")
 
-    def __init__(self, row: StoredRound) -> None:
+    def __init__(self, row: stored_round.StoredRound) -> None:
         _, start, stop = row.entries_of("sensor_video")
         self.row, self._count = row, stop - start
 
@@ -294,16 +294,16 @@ class SensorClips(Sequence[TouchClip]):
         """
         size = self[0].size if self._count else (0, 0)
         with self.row.naming("sensor_video"):
-            return room_for(count, size, out)
+            return sensor_images.room_for(count, size, out)
 
     def __reduce__(self) -> tuple[object, ...]:
         return (SensorClips, (self.row,))
 
     def __repr__(self) -> str:
-        return f"SensorClips({with_count(self._count, 'touches')})"
+        return f"SensorClips({wording.with_count(self._count, 'touches')})"
 
 
-def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
+def contact_windows(row: stored_round.StoredRound, touch: int | None = None) -> list[slice]:
     """Return the frames of contact of every clip of a round, or of one alone: see :func:`contact_window`.
 
     Opens clips only where the times of frames are not stored. Raises IntegrityError when times are missing or
@@ -319,7 +319,9 @@ def contact_windows(row: StoredRound, touch: int | None = None) -> list[slice]:
     return [contact.contact_window(*each) for each in zip(times, *ends, strict=True)]
 
 
-def contact_frames_of(row: StoredRound, method: contact.ContactMethod, touch: int | None = None) -> list[int]:
+def contact_frames_of(
+    row: stored_round.StoredRound, method: contact.ContactMethod, touch: int | None = None
+) -> list[int]:
     """Return the frame of every clip of a round, or of one, that shows the contact: by time or pose.
 
     See :meth:`TouchClip.contact_index`. Raises InputError for ``"peak"`` without poses, IntegrityError as
@@ -330,7 +332,7 @@ def contact_frames_of(row: StoredRound, method: contact.ContactMethod, touch: in
         return [window.start for window in windows]
     if method == "contact_end":
         return [window.stop - 1 for window in windows]
-    require_poses_for(method, row.group.names, row.path)
+    schema.require_poses_for(method, row.group.names, row.path)
     pressed = zip(row.pose_sequences(touch), windows, strict=True)
     return [window.start + int(np.argmin(each.position_m[window, 2])) for each, window in pressed]
 
@@ -351,7 +353,8 @@ def decode_frames(
         try:
             decode_image(encoded[number], out[number])
         except ValueError as error:
-            problem = f"frame {frames[number]}: {error}"
-            raise clips.row.damaged("sensor_video", problem, touches[number]) from error
+            raise clips.row.damaged(
+                "sensor_video", f"frame {frames[number]}: {error}", touches[number]
+            ) from error
 
-    in_parallel(decode, len(encoded), threads)
+    sensor_images.in_parallel(decode, len(encoded), threads)

@@ -9,16 +9,10 @@ from typing import Any, ClassVar
 import numpy as np
 import pyarrow as pa
 
-from realtouch import contact
-from realtouch.integrity import class_names_of
-from realtouch.rounds import TouchRound, TouchSeqRound, TouchSingleRound
-from realtouch.schema import POSE_COLUMN, media_kind
-from realtouch.stored_round import StoredRound, rows_of, stored_rows, stored_touch_counts
+from realtouch import contact, integrity, rounds, schema, stored_round
 from realtouch.touches import AnyTouches, R, Touches
-from tactile_toolkit import read
+from tactile_toolkit import errors, read, touch, wording
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.touch import MEDIA_COLUMN, Kind
 
 
 class RowsWithoutMedia(read.Rows):
@@ -61,7 +55,7 @@ class TouchDataset(read.RecordDataset[R]):
     """
 
     things = "rounds"
-    kind: Kind
+    kind: touch.Kind
 
     def touches(self) -> Touches[R]:
         """Return the flat view: every touch of every round, in order, with random access."""
@@ -72,8 +66,13 @@ class TouchDataset(read.RecordDataset[R]):
         """Label of each round, shape (len,), int64, -1 without labels; reads the label column only."""
         return self._integers("label", lambda: np.full(len(self), -1), lambda each: each.label)
 
-    def _row_at(self, number: int) -> StoredRound:
-        return StoredRound(*self.table.locate(number))
+    @property
+    def pose_column(self) -> str:
+        """Column of the positions of the gel."""
+        return f"{schema.POSE_COLUMN[self.kind]}.position"
+
+    def _row_at(self, number: int) -> stored_round.StoredRound:
+        return stored_round.StoredRound(*self.table.locate(number))
 
     @property
     def object_ids(self) -> Int64:
@@ -87,7 +86,7 @@ class TouchDataset(read.RecordDataset[R]):
 
     @property
     def _stored_counts(self) -> Int64:
-        return self.table.per_shard("touches", lambda source: [stored_touch_counts(source)])
+        return self.table.per_shard("touches", lambda source: [stored_round.stored_touch_counts(source)])
 
     @property
     def touch_starts(self) -> Int64:
@@ -101,7 +100,7 @@ class TouchDataset(read.RecordDataset[R]):
         height of the plate is known, it is always taken.
         """
 
-        def heights_m(row: StoredRound, rule: contact.ContactHeight) -> Float64:
+        def heights_m(row: stored_round.StoredRound, rule: contact.ContactHeight) -> Float64:
             z_m = row.readable(partial(row.contact_z_m, self.kind))
             if rule.plate == "known":
                 return contact.contact_heights_m(z_m, True, row.rendered_plate_z_m())
@@ -111,7 +110,7 @@ class TouchDataset(read.RecordDataset[R]):
             contact.PLATE_COLUMN,
             "pos_in_cell",
             "video_length_frames",
-            f"{POSE_COLUMN[self.kind]}.position",
+            self.pose_column,
         ]
         return self._per_touch(f"heights {recalibrate_z}", columns, heights_m)
 
@@ -121,7 +120,7 @@ class TouchDataset(read.RecordDataset[R]):
         Shape (touches of all stored rows, 2), metres, cell frame; reads that column only.
         """
 
-        def positions_m(row: StoredRound, _rule: contact.ContactHeight) -> Float64:
+        def positions_m(row: stored_round.StoredRound, _rule: contact.ContactHeight) -> Float64:
             return row.readable(row.intended_positions, (2,))
 
         return self._per_touch("positions", ["pos_in_cell"], positions_m)
@@ -130,18 +129,19 @@ class TouchDataset(read.RecordDataset[R]):
         self,
         key: str,
         columns: Sequence[str],
-        known: Callable[[StoredRound, contact.ContactHeight], Float64],
+        known: Callable[[stored_round.StoredRound, contact.ContactHeight], Float64],
     ) -> Float64:
         """Join the values of the touches of each stored row; reads a few columns."""
 
         def of_source(source: read.RowSource) -> list[Float64]:
             rule = contact.ContactHeight.of(read.column_types(source.schema))
-            return [known(row, rule) for row in stored_rows([source], columns)]
+            return [known(row, rule) for row in stored_round.stored_rows([source], columns)]
 
         values = self.table.per_shard(key, of_source)
         if len(values) != self.touch_starts[-1]:
-            raise IntegrityError(
-                f"{len(values):,} poses of touches for {self.touch_starts[-1]:,} touches; expected one each",
+            raise errors.IntegrityError(
+                f"{wording.with_count(len(values), 'poses')} of touches for {self.touch_starts[-1]:,} "
+                "touches; expected one each",
                 next="run `realtouch verify`, which names the rounds",
             )
         return values
@@ -160,14 +160,14 @@ class TouchDataset(read.RecordDataset[R]):
         number = 0
         # In stored order, so that each block is read once, whatever the order of the view.
         wanted = set(self.row_numbers.tolist())
-        media = MEDIA_COLUMN[self.kind]
+        media = touch.MEDIA_COLUMN[self.kind]
         for source in self.table.shards:
             columns, start = [name for name in source.schema.names if name != media], number
             for block in read.all_blocks([source], columns):
                 rows = RowsWithoutMedia(block, source, number - start)
                 for row in range(len(block.table)):
                     if number + row in wanted:
-                        yield number + row, self.record_class(StoredRound(rows, row))
+                        yield number + row, self.record_class(stored_round.StoredRound(rows, row))
                 number += len(block.table)
 
     def each_record(self) -> Iterator[tuple[int, R]]:
@@ -181,17 +181,17 @@ class TouchDataset(read.RecordDataset[R]):
                 yield place, record
 
 
-class TouchSingleDataset(TouchDataset[TouchSingleRound]):
+class TouchSingleDataset(TouchDataset[rounds.TouchSingleRound]):
     """Rounds with one image per touch."""
 
-    record_class: ClassVar[type[Any]] = TouchSingleRound
+    record_class: ClassVar[type[Any]] = rounds.TouchSingleRound
     kind = "single"
 
 
-class TouchSeqDataset(TouchDataset[TouchSeqRound]):
+class TouchSeqDataset(TouchDataset[rounds.TouchSeqRound]):
     """Rounds with one clip per touch."""
 
-    record_class: ClassVar[type[Any]] = TouchSeqRound
+    record_class: ClassVar[type[Any]] = rounds.TouchSeqRound
     kind = "seq"
 
 
@@ -201,11 +201,11 @@ AnyDataset = TouchDataset[Any]
 
 def dataset_of(shards: Sequence[read.RowSource]) -> TouchSeqDataset | TouchSingleDataset:
     """Return the data set of some shards of one kind."""
-    dataset = _DATASETS[media_kind(shards[0].schema, shards[0].path)]
-    return dataset(read.ShardedTable(tuple(shards)), None, class_names_of(shards))
+    dataset = _DATASETS[schema.media_kind(shards[0].schema, shards[0].path)]
+    return dataset(read.ShardedTable(tuple(shards)), None, integrity.class_names_of(shards))
 
 
-_DATASETS: dict[Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
+_DATASETS: dict[touch.Kind, type[TouchSingleDataset | TouchSeqDataset]] = {
     "seq": TouchSeqDataset,
     "single": TouchSingleDataset,
 }
@@ -222,14 +222,14 @@ class TouchStream(read.RowStream[read.Shard]):
         What they hold.
     """
 
-    def __init__(self, shards: tuple[read.Shard, ...], kind: Kind) -> None:
+    def __init__(self, shards: tuple[read.Shard, ...], kind: touch.Kind) -> None:
         super().__init__(shards)
         self.kind = kind
 
     @property
     def label_names(self) -> tuple[str, ...]:
         """Name of each class."""
-        return class_names_of(self.shards)
+        return integrity.class_names_of(self.shards)
 
     def touches(self) -> AnyTouches:
         """Return the flat view: every touch of every round, in order, with random access.
@@ -238,10 +238,10 @@ class TouchStream(read.RowStream[read.Shard]):
         """
         return dataset_of(self.shards).touches()
 
-    def __iter__(self) -> Iterator[TouchRound]:
+    def __iter__(self) -> Iterator[rounds.TouchRound]:
         """Yield rounds; a bounded block of rows is in memory at a time."""
         blocks = (block for shard, index in self.row_groups() for block in shard.blocks(index))
-        return map(_DATASETS[self.kind].record_class, rows_of(blocks))
+        return map(_DATASETS[self.kind].record_class, stored_round.rows_of(blocks))
 
     def __repr__(self) -> str:
         return self._described(self.kind)

@@ -8,21 +8,14 @@ from collections.abc import Sequence
 import numpy as np
 import pyarrow as pa
 
-from realtouch.force_pictures import force_views
-from realtouch.kind import KIND
-from realtouch.picture_views import evenly_spaced
-from realtouch.rounds import TouchRound, TouchSeqRound
+from realtouch import force_pictures, kind, picture_views, rounds, touch_clips, touch_dataset
 from realtouch.schema import origin_of
 from realtouch.touch import Touch
-from realtouch.touch_clips import TouchClip
-from realtouch.touch_dataset import AnyDataset
-from tactile_toolkit import catalog, gallery, mesh, places
+from tactile_toolkit import catalog, errors, gallery, mesh, places, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 from tactile_toolkit.rows import Column
 from tactile_toolkit.touch import encode_image, resized
-from tactile_toolkit.wording import class_name, shortened
 
 FRAMES_PER_FILM = 24
 """Frames shown of a clip, evenly spaced; of the published 58 to 90 every third or so."""
@@ -65,36 +58,36 @@ def plan_gallery(
     unfinished. HubError: the repository cannot be reached or does not exist.
     """
     if touches < 1:
-        raise InputError(f"--touches is {touches}; expected 1 or more")
+        raise errors.InputError(f"--touches is {touches}; expected 1 or more")
 
-    def known(rows: AnyDataset, _split: str) -> list[_Known]:
+    def known(rows: touch_dataset.AnyDataset, _split: str) -> list[_Known]:
         if not len(rows):
             return []
         try:
             heights_m = rows.touches().heights_m()
-        except InputError:  # without poses
+        except errors.InputError:  # without poses
             return [(touches, None, math.nan)] * len(rows)
         by_round = np.split(heights_m, np.cumsum(rows.touch_counts)[:-1])
         least_m = [rule.min_height_m for rule in rows.contact_rules()]
         return [(touches, *of_round) for of_round in zip(by_round, least_m, strict=True)]
 
     split = chosen.given()["split"]
-    place = places.open_place(name).require(KIND, "gallery").require_complete(split)
+    place = places.open_place(name).require(kind.KIND, "gallery").require_complete(split)
     schema = place.shards(split or place.splits[0])[0].schema
     title = f"{origin_of(schema, place.manifest)} touches".capitalize()
-    return gallery.gallery_of_rows(KIND, place, chosen, title, _SHOWN, _item, 1, known)
+    return gallery.gallery_of_rows(kind.KIND, place, chosen, title, _SHOWN, _item, 1, known)
 
 
 def _item(
-    record: TouchRound,
+    record: rounds.TouchRound,
     split: str,
     names: tuple[str, ...],
     known: _Known,
 ) -> gallery.GalleryItem:
     """Show a round."""
     most, heights_m, least_m = known
-    touches = [Touch(record, number) for number in evenly_spaced(record.touch_count, most)]
-    views = [force_views(touch) for touch in touches]
+    touches = [Touch(record, number) for number in picture_views.evenly_spaced(record.touch_count, most)]
+    views = [force_pictures.force_views(touch) for touch in touches]
     stills, columns, tile_px = sheet_of([np.hstack(each) for each in views], views=len(views[0]))
     media = {"stills.jpg": stills}
     listed = []
@@ -107,11 +100,11 @@ def _item(
             "height_mm": None if height_mm is None else round(height_mm, 2),
             "film": None,
         }
-        if isinstance(record, TouchSeqRound):
+        if isinstance(record, rounds.TouchSeqRound):
             name = f"{touch.touch_index:03d}.jpg"
             media[name], entry["film"] = film_of(touch.clip, name)
         listed.append(entry)
-    label = class_name(names, record.label) if record.label >= 0 else None
+    label = wording.class_name(names, record.label) if record.label >= 0 else None
     title = [f"class {label}" if label else "touches"]
     met = None if heights_m is None else heights_m >= least_m
     # The highest touch shows the object best.
@@ -153,7 +146,7 @@ def _extra_text(values: AnyArray | tuple[AnyArray, ...]) -> str:
         known = flat[~np.isnan(flat)]
         return f"{known.min():g} to {known.max():g}" if len(known) else "missing"
     texts = list(dict.fromkeys(str(value) for value in flat.tolist() if value is not None))
-    return shortened(", ".join(texts[:_MOST_TEXTS]), _LONGEST_NOTE) or "missing"
+    return wording.shortened(", ".join(texts[:_MOST_TEXTS]), _LONGEST_NOTE) or "missing"
 
 
 def _millimetres(height_m: float) -> float | None:
@@ -187,14 +180,16 @@ def sheet_of(
     return encode_image(np.vstack(rows), "jpeg", _QUALITY), columns, (tile_width, tile_height)
 
 
-def film_of(clip: TouchClip, name: str) -> tuple[bytes, JsonDict]:
+def film_of(clip: touch_clips.TouchClip, name: str) -> tuple[bytes, JsonDict]:
     """Choose frames of a clip, evenly spaced and with both ends of the contact: a JPEG of tiles, JSON values.
 
     These say for the page which frames and times (seconds) are shown, and the first and last tile in contact.
     """
     window = clip.contact_window
     # Both ends of the contact are always among them: they are what one looks for.
-    numbers = np.unique([*evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1])
+    numbers = np.unique(
+        [*picture_views.evenly_spaced(len(clip), FRAMES_PER_FILM), window.start, window.stop - 1]
+    )
     jpeg, columns, _ = sheet_of(list(clip.frames(numbers)), _FILM_COLUMNS)
     return jpeg, {
         "name": name,

@@ -1,4 +1,4 @@
-"""What commands of touches have options of, imported with nothing heavy."""
+"""Options of the commands for touches; importing this module is fast."""
 
 from __future__ import annotations
 
@@ -6,9 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-from tactile_toolkit import catalog
-from tactile_toolkit.checked_fields import check_fields, choice, integer, real
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import catalog, checked_fields, errors
 
 T = TypeVar("T")
 
@@ -55,19 +53,22 @@ POSE_COLUMNS = ("gel_x_m", "gel_y_m", "gel_z_m", "gel_qx", "gel_qy", "gel_qz", "
 FOTA_POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "quat_x", "quat_y", "quat_z", "quat_w")
 
 
+ALIGN_METHODS = ("nearest", "linear")
+
+
 @dataclass(frozen=True, slots=True)
 class TouchPreviewSpec:
     """Which pictures of touches to draw; the grid where no kind is asked for."""
 
-    kinds: tuple[str, ...] = choice(
+    kinds: tuple[str, ...] = checked_fields.choice(
         (),
         ("grid", "overlay", "all"),
         name="--kind",
         help="What to draw; may be repeated: a round as a grid (the default) or pasted on a map of the cell.",
     )
     split: str | None = catalog.ONE_SPLIT
-    round_number: int = integer(0, name="--round", help="Round to draw, counted from 0.")
-    touches: int = integer(32, 1, help="Number of touches in a grid.")
+    round_number: int = checked_fields.integer(0, name="--round", help="Round to draw, counted from 0.")
+    touches: int = checked_fields.integer(32, 1, help="Number of touches in a grid.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,19 +95,63 @@ class CheckLimits:
         touches that are ten times as far from all others.
     """
 
-    frozen: int = integer(3, 2, help="So many equal pictures in a row are frozen.")
-    gap: float = real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
-    exposure: float = real(12.0, 1, 255, help="Step of the brightness of a picture, grey levels.")
-    drift: float = real(10.0, 1, 255, help="Change of the bare gel over the session, grey levels.")
-    motion_mm: float = real(0.5, above=0, help="Motion of the gel while its picture is frozen.")
-    jump_mm: float = real(10.0, above=0, help="Step of the position from frame to frame.")
+    frozen: int = checked_fields.integer(3, 2, help="So many equal pictures in a row are frozen.")
+    gap: float = checked_fields.real(1.75, above=1.0, help="A time step of so many median steps is a gap.")
+    exposure: float = checked_fields.real(
+        12.0, 1, 255, help="Step of the brightness of a picture, grey levels."
+    )
+    drift: float = checked_fields.real(
+        10.0, 1, 255, help="Change of the bare gel over the session, grey levels."
+    )
+    motion_mm: float = checked_fields.real(
+        0.5, above=0, help="Motion of the gel while its picture is frozen."
+    )
+    jump_mm: float = checked_fields.real(10.0, above=0, help="Step of the position from frame to frame.")
 
     def __post_init__(self) -> None:
-        check_fields(self, "the limits")
+        checked_fields.check_fields(self, "the limits")
 
 
 def require_layout(layout: str, known: Mapping[str, T]) -> T:
     """Return the entry of a format; InputError for an unknown name."""
     if layout not in known:
-        raise InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
+        raise errors.InputError(f"there is no layout {layout!r}; expected {', '.join(known)}")
     return known[layout]
+
+
+@dataclass(frozen=True, slots=True)
+class Alignment:
+    """How streams of other rates are aligned to the times of pictures.
+
+    Attributes
+    ----------
+    method : "nearest" or "linear"
+        Which value a picture gets: that of the nearest sample, the earlier of two equally near; or one on a
+        line between the two samples around it, of quaternions on the shorter turn, and of columns whose names
+        state degrees or radians on the shorter way around the circle. Text, integers and switches are always
+        those of the nearest sample.
+    max_gap_ms : float
+        A picture gets a missing value if its nearest sample is farther away than this, or if it lies between
+        two samples that are farther apart, milliseconds.
+    time_offset_s : float
+        Added to the times of all streams, seconds.
+    """
+
+    method: str = checked_fields.choice(
+        "nearest",
+        ALIGN_METHODS,
+        name="--align",
+        help="Value of a picture from a stream of another rate: the nearest sample, or between two.",
+    )
+    max_gap_ms: float = checked_fields.real(
+        100.0,
+        above=0,
+        metavar="MS",
+        help="Longest gap of a stream in which pictures get values.",
+    )
+    time_offset_s: float = checked_fields.real(
+        0.0, -1e12, 1e12, metavar="S", help="Added to the times of streams, where their clock is another one."
+    )
+
+    def __post_init__(self) -> None:
+        checked_fields.check_fields(self, "the alignment")

@@ -8,20 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 from PIL import Image
 
-from realtouch.contact import ContactHeight, contact_heights_m
+from realtouch import contact, opening, picture_views, rounds, sensor_images, touch_options
 from realtouch.kind import KIND
-from realtouch.opening import load
-from realtouch.picture_views import evenly_spaced, fitted
-from realtouch.rounds import TouchRound
-from realtouch.sensor_images import in_parallel
 from realtouch.touch import Touch
-from realtouch.touch_options import TouchPreviewSpec
-from tactile_toolkit import pictures, places
-from tactile_toolkit.arithmetic import inverse_affine
+from tactile_toolkit import arithmetic, errors, pictures, places, wording
 from tactile_toolkit.array_types import AnyArray, Float32, Float64, UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.touch import CELL_M, height_text
-from tactile_toolkit.wording import with_count
 
 CONTACT = pictures.ACCENTS[0]
 """Colour of the frame around touches in which the gel stopped on an object."""
@@ -40,7 +32,9 @@ _PLAIN_WEIGHT = 0.02
 _MOST_THREADS = 4
 
 
-def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> pictures.PicturePlan:
+def plan_previews(
+    name: places.Name | places.Place, spec: touch_options.TouchPreviewSpec
+) -> pictures.PicturePlan:
     """Plan the pictures of a data set that :func:`realtouch.load` opens; draws none.
 
     Kinds are grid, overlay and strip. InputError: no such data set, split, round, touch or kind, nothing in
@@ -48,12 +42,14 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     """
     place = places.open_place(name).require(KIND, "preview").require_complete(spec.split)
     split = place.split(spec.split)
-    dataset = load(place, split)
+    dataset = opening.load(place, split)
     if not len(dataset):
-        raise InputError(f"split {split!r} of {place.name!r} holds no round", next="choose another split")
+        raise errors.InputError(
+            f"split {split!r} of {place.name!r} holds no round", next="choose another split"
+        )
     number = spec.round_number
     if not 0 <= number < len(dataset):
-        raise InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
+        raise errors.InputError(f"--round is {number}; split {split!r} has rounds 0 to {len(dataset) - 1}")
     record = dataset[number]
     stem = "-".join(filter(None, (pictures.file_stem(place.name), split)))
 
@@ -63,8 +59,9 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     def on_map() -> list[pictures.PlannedPicture]:
         if not (record.row.has_poses or record.row.has("pos_in_cell")):
             raise record.row.missing_column("pos_in_cell")
-        what = f"all touches of {record!r} at their positions"
-        return planned("overlay", what, lambda: draw_overlay(record))
+        return planned(
+            "overlay", f"all touches of {record!r} at their positions", lambda: draw_overlay(record)
+        )
 
     plans = {
         "grid": lambda: planned("grid", f"touches of {record!r}", lambda: draw_grid(record, spec.touches)),
@@ -73,26 +70,28 @@ def plan_previews(name: places.Name | places.Place, spec: TouchPreviewSpec) -> p
     return pictures.plan_kinds(spec.kinds, plans)
 
 
-def draw_grid(record: TouchRound, most: int) -> UInt8:
+def draw_grid(record: rounds.TouchRound, most: int) -> UInt8:
     """Draw touches of a round, evenly spaced, with their numbers; those that met an object are framed."""
     row, heights_m = record.row, None
     if row.has_poses:
-        rule = ContactHeight.of(row.group.names)
-        heights_m = contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m())
+        rule = contact.ContactHeight.of(row.group.names)
+        heights_m = contact.contact_heights_m(row.contact_z_m(row.kind), plate_z_m=row.plate_z_m())
     tiles = []
-    for touch in evenly_spaced(record.touch_count, most):
+    for touch in picture_views.evenly_spaced(record.touch_count, most):
         caption, frame = f"{touch}", None
         if heights_m is not None:
             caption = f"{touch}: {heights_m[touch] * 1e3:.1f} mm"
             frame = CONTACT if heights_m[touch] >= rule.min_height_m else pictures.PAPER
-        tiles.append(pictures.Tile(fitted(Touch(record, touch).image, _TILE_PX), caption, frame))
+        tiles.append(
+            pictures.Tile(picture_views.fitted(Touch(record, touch).image, _TILE_PX), caption, frame)
+        )
     words = [f"{len(tiles)} of {_touches_in_words(record)}"]
     if heights_m is not None:
         words += [f"framed: {height_text(rule.min_height_m)}; its height next to the number"]
     return pictures.sheet(tiles, _COLUMNS, _title(record), ("; ".join(words),))
 
 
-def draw_overlay(record: TouchRound) -> UInt8:
+def draw_overlay(record: rounds.TouchRound) -> UInt8:
     """Draw all touches of a round at their positions on a map of the cell."""
     touches = placed_touches(record, range(record.touch_count))
     cell = cell_map(touches, _PX_PER_MM)
@@ -105,12 +104,12 @@ def draw_overlay(record: TouchRound) -> UInt8:
     return pictures.sheet([pictures.Tile(pixels, frame=(205, 210, 215))], 1, _title(record), words)
 
 
-def _touches_in_words(record: TouchRound) -> str:
+def _touches_in_words(record: rounds.TouchRound) -> str:
     of_object = f" of object {record.object_id}" if record.row.has("object_id") else ""
-    return f"{with_count(record.touch_count, 'touches')}{of_object}"
+    return f"{wording.with_count(record.touch_count, 'touches')}{of_object}"
 
 
-def _title(record: TouchRound) -> str:
+def _title(record: rounds.TouchRound) -> str:
     return ", ".join([f"Round {record.id}", *record.label_words()])
 
 
@@ -141,7 +140,7 @@ class CellMap:
         return self.size_px[0] / 2 + x * self.px_per_m, self.size_px[1] / 2 - y * self.px_per_m
 
 
-def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
+def placed_touches(record: rounds.TouchRound, touches: Sequence[int]) -> list[PlacedTouch]:
     """Read the pictures of some touches and the positions of the gel; of clips, the last frame of contact.
 
     Where the data set stores no pose of the gel, its intended position is taken and no rotation.
@@ -160,7 +159,7 @@ def placed_touches(record: TouchRound, touches: Sequence[int]) -> list[PlacedTou
         centre_m = np.asarray(pose.translation[:2], np.float64)
         placed[number] = PlacedTouch(touch.image, centre_m, np.asarray(turned[:, :2]))
 
-    in_parallel(read, len(touches), _MOST_THREADS)
+    sensor_images.in_parallel(read, len(touches), _MOST_THREADS)
     return [placed[number] for number in range(len(touches))]
 
 
@@ -187,7 +186,7 @@ def overlay(touches: Sequence[PlacedTouch], cell: CellMap) -> UInt8:
     sizes = sorted({touch.pixels.shape[1::-1] for touch in touches})
     if len(sizes) > 1:
         found = ", ".join(f"{width} x {height}" for width, height in sizes[:4])
-        raise InputError(
+        raise errors.InputError(
             f"the pictures of the round have different sizes ({found} pixels), an overlay needs one size",
             next="make them alike with `realtouch resize`",
         )
@@ -230,7 +229,7 @@ def _back_to_touch(touch: PlacedTouch, cell: CellMap) -> tuple[tuple[slice, slic
     half = np.abs(forward * np.array([width, height]) / 2).sum(axis=1)
     low = np.maximum(np.floor(centre - half).astype(int), 0)
     high = np.minimum(np.ceil(centre + half).astype(int), cell.size_px)
-    back = inverse_affine(forward, centre - low, np.array([width, height]) / 2)
+    back = arithmetic.inverse_affine(forward, centre - low, np.array([width, height]) / 2)
     window = (slice(int(low[1]), int(high[1])), slice(int(low[0]), int(high[0])))
     return window, back
 

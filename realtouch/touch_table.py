@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pyarrow as pa
 
-from realtouch.schema import flat_row, is_per_touch
-from realtouch.stored_round import StoredRound
+from realtouch import schema, stored_round
 from tactile_toolkit.array_types import Int64
 
 if TYPE_CHECKING:
@@ -19,21 +18,24 @@ if TYPE_CHECKING:
 INDEX = "touch_index"
 
 
-def hf_touches(rows: Sequence[StoredRound], places: Int64, touches: Int64, content: str) -> Dataset:
+def hf_touches(
+    rows: Sequence[stored_round.StoredRound], places: Int64, touches: Int64, content: str
+) -> Dataset:
     """Return touches as a data set of the library `datasets`; see :meth:`realtouch.Touches.to_hf`.
 
     ``rows`` are the rounds, ``places`` and ``touches``, shape (n,), the round of each touch and its number
     in it; ``content`` identifies all of them.
     """
-    from datasets import Dataset, DatasetInfo, Features  # takes a second
+    from datasets import Dataset, DatasetInfo, Features  # an extra
 
     if not rows:
         return Dataset.from_dict({})
-    first, total = flat_row(rows[0]), rows[0].touch_total()
+    first, total = schema.flat_row(rows[0]), rows[0].touch_total()
     names = [
         each.name
         for each in first.schema
-        if is_per_touch(each.name, each.type) and len(first.column(each.name).chunk(0).flatten()) == total
+        if schema.is_per_touch(each.name, each.type)
+        and len(first.column(each.name).chunk(0).flatten()) == total
     ]
     parts = [_row_of_each_touch(row, names) for row in rows]
     features = Features.from_arrow_schema(parts[0].schema)
@@ -48,9 +50,9 @@ def hf_touches(rows: Sequence[StoredRound], places: Int64, touches: Int64, conte
     return whole.select(starts[places] + touches)
 
 
-def _row_of_each_touch(row: StoredRound, per_touch: Collection[str]) -> pa.Table:
+def _row_of_each_touch(row: stored_round.StoredRound, per_touch: Collection[str]) -> pa.Table:
     """Return a table with a row for each touch of a round; columns without one entry each are repeated."""
-    table, count = flat_row(row), row.touch_total()
+    table, count = schema.flat_row(row), row.touch_total()
     columns = {}
     for name in table.column_names:
         array = table.column(name).chunk(0)

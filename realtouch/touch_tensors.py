@@ -13,24 +13,19 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import require_method
+from realtouch import contact, schema, sensor_images, touch_dataset
 from realtouch.rounds import TouchSingleRound
-from realtouch.schema import EXTRA_PREFIX, extra_columns, require_poses_for
-from realtouch.sensor_images import room_for
 from realtouch.touch import Touch
-from realtouch.touch_dataset import AnyDataset, TouchStream
 from realtouch.touches import AnyTouches, Touches
-from tactile_toolkit import read
+from tactile_toolkit import cache, errors, read
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.cache import MemoryCache
-from tactile_toolkit.errors import InputError, IntegrityError, needs_extra
 from tactile_toolkit.read import TrainingBatches
 from tactile_toolkit.touch import decode_image
 
 if TYPE_CHECKING:
     import torch
 else:
-    with needs_extra("realtouch.touch_tensors", "torch", "torch"):
+    with errors.needs_extra("realtouch.touch_tensors", "torch", "torch"):
         import torch
 
 __all__ = ["TARGETS", "TouchTensors", "TrainingBatches"]
@@ -86,7 +81,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
 
     def __init__(
         self,
-        dataset: AnyDataset | TouchStream | AnyTouches,
+        dataset: touch_dataset.AnyDataset | touch_dataset.TouchStream | AnyTouches,
         transform: Transform | None = None,
         target: Target = "label",
         frames: str | None = None,
@@ -99,13 +94,15 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         extras = _numbers_of(rounds)
         if isinstance(target, str) and target not in (*TARGETS, *extras):
             known = ", ".join([*TARGETS, *extras])
-            raise InputError(f"no target {target!r}; expected one of {known}, a function of a touch, or None")
+            raise errors.InputError(
+                f"no target {target!r}; expected one of {known}, a function of a touch, or None"
+            )
         self.target = target
-        self.frames = None if frames is None else require_method(frames)
+        self.frames = None if frames is None else contact.require_method(frames)
         if self.frames is not None and rounds.kind == "seq":
-            require_poses_for(self.frames, rounds.column_names, ", ".join(rounds.description()))
+            schema.require_poses_for(self.frames, rounds.column_names, ", ".join(rounds.description()))
         self.channels_last = channels_last
-        self._rounds: MemoryCache[int, Any] = MemoryCache(_ROUNDS_KEPT)
+        self._rounds: cache.MemoryCache[int, TouchSingleRound] = cache.MemoryCache(_ROUNDS_KEPT)
 
     @property
     def sequence(self) -> AnyTouches:
@@ -148,7 +145,7 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if isinstance(self.target, str) and self.target not in TARGETS:
             name = self.target.removeprefix("extra.")
             values = np.asarray(touch.extra[name], np.float32)
-            if frame is not None and touch.round.row.has(f"{EXTRA_PREFIX['frame']}{name}"):
+            if frame is not None and touch.round.row.has(f"{schema.EXTRA_PREFIX['frame']}{name}"):
                 values = values[frame]
             return torch.tensor(values)
         # Names are looked up here and not kept as functions: a function without a name does not pickle.
@@ -191,43 +188,41 @@ class TouchTensors(torch.utils.data.Dataset):  # type: ignore[misc]
         if self.touches.dataset.kind != "single" or not len(indices):
             return None
         wanted = sorted((*self.touches.locate(index), slot) for slot, index in enumerate(indices))
-        touches: list[Any] = [None] * len(wanted)
-        last: int = -1
-        record: Any = None
-        images: Any = None
+        touches: dict[int, Touch] = {}
+        last = -1
         try:
-            size = self._round(wanted[0][0]).sensor_image.size(wanted[0][1])
+            size = self._images(wanted[0][0])[1].size(wanted[0][1])
             # Decoders write colour by colour for each pixel. One picture stays in the processor's cache.
-            pixels = room_for(len(wanted), size)
+            pixels = sensor_images.room_for(len(wanted), size)
             planes = pixels.transpose(0, 3, 1, 2)
             if not self.channels_last:
                 planes = pixels.reshape(planes.shape)
-                one = room_for(1, size)[0]
+                one = sensor_images.room_for(1, size)[0]
             for position, number, slot in wanted:
                 if position != last:
-                    last, record = position, self._round(position)
-                    images = record.sensor_image
+                    last, (record, images) = position, self._images(position)
                 touches[slot] = Touch(record, number)
                 if self.channels_last:
                     decode_image(images.encoded(number), pixels[slot])
                 else:
                     planes[slot] = decode_image(images.encoded(number), one).transpose(2, 0, 1)
-        except (IntegrityError, ValueError):
+        except (errors.IntegrityError, ValueError):
             return None
-        return torch.from_numpy(planes), touches
+        return torch.from_numpy(planes), [touches[slot] for slot in range(len(wanted))]
 
-    def _round(self, position: int) -> Any:
+    def _images(self, position: int) -> tuple[TouchSingleRound, sensor_images.SensorImages]:
+        """Return a round of images, and these; the rounds used last are kept."""
         found = self._rounds.get(position)
         if found is None:
             found = self.touches.dataset[position]
             self._rounds.put(position, found)
-        return found
+        return found, found.sensor_image
 
 
-def _numbers_of(rounds: AnyDataset) -> list[str]:
+def _numbers_of(rounds: touch_dataset.AnyDataset) -> list[str]:
     """Return the targets that are further columns: those of numbers."""
     types = read.column_types(rounds.table.schemas[0]) if rounds.table.schemas else {}
-    columns = extra_columns(rounds.column_names).items()
+    columns = schema.extra_columns(rounds.column_names).items()
     leaves = {name: read.list_depth(types[stored])[1] for name, stored in columns}
     return [f"extra.{name}" for name, leaf in leaves.items() if not pa.types.is_string(leaf)]
 
@@ -238,7 +233,7 @@ def _tensor(kind: str, pixels: UInt8) -> torch.Tensor:
 
 
 def _tv_tensors() -> ModuleType:
-    with needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
-        from torchvision import tv_tensors
+    with errors.needs_extra("realtouch.touch_tensors", "torchvision", "torch"):
+        from torchvision import tv_tensors  # an extra
     found: ModuleType = tv_tensors
     return found

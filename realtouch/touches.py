@@ -5,18 +5,15 @@ from __future__ import annotations
 import hashlib
 from collections.abc import Iterable, Iterator
 from itertools import groupby
-from operator import itemgetter
 from typing import TYPE_CHECKING, Any, Generic, Self, TypeVar
 
 import numpy as np
 
-from realtouch import schema, sensor_images, touch_table
+from realtouch import sensor_images, touch_table
 from realtouch.rounds import TouchRound, TouchSingleRound
 from realtouch.touch import Touch, touch_id
-from tactile_toolkit import builtin_values, checked_fields, kind, read, system
+from tactile_toolkit import builtin_values, checked_fields, errors, kind, read, system, wording
 from tactile_toolkit.array_types import AnyArray, Bool, Float64, Int64, UInt8
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.wording import with_count
 
 if TYPE_CHECKING:
     from datasets import Dataset
@@ -224,10 +221,10 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         IntegrityError
             As :meth:`heights_m`.
         """
-        poses = f"{schema.POSE_COLUMN[self.dataset.kind]}.position"
+        poses = self.dataset.pose_column
         if not self.dataset.has_column(poses):
             if min_height_m is not None or not recalibrate_z:
-                raise InputError(
+                raise errors.InputError(
                     f"{', '.join(self.dataset.description())}: no column {poses!r}, which has the "
                     "heights of the gel",
                     next="leave out the height, and the pictures decide",
@@ -250,7 +247,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
         """
         numbers = list(map(builtin_values.to_builtin_number, read.flattened(wanted)))
         if not builtin_values.is_integer(*numbers):
-            raise InputError(f"{wanted!r} was given; expected object ids as integers")
+            raise errors.InputError(f"{wanted!r} was given; expected object ids as integers")
         ids = self.object_ids
         return self[np.isin(ids, sorted(set(numbers) & set(ids.tolist())))]
 
@@ -328,7 +325,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
             else sensor_images.room_for(len(wanted), size, out)
         )
         start = 0
-        for position, of_round in groupby(wanted, key=itemgetter(0)):
+        for position, of_round in groupby(wanted, key=lambda place: place[0]):
             touches = [touch for _, touch in of_round]
             stop = start + len(touches)
             self._images_of(position).decode_into(out[start:stop], touches, threads=threads)
@@ -386,7 +383,7 @@ class Touches(read.RecordDataset[Touch], Generic[R]):
     def description(self) -> list[str]:
         """Return what the data set holds, and where it is from, in words."""
         of_rounds, *further = self.dataset.description()
-        return [f"{with_count(len(self), self.things)} of {of_rounds}", *further]
+        return [f"{wording.with_count(len(self), self.things)} of {of_rounds}", *further]
 
 
 AnyTouches = Touches[Any]
@@ -404,10 +401,11 @@ def with_no_contact(touches: AnyTouches, contact: Bool, fraction: float, seed: i
         np.asarray(contact),
     )
     if not isinstance(wanted, float) or not 0 <= wanted < 1:
-        raise InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
+        raise errors.InputError(f"no_contact_fraction is {fraction!r}; expected 0 to below 1")
     if mask.dtype != bool or mask.shape != (len(touches),):
-        found = f"contact is {mask.dtype} of shape {mask.shape}"
-        raise InputError(f"{found}; expected bool of shape ({len(touches)},)")
+        raise errors.InputError(
+            f"contact is {mask.dtype} of shape {mask.shape}; expected bool of shape ({len(touches)},)"
+        )
     (empty,) = np.nonzero(~mask)
     count = min(len(empty), round((len(touches) - len(empty)) * wanted / (1 - wanted)))
     if not count:

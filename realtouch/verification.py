@@ -8,15 +8,8 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
-from realtouch.convert.conversion import files_of, parts_of
-from realtouch.integrity import agreeing_files, checked_rows, modal_touch_count, stated_class_names
-from realtouch.kind import KIND
-from realtouch.stored_columns import Damage
-from realtouch.stored_round import StoredRound, stored_rows
-from realtouch.tars import files_of_tar
-from tactile_toolkit import cards, places, read, store
-from tactile_toolkit.errors import InputError, IntegrityError
-from tactile_toolkit.touch import decode_image, image_size
+from realtouch import convert, integrity, kind, stored_columns, stored_round, tars
+from tactile_toolkit import cards, errors, places, read, store, touch
 
 INDEXED = ("frames", "export")
 """Operations whose rows are an index of other files."""
@@ -29,7 +22,7 @@ _CHECKED_PAGE = re.compile(rb"(?:\x15[\x80-\xff]*[\x00-\x7f]){4}", re.DOTALL)
 def check_index(
     folder: store.DataFolder,
     manifest: store.Manifest,
-    findings: list[Damage],
+    findings: list[stored_columns.Damage],
     on_progress: Callable[[int, int], None],
     *,
     decode: bool,
@@ -41,7 +34,7 @@ def check_index(
     done = touches = 0
     for record in manifest.shards:
         done += record.rows
-        with suppress(IntegrityError):  # an index that cannot be read is listed already
+        with suppress(errors.IntegrityError):  # an index that cannot be read is listed already
             shard = read.Shard(folder.address(record.shard.data_path))
             table = shard.read(columns=[name for name in ("round_id", "frames") if name in shard.types])
             rounds.update(table["round_id"].to_pylist())
@@ -49,7 +42,7 @@ def check_index(
             if "frames" in shard.types and "touch" not in shard.types:
                 # In a LeRobotDataset of single images a row is a round, and a frame is a touch.
                 touches += sum(table["frames"].to_pylist()) - len(table)
-            files: dict[str, str | None] = {**files_of(folder, record)}
+            files: dict[str, str | None] = {**convert.files_of(folder, record)}
             # The manifest lists these, so that they were compared already.
             compared = dict.fromkeys(manifest.files.keys() & files.keys())
             for path, sha256 in ({**files, **compared} or {record.shard.data_path: None}).items():
@@ -61,39 +54,39 @@ def check_index(
 
 def _damage_in_file(
     folder: store.DataFolder, path: str, sha256: str | None, *, decode: bool
-) -> Iterator[Damage]:
+) -> Iterator[stored_columns.Damage]:
     """Compare a file with its checksum, if given, and check its images; yield the damage."""
     if sha256 is not None and not store.is_unchanged(folder, path, sha256):
         problem = f"its sha256 differs from the index, which has {sha256}"
         if not folder.exists(path):
             problem = "is missing"
-        yield Damage(path, None, None, "", problem)
+        yield stored_columns.Damage(path, None, None, "", problem)
         return
-    look: Callable[[bytes], object] = image_size
+    look: Callable[[bytes], object] = touch.image_size
     if decode:
-        look = decode_image
+        look = touch.decode_image
     try:
         for number, (name, image) in enumerate(_images_in(folder, path)):
             try:
                 look(image)
             except ValueError as error:
-                yield Damage(path, number, None, name, str(error))
+                yield stored_columns.Damage(path, number, None, name, str(error))
     except tarfile.TarError as error:
-        yield Damage(path, None, None, "", f"not an intact tar: {error}")
+        yield stored_columns.Damage(path, None, None, "", f"not an intact tar: {error}")
 
 
 def _images_in(folder: store.DataFolder, path: str) -> Iterator[tuple[str, bytes]]:
     """Yield the images of a tar, of the columns of a Parquet file, or of an image file."""
     if path.endswith(".tar"):
         with folder.open(path) as stream:
-            for member in files_of_tar(stream, folder.size_bytes(path)):
+            for member in tars.files_of_tar(stream, folder.size_bytes(path)):
                 if not member.name.endswith(".json"):
                     stream.seek(member.offset_data)
                     yield member.name, stream.read(member.size)
     elif path.endswith(".parquet"):
         shard = read.Shard(folder.address(path))
         for column in [name.removesuffix(".bytes") for name in shard.types if name.endswith(".bytes")]:
-            for row in stored_rows([shard], [column]):
+            for row in stored_round.stored_rows([shard], [column]):
                 yield column, row.group.table[column][row.index].as_py()["bytes"]
     elif path.endswith((".jpg", ".png")):
         yield "", folder.read_bytes(path)
@@ -116,7 +109,7 @@ class TouchVerification:
 
     rounds: int
     touches: int
-    findings: tuple[Damage, ...]
+    findings: tuple[stored_columns.Damage, ...]
     unprotected: tuple[str, ...] = ()
 
     @property
@@ -155,8 +148,8 @@ def verify(
     InputError
         Nothing of that name, or no data set of touches.
     """
-    place = replace(places.open_place(name), allow_incomplete=True).require(KIND, "verify")
-    findings: list[Damage] = []
+    place = replace(places.open_place(name), allow_incomplete=True).require(kind.KIND, "verify")
+    findings: list[stored_columns.Damage] = []
     has_checksums = _compare_files(place, findings, workers)
     if place.folder is not None and place.manifest is not None and place.spec.get("operation") in INDEXED:
         counts = (0, 0)
@@ -164,8 +157,8 @@ def verify(
             counts = check_index(place.folder, place.manifest, findings, on_progress, decode=not quick)
         return TouchVerification(*counts, tuple(findings))
     splits = []
-    for part in parts_of(place, split):
-        splits.append(agreeing_files(place.shards(part), place.name, findings))
+    for part in convert.parts_of(place, split):
+        splits.append(integrity.agreeing_files(place.shards(part), place.name, findings))
         findings += _lacking_columns(splits[-1])
     rounds, touches = _check_rounds(splits, findings, on_progress, decode=not quick, workers=workers)
     unprotected: list[str] = []
@@ -176,24 +169,24 @@ def verify(
     return TouchVerification(rounds, touches, tuple(findings), tuple(unprotected))
 
 
-def _compare_files(place: places.Place, findings: list[Damage], workers: int) -> bool:
+def _compare_files(place: places.Place, findings: list[stored_columns.Damage], workers: int) -> bool:
     """Compare the files of a folder with its manifest or download record; return whether it has one."""
     folder, manifest = place.folder, place.manifest
     if folder is None or (manifest is None and store.read_download_record(folder) is None):
         return False
     listed = store.verify(folder, check_card=cards.check_card, workers=workers).findings
-    findings += [Damage(each.file, None, None, "", each.problem) for each in listed]
+    findings += [stored_columns.Damage(each.file, None, None, "", each.problem) for each in listed]
     if manifest is not None:
         try:
             store.convert_json(place.spec.get("operation"), str, store.MANIFEST_FILE, "spec.operation")
-        except IntegrityError as error:
-            findings.append(Damage(store.MANIFEST_FILE, None, None, "", str(error)))
+        except errors.IntegrityError as error:
+            findings.append(stored_columns.Damage(store.MANIFEST_FILE, None, None, "", str(error)))
     return True
 
 
 def _check_rounds(
     splits: Sequence[Sequence[read.Shard]],
-    findings: list[Damage],
+    findings: list[stored_columns.Damage],
     on_progress: Callable[[int, int], None],
     *,
     decode: bool,
@@ -204,15 +197,15 @@ def _check_rounds(
     rounds = touches = 0
     seen: dict[str, str] = {}
     for files in splits:
-        expected, names = modal_touch_count(files), stated_class_names(files)
-        for row, problems in checked_rows(
+        expected, names = integrity.modal_touch_count(files), integrity.stated_class_names(files)
+        for row, problems in integrity.checked_rows(
             read.row_groups(files), expected, names, decode=decode, workers=workers
         ):
             findings += problems
             if row is not None:
                 rounds += 1
                 findings += _repeated_id(row, seen)
-                with suppress(InputError, IntegrityError):
+                with suppress(errors.InputError, errors.IntegrityError):
                     touches += row.touch_total()
                 on_progress(rounds, total)
     return rounds, touches
@@ -224,29 +217,36 @@ def list_findings(folder: store.DataFolder, workers: int = 1) -> list[store.Find
     return [store.Finding(damage.file, f"({damage})") for damage in found] or list(cards.check_card(folder))
 
 
-def _lacking_columns(shards: Sequence[read.Shard]) -> list[Damage]:
+def _lacking_columns(shards: Sequence[read.Shard]) -> list[stored_columns.Damage]:
     """List the columns that some files of a split lack; they cannot be read of the split."""
     names = {shard.path: read.column_names(shard.schema) for shard in shards}
     known = dict.fromkeys(name for columns in names.values() for name in columns)
     problem = "the column is not there; expected it as in other files of the split"
     return [
-        Damage(path, None, None, name, problem)
+        stored_columns.Damage(path, None, None, name, problem)
         for path, columns in names.items()
         for name in known
         if name not in columns
     ]
 
 
-def _repeated_id(row: StoredRound, seen: dict[str, str]) -> list[Damage]:
+def _repeated_id(row: stored_round.StoredRound, seen: dict[str, str]) -> list[stored_columns.Damage]:
     try:
         name = row.name()
-    except (InputError, IntegrityError):  # there are none, or it is named with the other fields
+    except (
+        errors.InputError,
+        errors.IntegrityError,
+    ):  # no column of ids, or an id that is reported with the other fields
         return []
     here = f"{row.path!r}, row {row.number}"
     first = seen.setdefault(name, here)
     if first == here:
         return []
-    return [Damage(row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}")]
+    return [
+        stored_columns.Damage(
+            row.path, row.number, None, "id", f"{name!r} is not unique, it also stands in {first}"
+        )
+    ]
 
 
 def has_page_checksums(folder: store.DataFolder, path: str) -> bool:

@@ -10,28 +10,15 @@ from collections.abc import Iterable, Iterator
 from functools import lru_cache
 from typing import IO
 
-from realtouch.avi_scan import AviPictures
-from realtouch.video_files import (
-    CUT_SHORT,
-    MAX_PICTURES,
-    Video,
-    check_boxes,
-    demuxer_of,
-    kept_jpeg,
-    named_problems,
-    read_start,
-    seconds_of,
-)
-from tactile_toolkit import store
-from tactile_toolkit.errors import ItemError, needs_extra
-from tactile_toolkit.touch import MAX_IMAGE_BYTES
+from realtouch import avi_scan, video_files
+from tactile_toolkit import errors, store, touch
 
 _MOST_HZ = 1_000_000
 _MOST_PERIOD_S = 86_400
 _KEPT_VIDEOS = 8
 
 
-def open_video(folder: store.DataFolder, path: str) -> Video:
+def open_video(folder: store.DataFolder, path: str) -> video_files.Video:
     """Find the pictures of a video; none but the first is decoded.
 
     Parameters
@@ -55,7 +42,7 @@ def open_video(folder: store.DataFolder, path: str) -> Video:
 
 def pictures_of_video(
     folder: store.DataFolder, path: str, numbers: Iterable[int]
-) -> Iterator[bytes | ItemError]:
+) -> Iterator[bytes | errors.ItemError]:
     """Yield some pictures of a video, encoded as JPEG, or as PNG where its codec is lossless.
 
     Parameters
@@ -76,54 +63,56 @@ def pictures_of_video(
         As :func:`open_video`.
     """
     video = open_video(folder, path)
-    with store.open_inside(folder, path) as stream, named_problems():
+    with store.open_inside(folder, path) as stream, video_files.named_problems():
         yield from video.read(stream, numbers)
 
 
 @lru_cache(_KEPT_VIDEOS)
-def _open_video(address: str, path: str, version: object) -> Video:
-    with store.open_inside(store.open_folder(address), path) as stream, named_problems():
+def _open_video(address: str, path: str, version: object) -> video_files.Video:
+    with store.open_inside(store.open_folder(address), path) as stream, video_files.named_problems():
         return _found_video(stream)
 
 
-def _found_video(stream: IO[bytes]) -> Video:
-    start = read_start(stream)
-    demuxer = demuxer_of(start)
+def _found_video(stream: IO[bytes]) -> video_files.Video:
+    start = video_files.read_start(stream)
+    demuxer = video_files.demuxer_of(start)
     if not demuxer:
         begin = start[:12].hex(" ") or "nothing"
-        raise ItemError(
+        raise errors.ItemError(
             "container", f"a file that begins with {begin}; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
         )
     if demuxer == "avi":
         found = _pictures_of(stream)
         if found.is_jpeg:
             return _video_of_jpegs(found)
-    with needs_extra("reading this video", "av", "video"):
-        from realtouch.coded_video import coded_video
-    return coded_video(stream, demuxer, is_cut=demuxer == "mov" and check_boxes(stream))
+    with errors.needs_extra("reading this video", "av", "video"):
+        from realtouch.coded_video import coded_video  # PyAV, an extra
+    return coded_video(stream, demuxer, is_cut=demuxer == "mov" and video_files.check_boxes(stream))
 
 
-def _pictures_of(stream: IO[bytes]) -> AviPictures:
+def _pictures_of(stream: IO[bytes]) -> avi_scan.AviPictures:
     def read(position: int, count: int) -> bytes:
         stream.seek(position)
         return stream.read(count)
 
     try:
-        return AviPictures(read, stream.seek(0, 2), MAX_PICTURES)
+        return avi_scan.AviPictures(read, stream.seek(0, 2), video_files.MAX_PICTURES)
     except ValueError as error:
-        raise ItemError("damaged", str(error)) from error
+        raise errors.ItemError("damaged", str(error)) from error
 
 
-def _video_of_jpegs(found: AviPictures) -> Video:
+def _video_of_jpegs(found: avi_scan.AviPictures) -> video_files.Video:
     if not len(found):
-        raise ItemError("length", "an AVI without pictures; expected one or more")
+        raise errors.ItemError("length", "an AVI without pictures; expected one or more")
     if not 1 / _MOST_HZ <= found.period_s <= _MOST_PERIOD_S:
-        raise ItemError("rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate")
+        raise errors.ItemError(
+            "rate", f"an AVI with a picture each {float(found.period_s):g} s; expected a rate"
+        )
 
-    def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | ItemError]:
+    def read(stream: IO[bytes], numbers: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         for number in numbers:
             stream.seek(int(found.starts[number]))
-            yield kept_jpeg(stream.read(min(int(found.sizes[number]), MAX_IMAGE_BYTES + 1)))
+            yield video_files.kept_jpeg(stream.read(min(int(found.sizes[number]), touch.MAX_IMAGE_BYTES + 1)))
 
-    times = seconds_of(found.slots, found.period_s)
-    return Video(times, int(found.sizes.mean()), CUT_SHORT * found.is_cut, read)
+    times = video_files.seconds_of(found.slots, found.period_s)
+    return video_files.Video(times, int(found.sizes.mean()), video_files.CUT_SHORT * found.is_cut, read)

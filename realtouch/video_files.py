@@ -12,10 +12,8 @@ from typing import IO
 
 import numpy as np
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store, touch
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import InputError, ItemError, ToolkitError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES
 
 MAX_PICTURES = 2_000_000
 """Longest video that is read: nine hours at 60 Hz."""
@@ -60,7 +58,7 @@ _BOX = struct.Struct(">I4s")
 def demuxer_of(start: bytes) -> str:
     """Return FFmpeg's name for the container that a file begins as: avi, mov, matroska or mpegts.
 
-    Empty if it is none of these; ``start`` is what :func:`read_start` returns.
+    Empty for other containers; ``start`` is what :func:`read_start` returns.
     """
     if start[:4] == b"RIFF" and start[8:12] in (b"AVI ", b"AVIX"):
         return "avi"
@@ -88,7 +86,7 @@ def is_video(folder: store.DataFolder, path: str) -> bool:
     try:
         with store.open_inside(folder, path) as stream:
             return bool(demuxer_of(read_start(stream)))
-    except InputError:
+    except errors.InputError:
         return False
 
 
@@ -114,7 +112,7 @@ def check_boxes(stream: IO[bytes]) -> bool:
         stream.seek(start)
         at, limit = _COUNTS.get(name, (0, _MOST_SAMPLES))
         if name == b"cmov":
-            raise ItemError("packed", "a MOV whose header is compressed; expected a plain one")
+            raise errors.ItemError("packed", "a MOV whose header is compressed; expected a plain one")
         if name in _COUNTS:
             counts[name] += int.from_bytes(stream.read(at + 4)[at:], "big")
         elif name in _RUNS:
@@ -123,15 +121,16 @@ def check_boxes(stream: IO[bytes]) -> bool:
         elif name in _HOLDERS:
             position = start
         if counts[name] > limit:
-            what = (
-                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}"
+            raise errors.ItemError(
+                "length",
+                f"a video whose header states {counts[name]:,} entries in {name.decode(errors='replace')!r}; "
+                f"the limit is {limit:,}",
+                next="leave its sound out, or cut it into shorter ones",
             )
-            hint = "leave its sound out, or cut it into shorter ones"
-            raise ItemError("length", f"{what}; the limit is {limit:,}", next=hint)
-    raise ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
+    raise errors.ItemError("length", f"a video of more than {_MOST_BOXES:,} boxes; the limit is that")
 
 
-ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | ItemError]]
+ReadPictures = Callable[[IO[bytes], Iterable[int]], Iterator[bytes | errors.ItemError]]
 """Yields some pictures of the opened file, encoded, or why one cannot be read."""
 
 
@@ -160,11 +159,11 @@ class Video:
         return len(self.time_s)
 
 
-def kept_jpeg(jpeg: bytes) -> bytes | ItemError:
+def kept_jpeg(jpeg: bytes) -> bytes | errors.ItemError:
     """Return a JPEG as it is, or why it cannot be used."""
-    if len(jpeg) <= MAX_IMAGE_BYTES:
+    if len(jpeg) <= touch.MAX_IMAGE_BYTES:
         return jpeg
-    return ItemError("image", f"a picture of more than {MAX_IMAGE_BYTES:,} bytes")
+    return errors.ItemError("image", f"a picture of more than {touch.MAX_IMAGE_BYTES:,} bytes")
 
 
 def seconds_of(ticks: Int64, tick_s: Fraction) -> Float64:
@@ -178,8 +177,8 @@ def named_problems() -> Iterator[None]:
     """Turn what FFmpeg and PyAV raise into ItemError."""
     try:
         yield
-    except ToolkitError:
+    except errors.ToolkitError:
         raise
     except Exception as error:  # FFmpegError is several, and PyAV raises those of the language
         found = getattr(error, "strerror", None) or type(error).__name__
-        raise ItemError("video", f"it cannot be read ({found}); expected an intact video") from error
+        raise errors.ItemError("video", f"it cannot be read ({found}); expected an intact video") from error

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+import inspect
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields, replace
 from os import PathLike
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -29,16 +30,34 @@ with errors.needs_extra("making environments", "ap-gym", "envs"):
         tilted_scene,
     )
 
+F = TypeVar("F", bound=Callable[..., Any])
+
 _OF_VECTORS = ("num_envs", "autoreset_mode", "max_episode_steps")
 _NAMES = tuple(each.name for each in fields(make_options.MakeOptions))
 
 
+def _shows_options(*left_out: str) -> Callable[[F], F]:
+    """Return a decorator that shows the fields of MakeOptions in the signature, for help and completion."""
+
+    def decorate(function: F) -> F:
+        own = inspect.signature(function)
+        name, *_ = own.parameters.values()
+        options = inspect.signature(make_options.MakeOptions).parameters.values()
+        shown = own.replace(parameters=[name, *(each for each in options if each.name not in left_out)])
+        vars(function)["__signature__"] = shown
+        return function
+
+    return decorate
+
+
+@_shows_options(*_OF_VECTORS)
 def make_one(name: str, **options: Any) -> single_environment.TactileEnv:
     """Make a single environment; options as :func:`make_vector`, but for those of vectors."""
     _require_known(options, [each for each in _NAMES if each not in _OF_VECTORS])
     return single_environment.TactileEnv(make_vector(name, **options))
 
 
+@_shows_options()
 def make_vector(name: str, **options: Any) -> environment.TactileVectorEnv:
     """Make environments side by side.
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     class _Locator:
         @classmethod
         def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any: ...
-        def get_source_stamp(self) -> object: ...
+        def get_disambiguator(self) -> str: ...
 
 else:
     _Locator = object
@@ -35,9 +35,12 @@ _COMPILER = "tactile_toolkit.compiled"
 
 
 class _AllFiles(_Locator):
-    """Adds the digest of all files behind a kernel to the stamp by which numba knows what is out of date."""
+    """Adds a digest of all files behind a kernel to the names of its files in the cache.
 
-    files_digest = b""
+    Numba reads a whole index before it sees that it is out of date, and fails at classes that are gone.
+    """
+
+    files_digest = ""
 
     @classmethod
     def from_function(cls, py_func: Callable[..., Any], py_file: str) -> Any:
@@ -47,9 +50,9 @@ class _AllFiles(_Locator):
             locator.files_digest = _files_digest(py_func.__module__)
         return locator
 
-    def get_source_stamp(self) -> object:
-        """Return a value that differs if the source does."""
-        return super().get_source_stamp(), self.files_digest
+    def get_disambiguator(self) -> str:
+        """Return the part of the names that differs if the source does."""
+        return f"{super().get_disambiguator()}-{self.files_digest}"
 
 
 class ChosenFolder(_AllFiles, caching.UserProvidedCacheLocator):
@@ -80,7 +83,7 @@ def all_files_watched() -> Iterator[None]:
 
 
 @lru_cache
-def _files_digest(module: str) -> bytes:
+def _files_digest(module: str) -> str:
     """Return the digest of the modules whose functions may be compiled into the kernels of a module.
 
     Called for the first kernel of a module: it has imported by then what its kernels call.
@@ -100,7 +103,7 @@ def _files_digest(module: str) -> bytes:
         file = getattr(sys.modules.get(name), "__file__", None)
         with contextlib.suppress(OSError):  # a module in an archive
             digest.update(name.encode() + b"\n" + Path(file or "").read_bytes())
-    return digest.digest()
+    return digest.hexdigest()[:16]
 
 
 def _owner(value: object) -> str:

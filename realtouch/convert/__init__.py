@@ -1,1 +1,5 @@
 """New data sets of touches made from others."""
+
+from lazy_loader import attach_stub
+
+__getattr__, __dir__, __all__ = attach_stub(__name__, __file__)

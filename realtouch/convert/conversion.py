@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
-import hashlib
 import operator
-import re
 from collections import deque
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import chain
 from typing import Any, NamedTuple, Protocol
-from urllib.parse import unquote
 
 import pyarrow as pa
 
-from realtouch import contact, integrity, stored_round, touch_dataset
+from realtouch import contact, integrity, schema, stored_round, touch_dataset
 from realtouch.kind import KIND
-from realtouch.schema import media_kind, require_poses_for, require_types
-from tactile_toolkit import catalog, places, read, run, store, touch
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import catalog, errors, places, read, run, store, touch
 from tactile_toolkit.json_types import JsonObject
 
 _READERS = 4  # threads that read footers
@@ -36,13 +31,8 @@ WriteFiles = Callable[[store.DataFolder, store.Manifest], Mapping[str, str]]
 # Of the columns ``file`` and ``sha256`` of an index, which name up to two files for each row.
 _PREFIXES = ("", "meta_")
 
-_NOT_PLAIN = re.compile(rb"[^A-Za-z0-9_-]")
 
 _IMAGES_PER_MEDIA: dict[touch.Kind, int] = {"seq": 64, "single": 1}  # by size: clips are a few dozen images
-
-_LONGEST = 100
-
-_KEPT = 60  # of a longer one, before its digest
 
 
 def parts_of(place: places.Place, split: str | None) -> tuple[str, ...]:
@@ -69,8 +59,10 @@ class Source:
         splits = parts_of(place, split)
         shards = {each: place.shards(each, kind=KIND) for each in splits}
         for found in shards.values():
-            deque(run.in_threads(require_types, found, _READERS), maxlen=0)
-        return cls(place.name, shards, media_kind(shards[splits[0]][0].schema, place.name), place.unfinished)
+            deque(run.in_threads(schema.require_types, found, _READERS), maxlen=0)
+        return cls(
+            place.name, shards, schema.media_kind(shards[splits[0]][0].schema, place.name), place.unfinished
+        )
 
     @property
     def schema(self) -> pa.Schema:
@@ -84,7 +76,7 @@ class Source:
 
     def require_frame(self, method: contact.ContactMethod) -> None:
         """Raise InputError unless the frames of clips can be chosen by a method."""
-        require_poses_for(method, read.column_types(self.schema), self.name)
+        schema.require_poses_for(method, read.column_types(self.schema), self.name)
 
     def manifest(self) -> store.Manifest | None:
         """Return the manifest next to the shards, if any."""
@@ -92,13 +84,15 @@ class Source:
 
     def row_bytes(self) -> int:
         """Return the size of a row unpacked, on average over the data set; at least 1."""
-        sizes = run.in_threads(_unpacked_bytes, self._files(), _READERS)
-        return max(sum(sizes) // max(sum(map(len, self._files())), 1), 1)
+        chunks = chain.from_iterable(run.in_threads(read.Shard.column_chunks, self._files(), _READERS))
+        size: int = sum(chunk.total_uncompressed_size for chunk in chunks)
+        return max(size // max(sum(map(len, self._files())), 1), 1)
 
     def media_bytes(self) -> int:
         """Return the size of an image or clip, on average over the data set; at least 1."""
-        column = f"{touch.MEDIA_COLUMN[self.kind]}."
-        found = run.in_threads(partial(_media_bytes, column), self._files(), _READERS)
+        found = run.in_threads(
+            partial(_media_bytes, f"{touch.MEDIA_COLUMN[self.kind]}."), self._files(), _READERS
+        )
         count, size = map(sum, zip(*found, strict=True))
         return max(size // max(count, 1), 1)
 
@@ -119,10 +113,6 @@ class Source:
             split: list(run.in_threads(read.Shard.fingerprint, found, _READERS))
             for split, found in self.shards.items()
         }
-
-
-def _unpacked_bytes(shard: read.Shard) -> int:
-    return sum(chunk.total_uncompressed_size for chunk in shard.column_chunks())
 
 
 def _media_bytes(column: str, shard: read.Shard) -> tuple[int, int]:
@@ -194,7 +184,7 @@ def require_limit(limit: int | None, name: str = "limit") -> int | None:
     if limit is None:
         return None
     if limit < 1:
-        raise InputError(f"the {name} is {limit}; expected an integer of at least 1")
+        raise errors.InputError(f"the {name} is {limit}; expected an integer of at least 1")
     return operator.index(limit)
 
 
@@ -271,28 +261,3 @@ def write_changed(folder: store.DataFolder, files: Mapping[str, bytes]) -> dict[
         if not store.is_unchanged(folder, path, digests[path]):
             folder.write_bytes(path, content)
     return digests
-
-
-def stem_of_id(round_id: str) -> str:
-    """Return the stem of a file name for a round: its id, if that is plain.
-
-    Whatever is not a letter, a digit, ``-`` or ``_`` is escaped as in addresses, ``a.b`` as ``a%2Eb``, so
-    that different ids stay different and lead nowhere else on any system; a long one ends in its digest.
-    """
-    content = round_id.encode()
-    stem = _NOT_PLAIN.sub(_escaped, content).decode()
-    if len(stem) > _LONGEST:
-        return f"{stem[:_KEPT]}-{hashlib.sha256(content).hexdigest()[:16]}"
-    if not stem or store.problem_of_name(stem):  # none, or a device of Windows, such as ``con``
-        return f"%{content[:1].hex().upper()}{stem[1:]}"
-    return stem
-
-
-def id_of_stem(stem: str) -> str:
-    """Return the id from which :func:`stem_of_id` made a name; other names are returned unchanged."""
-    round_id = unquote(stem)
-    return round_id if stem_of_id(round_id) == stem else stem
-
-
-def _escaped(found: re.Match[bytes]) -> bytes:
-    return f"%{found[0].hex().upper()}".encode()

@@ -3,35 +3,26 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Unpack
 
 import numpy as np
 import pyarrow as pa
+from PIL import Image
 
-from realtouch import contact
-from realtouch.avi import write_avi
+from realtouch import avi, contact, depth_maps, schema, sensor_images, stored_round, touch_clips
 from realtouch.convert import conversion, shard_tasks, touch_pictures
-from realtouch.schema import (
-    EXTRA_PREFIX,
-    POSE_COLUMN,
-    bytes_lists,
-    column_type,
-    extra_type,
-    flat_row,
-    number_lists,
-)
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_round import StoredRound
-from realtouch.touch_clips import SensorClips, TouchClip
-from tactile_toolkit import places, read, store
-from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_TYPE, encode_image, resized
+from tactile_toolkit import errors, places, read, store
+from tactile_toolkit.array_types import Float32, UInt8
+from tactile_toolkit.touch import MAX_IMAGE_PIXELS, MEDIA_COLUMN, MEDIA_TYPE, Kind, encode_image, resized
 
 _CONTACT_FRAME_ROWS = 16
-_POSE, _POSE_SEQUENCE = POSE_COLUMN["single"], POSE_COLUMN["seq"]
+_POSE, _POSE_SEQUENCE = schema.POSE_COLUMN["single"], schema.POSE_COLUMN["seq"]
 _WIDTHS = {"position": 3, "quaternion": 4}
+_SUFFIX: dict[Kind, str] = {"seq": "avi", "single": "jpg"}
+# Further columns with columns and rows in pixels, and where the middle of the first pixel is: 0 of a motion.
+_MIDDLE_OF_FIRST_PX = {"marker_positions_px": 0.5, "marker_flow_px": 0.0}
 _SEQ_ONLY = (
     "video_length_frames",
     "time_stamp_rel_seq",
@@ -84,25 +75,28 @@ def clips_to_images(
     SpecMismatchError, StorageError
         The folder holds a data set of another specification, or cannot be written: what was finished stays.
     """
-    method = contact.require_method(frame)
+    return shard_tasks.write_conversion(
+        source, out, partial(_plan_images, contact.require_method(frame)), **job
+    )
 
-    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-        if opened.kind != "seq":
-            raise InputError(
-                f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
-            )
-        opened.require_frame(method)
-        return conversion.Conversion(
-            opened,
-            "to-single",
-            {"frame": method, "limit": limit},
-            TakeContactFrames(method),
-            conversion.first_rows(opened, limit),
-            rows_per_shard=_CONTACT_FRAME_ROWS,
-            rows_per_group=_CONTACT_FRAME_ROWS // 2,
+
+def _plan_images(
+    method: contact.ContactMethod, opened: conversion.Source, limit: int | None
+) -> conversion.Conversion:
+    if opened.kind != "seq":
+        raise errors.InputError(
+            f"{opened.name!r} holds single images already; expected a data set of clips (seq)"
         )
-
-    return shard_tasks.write_conversion(source, out, plan, **job)
+    opened.require_frame(method)
+    return conversion.Conversion(
+        opened,
+        "to-single",
+        {"frame": method, "limit": limit},
+        TakeContactFrames(method),
+        conversion.first_rows(opened, limit),
+        rows_per_shard=_CONTACT_FRAME_ROWS,
+        rows_per_group=_CONTACT_FRAME_ROWS // 2,
+    )
 
 
 @dataclass(frozen=True)
@@ -113,15 +107,15 @@ class TakeContactFrames:
 
     def schema(self, source: pa.Schema) -> pa.Schema:
         """Return the published ``single`` schema with the columns of the source."""
-        count = getattr(column_type(source, "sensor_video"), "list_size", -1)
+        count = getattr(schema.column_type(source, "sensor_video"), "list_size", -1)
         fields = []
         for field in source:
-            if field.name.startswith(EXTRA_PREFIX["frame"]):
-                entries = pa.list_(extra_type(field.name, field.type))
+            if field.name.startswith(schema.EXTRA_PREFIX["frame"]):
+                entries = pa.list_(schema.extra_type(field.name, field.type))
                 fields.append(pa.field(_per_touch_name(field.name), entries))
             elif field.name not in _SEQ_ONLY and not field.name.startswith(f"{_POSE_SEQUENCE}."):
                 fields.append(field)
-        leaf = column_type(source, f"{_POSE_SEQUENCE}.position")
+        leaf = schema.column_type(source, f"{_POSE_SEQUENCE}.position")
         if leaf is not None:
             # In the precision of the source: poses are copied, not computed.
             _, number = read.list_depth(leaf)
@@ -129,33 +123,35 @@ class TakeContactFrames:
                 fields.append(pa.field(f"{_POSE}.{part}", pa.list_(pa.list_(number, width), count)))
         return pa.schema([*fields, pa.field("sensor_image", pa.list_(MEDIA_TYPE, count))])
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Take one frame of each clip of a row; its stored JPEG is copied."""
-        flat = flat_row(row)
-        schema = self.schema(flat.schema)
+        flat = schema.flat_row(row)
+        wanted = self.schema(flat.schema)
         shown = list(touch_pictures.shown_touches(row, self.method))
         for each in shown:
             _ = each.pixels  # what passes through must be intact
         pictures = [each.stored for each in shown]
-        made = {"sensor_image": bytes_lists([pictures], "jpg", schema.field("sensor_image").type)}
+        made = {"sensor_image": schema.bytes_lists([pictures], "jpg", wanted.field("sensor_image").type)}
         if row.has_poses:
             found = np.concatenate([np.empty((0, 7)), *(each.pose[None] for each in shown)])
             for part, values in zip(_WIDTHS, np.hsplit(found, [3]), strict=True):
                 name = f"{_POSE}.{part}"
-                made[name] = number_lists([values], schema.field(name).type)
+                made[name] = schema.number_lists([values], wanted.field(name).type)
         for name in flat.column_names:
-            if name.startswith(EXTRA_PREFIX["frame"]):
+            if name.startswith(schema.EXTRA_PREFIX["frame"]):
                 entries = touch_pictures.shown_extra(row, name, shown)
                 made[_per_touch_name(name)] = pa.ListArray.from_arrays([0, len(entries)], entries)
         if row.has("pos_in_cell"):
             row.vectors("pos_in_cell", 2)  # checked here, passed through below
         columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
-        return pa.table([columns[name] for name in schema.names], schema=schema), {}
+        return pa.table([columns[name] for name in wanted.names], schema=wanted), {}
 
 
 def _per_touch_name(name: str) -> str:
     """Return the name, with an entry per touch, of a further column with an entry per frame."""
-    return EXTRA_PREFIX["touch"] + name.removeprefix(EXTRA_PREFIX["frame"])
+    return schema.EXTRA_PREFIX["touch"] + name.removeprefix(schema.EXTRA_PREFIX["frame"])
 
 
 def resize(
@@ -168,6 +164,8 @@ def resize(
     **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Write the same data set with images or clips of another size.
+
+    Maps of depth get the size of their images, and ``marker_positions_px`` and ``marker_flow_px`` are scaled.
 
     Parameters
     ----------
@@ -184,16 +182,27 @@ def resize(
 
     Raises
     ------
-    InputError, SpecMismatchError, StorageError
+    InputError
+        A further column of other pixels, whose name ends in ``_px``; or as :func:`clips_to_images`.
+    SpecMismatchError, StorageError
         As :func:`clips_to_images`.
     """
     if width < 1 or height < 1 or width * height > MAX_IMAGE_PIXELS or not 1 <= quality <= 100:
-        raise InputError(
+        raise errors.InputError(
             f"size {width} x {height} at quality {quality}; expected at least 1 x 1, at most "
             f"{MAX_IMAGE_PIXELS:,} pixels in all (4096 x 4096), and a quality of 1 to 100"
         )
 
     def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
+        others = [
+            name for name in schema.extra_columns(read.column_types(opened.schema)) if name.endswith("_px")
+        ]
+        unknown = [name for name in others if name not in _MIDDLE_OF_FIRST_PX]
+        if unknown:
+            raise errors.InputError(
+                f"{opened.name!r} has pixels in {', '.join(unknown)}, which would be of the old pictures",
+                next=f"import it again without them (--map {unknown[0]}=), or under a name without _px",
+            )
         options = {"width": width, "height": height, "quality": quality, "limit": limit}
         step = ResizeMedia(width, height, quality)
         return conversion.Conversion(opened, "resize", options, step, conversion.first_rows(opened, limit))
@@ -203,7 +212,10 @@ def resize(
 
 @dataclass(frozen=True)
 class ResizeMedia:
-    """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again."""
+    """Step of ``resize``: pixels are averaged; unchanged pictures are not encoded again.
+
+    Maps of depth, and columns and rows in pixels, follow the pictures.
+    """
 
     width: int
     height: int
@@ -213,29 +225,63 @@ class ResizeMedia:
         """Return the schema of the source: only the pixels change."""
         return source
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Resize the images or clips of a row; pictures that have the size are copied."""
-        name, suffix = "sensor_video", "avi"
-        if row.has("sensor_image"):
-            name, suffix = "sensor_image", "jpg"
-            images = SensorImages(row)
+        flat, kind = schema.flat_row(row), row.kind
+        if kind == "single":
+            images = sensor_images.SensorImages(row)
+            sizes = list(map(images.size, range(len(images))))
             blobs = [self._image(images, touch) for touch in range(len(images))]
         else:
-            blobs = [self._clip(clip) for clip in SensorClips(row)]
-        flat = flat_row(row)
-        index = flat.schema.get_field_index(name)
-        field = flat.schema.field(index)
-        return flat.set_column(index, field, bytes_lists([blobs], suffix, field.type)), {}
+            sizes = [clip.size for clip in touch_clips.SensorClips(row)]
+            blobs = [self._clip(clip) for clip in touch_clips.SensorClips(row)]
+        made = {
+            MEDIA_COLUMN[kind]: schema.bytes_lists(
+                [blobs], _SUFFIX[kind], flat.schema.field(MEDIA_COLUMN[kind]).type
+            )
+        }
+        for name in filter(row.has, (depth_maps.DEPTH, depth_maps.DEPTH_ERROR)):
+            maps = [depth_maps.encode_map(self._map(each)) for each in depth_maps.DepthMaps(row, name)]
+            made[name] = schema.bytes_lists([maps], depth_maps.SUFFIX, flat.schema.field(name).type)
+        for name, stored in schema.extra_columns(flat.column_names).items():
+            if name in _MIDDLE_OF_FIRST_PX:
+                entries = row.extra_entries(stored).to_pylist()
+                with row.naming(stored):
+                    moved = [
+                        self._moved(name, each, size) for each, size in zip(entries, sizes, strict=False)
+                    ]
+                made[stored] = pa.array([moved], flat.schema.field(stored).type)
+        columns = dict(zip(flat.column_names, flat.columns, strict=True)) | made
+        return pa.table(list(columns.values()), schema=flat.schema), {}
 
-    def _image(self, images: SensorImages, touch: int) -> bytes | memoryview:
+    def _moved(self, name: str, values: object, size: tuple[int, int]) -> object:
+        """Return columns and rows in pixels of a picture, (height, width), in that of the new size."""
+        if not isinstance(values, list):
+            return values
+        if any(isinstance(each, list) for each in values):
+            return [self._moved(name, each, size) for each in values]
+        scale, first = np.array([self.width / size[1], self.height / size[0]]), _MIDDLE_OF_FIRST_PX[name]
+        pairs = np.array(values, np.float64).reshape(-1, 2)
+        return ((pairs + first) * scale - first).ravel().tolist()
+
+    def _map(self, depth_m: Float32) -> Float32:
+        smaller = self.height <= depth_m.shape[0] and self.width <= depth_m.shape[1]
+        method = Image.Resampling.BOX if smaller else Image.Resampling.BILINEAR
+        return np.asarray(Image.fromarray(depth_m).resize((self.width, self.height), method))
+
+    def _image(self, images: sensor_images.SensorImages, touch: int) -> bytes | memoryview:
         if images.size(touch) == (self.height, self.width):
             return images.encoded(touch)
         return self._encode(images[touch])
 
-    def _clip(self, clip: TouchClip) -> bytes | memoryview:
+    def _clip(self, clip: touch_clips.TouchClip) -> bytes | memoryview:
         if clip.size == (self.height, self.width):
             return clip.data
-        return write_avi([self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps)
+        return avi.write_avi(
+            [self._encode(frame) for frame in clip.frames()], self.width, self.height, clip.fps
+        )
 
     def _encode(self, pixels: UInt8) -> bytes:
         return encode_image(resized(pixels, self.width, self.height), "jpeg", self.quality)

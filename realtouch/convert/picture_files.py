@@ -5,28 +5,17 @@ from __future__ import annotations
 import csv
 import io
 from dataclasses import dataclass
+from functools import partial
 from os import PathLike
 from typing import Literal, Unpack
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod, require_method
+from realtouch import contact, contacts, rounds, stored_round, touch_options
 from realtouch.contact_picture import difference
-from realtouch.contacts import background
-from realtouch.convert import conversion
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.convert.touch_pictures import (
-    TouchPicture,
-    columns_of_touches,
-    plain_extras,
-    shown_touches,
-)
-from realtouch.rounds import TouchSingleRound
-from realtouch.stored_round import StoredRound
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import places, read, store, touch
+from realtouch.convert import conversion, file_stems, shard_tasks, touch_pictures
+from tactile_toolkit import errors, places, read, store, touch
 from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import InputError
 from tactile_toolkit.json_types import JsonDict
 
 IMAGE_FOLDER = "images"
@@ -42,7 +31,7 @@ _INDEX_SCHEMA = pa.schema(
         ("frame", pa.int64()),
         ("label", pa.int64()),
         ("object_id", pa.int64()),
-        *((name, pa.float64()) for name in (*POSITION_COLUMNS, *POSE_COLUMNS)),
+        *((name, pa.float64()) for name in (*touch_options.POSITION_COLUMNS, *touch_options.POSE_COLUMNS)),
     ]
 )
 
@@ -54,7 +43,7 @@ def frames(
     frame: str = "contact_end",
     *,
     difference: Literal["grey", "absolute"] | None = None,
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Write touches as plain image files with an index in CSV and Parquet.
 
@@ -84,32 +73,41 @@ def frames(
         As :func:`clips_to_images`.
     """
     if kind not in ("png", "jpeg"):
-        raise InputError(f"no picture format {kind!r}; expected png or jpeg")
+        raise errors.InputError(f"no picture format {kind!r}; expected png or jpeg")
     if difference not in (None, "grey", "absolute"):
-        raise InputError(f"no difference {difference!r} that a picture can show; expected grey or absolute")
-    method = require_method(frame)
-
-    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
-        options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
-        if opened.kind == "single":
-            options["frame"] = None
-        else:
-            opened.require_frame(method)
-        if difference is not None:
-            options["difference"] = difference
-        return conversion.Conversion(
-            opened,
-            "frames",
-            options,
-            WritePictures(kind, method, difference, opened.class_names),
-            conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
-            rows_per_shard=_INDEX_ROWS,
-            rows_per_group=1 << 16,
-            extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
-            write_files=write_index,
+        raise errors.InputError(
+            f"no difference {difference!r} that a picture can show; expected grey or absolute"
         )
+    return shard_tasks.write_conversion(
+        source, out, partial(_plan_pictures, kind, contact.require_method(frame), difference), **job
+    )
 
-    return write_conversion(source, out, plan, **job)
+
+def _plan_pictures(
+    kind: touch.ImageFormat,
+    method: contact.ContactMethod,
+    difference: Literal["grey", "absolute"] | None,
+    opened: conversion.Source,
+    limit: int | None,
+) -> conversion.Conversion:
+    options: JsonDict = {"kind": kind, "frame": method, "limit": limit}
+    if opened.kind == "single":
+        options["frame"] = None
+    else:
+        opened.require_frame(method)
+    if difference is not None:
+        options["difference"] = difference
+    return conversion.Conversion(
+        opened,
+        "frames",
+        options,
+        WritePictures(kind, method, difference, opened.class_names),
+        conversion.marked_repetitions(opened, conversion.first_rows(opened, limit)),
+        rows_per_shard=_INDEX_ROWS,
+        rows_per_group=1 << 16,
+        extra_dirs=(IMAGE_FOLDER, INDEX_FILE),
+        write_files=write_index,
+    )
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class WritePictures:
     """
 
     kind: touch.ImageFormat
-    method: ContactMethod
+    method: contact.ContactMethod
     difference: Literal["grey", "absolute"] | None = None
     names: tuple[str, ...] = touch.CLASS_NAMES
 
@@ -130,35 +128,37 @@ class WritePictures:
         fields = [*_INDEX_SCHEMA]
         if self.names != touch.CLASS_NAMES:
             fields.append(pa.field("label_name", pa.string()))
-        return pa.schema([*fields, *plain_extras(source).values()])
+        return pa.schema([*fields, *touch_pictures.plain_extras(source).values()])
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Return the lines of the index of a row, and its pictures.
 
         A row with a damaged touch is left out with all of its pictures.
         """
-        name = conversion.stem_of_id(str(row.plain_value("id")))
-        shown = list(shown_touches(row, self.method))
+        name = file_stems.stem_of_id(str(row.plain_value("id")))
+        shown = list(touch_pictures.shown_touches(row, self.method))
         base = None
         if self.difference is not None and row.has("sensor_image") and shown:
             # Of a round of images, once; a clip has a background of its own.
-            base = background(TouchSingleRound(row))
+            base = contacts.background(rounds.TouchSingleRound(row))
         folder, suffix = f"{IMAGE_FOLDER}/{split}/{name}", touch.IMAGE_SUFFIX[self.kind]
         files = {f"{folder}/{each.touch:03d}.{suffix}": self._encoded(each, base) for each in shown}
         columns = {
-            **columns_of_touches(row, shown, self.names),
+            **touch_pictures.columns_of_touches(row, shown, self.names),
             "id": [f"{name}/{each.touch:03d}" for each in shown],
             "file": list(files),
             "sha256": list(map(store.sha256_hex, files.values())),
         }
         return conversion.table_of_columns(self.schema(row.group.table.schema), columns), files
 
-    def _encoded(self, shown: TouchPicture, base: UInt8 | None) -> bytes:
+    def _encoded(self, shown: touch_pictures.TouchPicture, base: UInt8 | None) -> bytes:
         """Return the file of a picture; every picture is decoded, so that damage is not passed on."""
         pixels, stored = shown.pixels, shown.stored
         if self.difference is not None:
             if base is None:
-                base = background(shown.images)
+                base = contacts.background(shown.images)
             return touch.encode_image(difference(pixels, base, self.difference), self.kind)
         if self.kind == "jpeg" and touch.is_jpeg(stored):
             return bytes(stored)

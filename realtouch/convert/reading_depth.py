@@ -5,29 +5,24 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import lru_cache
 from os import PathLike, fspath
-from typing import Any, Protocol, Unpack
+from typing import Protocol, Unpack
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.convert.conversion import Conversion, Made, RowChoice, Source, first_rows
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.depth_maps import DEPTH, DEPTH_ERROR, SUFFIX, encode_map
+from realtouch import depth_maps, sensor_images, stored_round
+from realtouch.convert import conversion, shard_tasks
 from realtouch.schema import bytes_lists, column_type, flat_row, number_lists
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_round import StoredRound
-from tactile_toolkit import places, store
+from tactile_toolkit import errors, kind, places, store, touch
 from tactile_toolkit.array_types import AnyArray, Float32, UInt8
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.kind import lazy
-from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit.json_types import JsonDict
 
 DEEPEST, MEAN_ERROR = "extra.depth_max_m", "extra.depth_error_m"
 """Columns with a number for each touch: its deepest point, and the mean of the expected error, metres."""
 
 _BATCH = 8  # images of 320 x 240 pixels take 5 MB as numbers
 
-_load_sensor = lazy("tactile_sim.sensor_models:SensorModel.load")
+_load_sensor = kind.lazy("tactile_sim.sensor_models:SensorModel.load")
 
 
 class DepthAndError(Protocol):
@@ -44,7 +39,7 @@ class DepthReader(Protocol):
         """Return how far each point of the gel is pressed in."""
         ...
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_dict(self) -> JsonDict:
         """Return JSON values that identify the reader by its content."""
         ...
 
@@ -55,7 +50,7 @@ def add_depth(
     sensor: str | PathLike[str],
     *,
     fast: bool = False,
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Add maps of depth to a data set of images, as a calibrated sensor reads them.
 
@@ -86,16 +81,18 @@ def add_depth(
     folder = fspath(sensor)
     reader = _reader(folder)
 
-    def plan(opened: Source, limit: int | None) -> Conversion:
+    def plan(opened: conversion.Source, limit: int | None) -> conversion.Conversion:
         if opened.kind != "single":
-            raise InputError(
+            raise errors.InputError(
                 f"{opened.name!r} holds clips; expected a data set of single images",
                 next="run `realtouch clips-to-images` first, which chooses a frame of each clip",
             )
         options = {"sensor": reader.to_dict(), "fast": fast, "limit": limit}
-        return Conversion(opened, "depth", options, AddDepth(folder, fast), first_rows(opened, limit))
+        return conversion.Conversion(
+            opened, "depth", options, AddDepth(folder, fast), conversion.first_rows(opened, limit)
+        )
 
-    return write_conversion(source, out, plan, **job)
+    return shard_tasks.write_conversion(source, out, plan, **job)
 
 
 @lru_cache(maxsize=1)
@@ -115,33 +112,35 @@ class AddDepth:
         """Return the schema of the source, with the columns of depth in place of others of their names."""
         count = getattr(column_type(source, "sensor_image"), "list_size", -1)
         added = {
-            DEPTH: MEDIA_TYPE,
-            DEPTH_ERROR: MEDIA_TYPE,
+            depth_maps.DEPTH: touch.MEDIA_TYPE,
+            depth_maps.DEPTH_ERROR: touch.MEDIA_TYPE,
             DEEPEST: pa.float32(),
             MEAN_ERROR: pa.float32(),
         }
         kept = [field for field in source if field.name not in added]
         return pa.schema([*kept, *(pa.field(name, pa.list_(each, count)) for name, each in added.items())])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Read the depth of each image of a row; the images are copied."""
         flat = flat_row(row)
         schema = self.schema(flat.schema)
-        images = SensorImages(row)
-        maps: dict[str, list[bytes]] = {DEPTH: [], DEPTH_ERROR: []}
+        images = sensor_images.SensorImages(row)
+        maps: dict[str, list[bytes]] = {depth_maps.DEPTH: [], depth_maps.DEPTH_ERROR: []}
         numbers: dict[str, list[float]] = {DEEPEST: [], MEAN_ERROR: []}
         for start in range(0, len(images), _BATCH):
             found = _reader(self.sensor).read_depth(
                 images.batch(slice(start, start + _BATCH)), fast=self.fast
             )
             for depth_m, error_m in zip(found.depth_m, found.error_m, strict=True):
-                maps[DEPTH].append(encode_map(depth_m))
-                maps[DEPTH_ERROR].append(encode_map(error_m))
+                maps[depth_maps.DEPTH].append(depth_maps.encode_map(depth_m))
+                maps[depth_maps.DEPTH_ERROR].append(depth_maps.encode_map(error_m))
                 numbers[DEEPEST].append(float(depth_m.max()))
                 numbers[MEAN_ERROR].append(float(error_m.mean(dtype=np.float64)))
-        columns: dict[str, Any] = dict(zip(flat.column_names, flat.columns, strict=True))
+        columns: dict[str, pa.Array] = dict(zip(flat.column_names, flat.columns, strict=True))
         for name, blobs in maps.items():
-            columns[name] = bytes_lists([blobs], SUFFIX, schema.field(name).type)
+            columns[name] = bytes_lists([blobs], depth_maps.SUFFIX, schema.field(name).type)
         for name, values in numbers.items():
             column: AnyArray = np.array(values, np.float32)
             columns[name] = number_lists([column], schema.field(name).type)

@@ -15,15 +15,10 @@ from typing import SupportsIndex, Unpack
 import numpy as np
 import pyarrow as pa
 
-from realtouch import schema
+from realtouch import contacts, schema, stored_round, touch_dataset
 from realtouch.contact import MIN_CONTACT_HEIGHT_M, PLATE_COLUMN, ContactHeight
-from realtouch.contacts import BY_IMAGE
-from realtouch.convert import conversion
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.stored_round import StoredRound
-from realtouch.touch_dataset import dataset_of
-from tactile_toolkit import catalog, places, read, store
-from tactile_toolkit.errors import InputError
+from realtouch.convert import conversion, shard_tasks
+from tactile_toolkit import catalog, errors, places, read, store
 from tactile_toolkit.json_types import JsonDict, JsonObject
 from tactile_toolkit.touch import height_text
 
@@ -38,7 +33,7 @@ def select(
     labels: Iterable[int | str] = (),
     objects: Iterable[int | tuple[int, int]] = (),
     per_class: int | None = None,
-    **job: Unpack[JobOptions],
+    **job: Unpack[shard_tasks.JobOptions],
 ) -> store.Manifest:
     """Write some rounds and touches of a data set; images and clips are copied byte for byte.
 
@@ -75,9 +70,6 @@ def select(
     """
     if min_height_m is not None:
         min_height_m = float(min_height_m)
-        if not math.isfinite(min_height_m):  # nothing is as high as NaN
-            expected = f"expected metres, such as {MIN_CONTACT_HEIGHT_M}"
-            raise InputError(f"min_height_m is {min_height_m}; {expected}")
     chosen: JsonDict = {
         "contact": contact,
         "min_height_m": min_height_m,
@@ -87,14 +79,19 @@ def select(
     }
     if per_class is not None:
         chosen["per_class"] = conversion.require_limit(per_class, "per_class")
-    return write_conversion(source, out, partial(_selection, chosen), **job)
+    return shard_tasks.write_conversion(source, out, partial(_selection, chosen), **job)
 
 
 def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None) -> conversion.Conversion:
     options = {**chosen, "limit": limit}
+    min_height_m = options["min_height_m"]
+    if min_height_m is not None and not math.isfinite(min_height_m):  # nothing is as high as NaN
+        raise errors.InputError(
+            f"min_height_m is {min_height_m}; expected metres, such as {MIN_CONTACT_HEIGHT_M}"
+        )
     by_image = options["contact"] and not schema.has_poses(read.column_types(opened.schema))
     if by_image:
-        options["contact_rule"] = BY_IMAGE
+        options["contact_rule"] = contacts.BY_IMAGE
     elif options["min_height_m"] is None:
         options["min_height_m"] = MIN_CONTACT_HEIGHT_M
         if options["contact"]:
@@ -102,17 +99,17 @@ def _selection(chosen: JsonObject, opened: conversion.Source, limit: int | None)
     choices = {each: _chosen_rows(opened, each, options) for each in opened.shards}
     if options["contact"] and not any(choices.values()):
         if by_image:
-            raise InputError(
-                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {BY_IMAGE})",
+            raise errors.InputError(
+                f"no chosen touch of {opened.name!r} is a contact (a touch is one if {contacts.BY_IMAGE})",
                 next="leave out --contact, or give fewer filters",
             )
         raise _no_contact(opened, options["min_height_m"])
     return conversion.Conversion(opened, "select", options, KeepTouches(options["contact"]), choices)
 
 
-def _no_contact(source: conversion.Source, height_m: float) -> InputError:
-    heights_m = [dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
-    return InputError(
+def _no_contact(source: conversion.Source, height_m: float) -> errors.InputError:
+    heights_m = [touch_dataset.dataset_of(shards).touches().heights_m() for shards in source.shards.values()]
+    return errors.InputError(
         f"no chosen touch of {source.name!r} is a contact (a touch is one if "
         f"{height_text(height_m)}); the highest of all touches is "
         f"{1e3 * max(each.max(initial=-math.inf) for each in heights_m):.1f} mm above it",
@@ -122,9 +119,9 @@ def _no_contact(source: conversion.Source, height_m: float) -> InputError:
 
 def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> list[conversion.RowChoice]:
     """Decide which rows and touches of a split :func:`select` keeps; reads small columns only."""
-    dataset, limit = dataset_of(source.shards[split]), options["limit"]
+    dataset, limit = touch_dataset.dataset_of(source.shards[split]), options["limit"]
     if (options["labels"] or "per_class" in options) and not dataset.label_names:
-        raise InputError(
+        raise errors.InputError(
             f"the touches of {source.name!r} have no labels, by which some could be chosen",
             next="choose by --ids, or import them again with --map label=COLUMN",
         )
@@ -134,7 +131,7 @@ def _chosen_rows(source: conversion.Source, split: str, options: JsonObject) -> 
         dataset = dataset.filter_labels([numbers.get(name, name) for name in options["labels"]])
     if options["objects"]:
         if not dataset.has_column("object_id"):
-            raise InputError(
+            raise errors.InputError(
                 f"objects is {options['objects']}, but {source.name!r} has no column 'object_id'",
                 next="choose by --labels, or import it again with --map object=COLUMN",
             )
@@ -162,7 +159,7 @@ def _object_ids(value: SupportsIndex | tuple[SupportsIndex, SupportsIndex]) -> i
             return tuple(map(operator.index, value))
         return operator.index(value)
     except TypeError as error:
-        raise InputError(f"objects holds {value!r}; expected integers, such as 12") from error
+        raise errors.InputError(f"objects holds {value!r}; expected integers, such as 12") from error
 
 
 @dataclass(frozen=True)
@@ -187,7 +184,9 @@ class KeepTouches:
             fields.append(pa.field(PLATE_COLUMN, pa.float64()))
         return pa.schema(fields)
 
-    def apply(self, row: StoredRound, choice: conversion.RowChoice, split: str) -> conversion.Made:
+    def apply(
+        self, row: stored_round.StoredRound, choice: conversion.RowChoice, split: str
+    ) -> conversion.Made:
         """Return a row with the chosen touches; no image or clip is decoded."""
         flat = schema.flat_row(row)
         if choice.touches is None:

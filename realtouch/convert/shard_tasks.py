@@ -48,8 +48,11 @@ class _ConvertRows:
         for choice, row in self._rows(choices):
             try:
                 if choice.is_repeated:
-                    problem = f"{row.value('id')!r} stands in an earlier round of split {shard.split!r}"
-                    raise row.damaged("id", f"{problem} too; expected ids that differ")
+                    raise row.damaged(
+                        "id",
+                        f"{row.value('id')!r} stands in an earlier round of split {shard.split!r} "
+                        "too; expected ids that differ",
+                    )
                 # Checked for all steps: those that copy a column do not read it.
                 row.require_touches()
                 made, beside = self.step.apply(row, choice, shard.split)

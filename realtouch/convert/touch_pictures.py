@@ -8,21 +8,22 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
+from realtouch import contact, rounds, schema, sensor_images, stored_round, touch_clips, touch_options
 from realtouch.poses import Poses
-from realtouch.rounds import TouchSingleRound
-from realtouch.schema import EXTRA_PREFIX, extra_columns, extra_type
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_round import StoredRound
-from realtouch.touch_clips import SensorClips, TouchClip
-from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import read
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray, Float64, Floating, UInt8
 
 # What exports and their readers know by other meanings.
 _OTHER_COLUMNS = (
     *("id", "image", "file", "sha256", "meta_file", "meta_sha256", "split", "round_id", "touch", "frame"),
-    *("label", "label_name", "object_id", *POSITION_COLUMNS, *POSE_COLUMNS, *FOTA_POSE_COLUMNS),
+    *(
+        "label",
+        "label_name",
+        "object_id",
+        *touch_options.POSITION_COLUMNS,
+        *touch_options.POSE_COLUMNS,
+        *touch_options.FOTA_POSE_COLUMNS,
+    ),
 )
 
 
@@ -36,7 +37,7 @@ class TouchPicture:
 
     touch: int
     frame: int
-    images: SensorImages | TouchClip
+    images: sensor_images.SensorImages | touch_clips.TouchClip
     place: int
     pose: Floating
 
@@ -51,17 +52,17 @@ class TouchPicture:
         return self.images[self.place]
 
 
-def shown_touches(row: StoredRound, method: ContactMethod) -> Iterator[TouchPicture]:
+def shown_touches(row: stored_round.StoredRound, method: contact.ContactMethod) -> Iterator[TouchPicture]:
     """Yield the picture of each touch of a round: its image, or the frame of its clip by some method."""
     if row.kind == "single":
-        images = TouchSingleRound(row).sensor_image
+        images = rounds.TouchSingleRound(row).sensor_image
         poses = np.empty((len(images), 0))
         if row.has_poses:
             poses = _pose_values(row.poses(), slice(None))
         for touch in range(len(images)):
             yield TouchPicture(touch, 0, images, touch, poses[touch])
         return
-    for touch, clip in enumerate(SensorClips(row)):
+    for touch, clip in enumerate(touch_clips.SensorClips(row)):
         frame, pose = clip.contact_index(method), np.empty(0)
         if row.has_poses:
             pose = _pose_values(row.pose_sequences(touch)[0], frame)
@@ -73,7 +74,7 @@ def _pose_values(at: Poses, index: int | slice) -> Float64:
 
 
 def columns_of_touches(
-    row: StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
+    row: stored_round.StoredRound, shown: Sequence[TouchPicture], names: Sequence[str]
 ) -> dict[str, AnyArray | list[object]]:
     """Return the columns of a table of the touches of a round, as far as the source stores them."""
     label, count = row.label_value(), len(shown)
@@ -87,9 +88,11 @@ def columns_of_touches(
     if row.has("object_id"):
         columns["object_id"] = np.full(count, row.integer("object_id"))
     if row.has("pos_in_cell"):
-        columns |= dict(zip(POSITION_COLUMNS, row.intended_positions().T, strict=True))
+        columns |= dict(zip(touch_options.POSITION_COLUMNS, row.intended_positions().T, strict=True))
     if shown:
-        columns |= dict(zip(POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False))
+        columns |= dict(
+            zip(touch_options.POSE_COLUMNS, np.stack([each.pose for each in shown]).T, strict=False)
+        )
     for stored, field in plain_extras(row.group.table.schema).items():
         columns[field.name] = shown_extra(row, stored, shown)
     return columns
@@ -102,19 +105,19 @@ def plain_extras(source: pa.Schema) -> dict[str, pa.Field]:
     """
     types, taken = read.column_types(source), {*_OTHER_COLUMNS}
     found = {}
-    for name, stored in extra_columns(types).items():
+    for name, stored in schema.extra_columns(types).items():
         plain = name
         while plain in taken:
             plain = f"extra_{plain}"
         taken.add(plain)
-        found[stored] = pa.field(plain, extra_type(stored, types[stored]))
+        found[stored] = pa.field(plain, schema.extra_type(stored, types[stored]))
     return found
 
 
-def shown_extra(row: StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
+def shown_extra(row: stored_round.StoredRound, stored: str, shown: Sequence[TouchPicture]) -> pa.Array:
     """Return an entry of a further column for each touch; of one with an entry per frame, that shown."""
     entries = row.extra_entries(stored)
-    if not stored.startswith(EXTRA_PREFIX["frame"]):
+    if not stored.startswith(schema.EXTRA_PREFIX["frame"]):
         return entries
     found = [pa.nulls(0, entries.type.value_type)]
     for each in shown:
@@ -122,7 +125,10 @@ def shown_extra(row: StoredRound, stored: str, shown: Sequence[TouchPicture]) ->
         if frames is None:  # missing for the whole clip
             frames = pa.nulls(each.frame + 1, entries.type.value_type)
         if each.frame >= len(frames):
-            problem = f"{len(frames)} frames; expected at least {each.frame + 1}"
-            raise row.damaged(stored, problem, each.touch)
+            raise row.damaged(
+                stored,
+                f"{wording.with_count(len(frames), 'frames')}; expected at least {each.frame + 1}",
+                each.touch,
+            )
         found.append(frames.slice(each.frame, 1))
     return pa.concat_arrays(found)

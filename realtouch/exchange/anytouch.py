@@ -12,11 +12,9 @@ from operator import itemgetter
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made, stem_of_id, with_files, write_changed
+from realtouch import convert, importing, stored_images
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from realtouch.stored_images import as_jpeg, background_of
-from tactile_toolkit import read, store
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import column_types, errors, read, store
 
 _FOLDER, IMAGES, FRAMES = "anytouch", "touch_and_go", "gelsight_frame"
 _BACKGROUND = "background.jpg"
@@ -24,10 +22,10 @@ LIST_END = "_bg.txt"
 LEFT_OUT = "-1"
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
     """Return the touches of each round as numbered images, and their median as the background."""
     if (index["label"].to_numpy() < 0).any():
-        raise InputError(
+        raise errors.InputError(
             "touches without a class; in this format the label -1 leaves an image out",
             next="choose those of known classes with `realtouch select --labels`, or another format",
         )
@@ -36,13 +34,13 @@ def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage])
     backgrounds: list[str] = []
     stored = zip(index["round_id"].to_pylist(), index["touch"].to_pylist(), images, strict=True)
     for name, touches in groupby(stored, key=itemgetter(0)):
-        home = f"{_FOLDER}/{IMAGES}/{shard.split}-{stem_of_id(name)}/{FRAMES}"
-        found = {f"{home}/{touch:010d}.jpg": as_jpeg(image) for _, touch, (_, image) in touches}
+        home = f"{_FOLDER}/{IMAGES}/{shard.split}-{convert.stem_of_id(name)}/{FRAMES}"
+        found = {f"{home}/{touch:010d}.jpg": stored_images.as_jpeg(image) for _, touch, (_, image) in touches}
         background = f"{home}/{_BACKGROUND}"
-        files |= {**found, background: background_of(list(found.values()), list(found))}
+        files |= {**found, background: stored_images.background_of(list(found.values()), list(found))}
         paths += found
         backgrounds += [background] * len(found)
-    return with_files(index, files, [paths, backgrounds])
+    return convert.with_files(index, files, [paths, backgrounds])
 
 
 def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
@@ -55,7 +53,37 @@ def _write_lists(folder: store.DataFolder, manifest: store.Manifest) -> dict[str
             _, _, name, _, base = image.split("/")
             lines.setdefault(path, []).append(f"{name}/{base},{label},{_BACKGROUND}\n")
     # The index has the checksums of the images; in the manifest they would take too much space.
-    return write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
+    return convert.write_changed(folder, {path: "".join(each).encode() for path, each in lines.items()})
 
 
 plan_anytouch = TouchFormat(_FOLDER, _pack, _write_lists).plan
+
+
+def find_anytouch(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield the lines of each list, or of one list, as touches; a missing file is the touch's problem."""
+    lists = [(home, name) for name in importing.visible_files(home, LIST_END)]
+    if table is not None:
+        lists = [importing.source_of(table)]
+    if not lists:
+        raise errors.InputError(f"{home.address()!r} holds no lists (*{LIST_END})")
+    for place, each in lists:
+        split = each.removesuffix(LIST_END)
+        with importing.open_source(place, each) as stream:
+            lines = stream.read().decode(errors="replace").splitlines()
+        paths, labels, rounds = list[str](), list[str](), list[str]()
+        for line in lines:
+            image, label, *_ = f"{line},".split(",")
+            folder, _, base = importing.path_of(image).rpartition("/")
+            paths.append(f"{IMAGES}/{folder}/{FRAMES}/{base}")
+            labels.append(label.strip())
+            rounds.append(convert.id_of_stem(folder.removeprefix(f"{split}-")))
+        problem = errors.ItemError("label", "the list leaves it out: its label is -1")
+        left_out = [number for number, label in enumerate(labels) if label == LEFT_OUT]
+        said = {
+            "label": pa.array(labels, pa.string()),
+            "round_id": pa.array(rounds, pa.string()),
+            "split": column_types.repeated(split, len(paths)),
+        }
+        yield importing.image_files(home, paths, said, dict.fromkeys(left_out, problem))

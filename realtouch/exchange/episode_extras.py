@@ -8,12 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch.extras import array_with_gaps
-from realtouch.schema import EXTRA_PREFIX, extra_columns, extra_type
-from realtouch.stored_round import StoredRound
-from tactile_toolkit import read
+from realtouch import extras, schema, stored_round
+from tactile_toolkit import read, wording
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.wording import with_count
 
 FEATURE = "observation."
 """How the names of these columns begin."""
@@ -47,9 +44,9 @@ class ExtraColumn:
     @property
     def is_per_frame(self) -> bool:
         """Whether it has an entry for each frame, not for each touch."""
-        return self.stored.startswith(EXTRA_PREFIX["frame"])
+        return self.stored.startswith(schema.EXTRA_PREFIX["frame"])
 
-    def of_frames(self, row: StoredRound, touch: int | None, count: int) -> pa.Array:
+    def of_frames(self, row: stored_round.StoredRound, touch: int | None, count: int) -> pa.Array:
         """Return the values of an episode: of all touches of a round, or of the frames of one clip.
 
         What is missing is NaN, or an empty text. Raises IntegrityError for fewer values than frames, and for
@@ -63,10 +60,10 @@ class ExtraColumn:
             values = values.take(pa.array([touch] * count))
         if len(values) < count:
             raise row.damaged(
-                self.stored, f"{with_count(len(values), 'frames')}; expected at least {count}", touch
+                self.stored, f"{wording.with_count(len(values), 'frames')}; expected at least {count}", touch
             )
         with row.naming(self.stored, touch):
-            return self._packed(array_with_gaps(values))
+            return self._packed(extras.array_with_gaps(values))
 
     def _packed(self, values: AnyArray) -> pa.Array:
         """Return numbers, texts or vectors as Arrow stores them; ValueError for vectors of another length."""
@@ -100,8 +97,8 @@ def extra_columns_of(shards: Sequence[read.Shard]) -> tuple[ExtraColumn, ...]:
     types = read.column_types(shards[0].schema)
     names = {f"{FEATURE}{name}" for name in _TAKEN}
     found = []
-    for name, stored in extra_columns(types).items():
-        entry, (width, has_gaps) = extra_type(stored, types[stored]), _widths(shards, stored)
+    for name, stored in schema.extra_columns(types).items():
+        entry, (width, has_gaps) = schema.extra_type(stored, types[stored]), _widths(shards, stored)
         depth, leaf = read.list_depth(entry)
         if has_gaps and not (pa.types.is_floating(leaf) or pa.types.is_string(leaf)):
             leaf = pa.float64()  # where NaN stands for what is missing

@@ -6,23 +6,26 @@ before they are read.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch import depth_maps
-from realtouch.convert.conversion import Choices, Made, RowChoice, Source, schema_of, table_of_columns
+from realtouch import (
+    convert,
+    depth_maps,
+    poses,
+    sensor_images,
+    stored_images,
+    stored_round,
+    touch_clips,
+    touch_dataset,
+)
 from realtouch.exchange.episode_extras import ExtraColumn, extra_columns_of
-from realtouch.poses import Poses
 from realtouch.schema import POSE_COLUMN
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_images import image_column, require_intact
-from realtouch.stored_round import StoredRound, stored_rows
-from realtouch.touch_clips import TouchClip
-from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import InputError
+from tactile_toolkit import errors, store
+from tactile_toolkit.array_types import AnyArray, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
 IMAGE, STATE, ACTION, TIME = "observation.images.tactile", "observation.state", "action", "time_s"
@@ -53,31 +56,33 @@ class Episodes:
     names: tuple[str, ...]
     extras: tuple[ExtraColumn, ...]
     number: pa.DataType
-    depth_of: Callable[[StoredRound, tuple[int, int]], pa.Array] | None = None
+    depth_of: Callable[[stored_round.StoredRound, tuple[int, int]], pa.Array] | None = None
 
     @classmethod
-    def of(cls, source: Source, choices: Choices, what: str, number: pa.DataType) -> Episodes:
+    def of(cls, source: convert.Source, choices: convert.Choices, what: str, number: pa.DataType) -> Episodes:
         """Read the size of the first image of a split; all images must have it.
 
         Raises InputError for several splits, which a ``what`` cannot hold, or for one without touches.
         """
         split, *others = choices
         if others:
-            raise InputError(
+            raise errors.InputError(
                 f"{source.name!r} has the splits {', '.join(choices)}; a {what} holds one",
                 next=f"add --split {split}",
             )
-        row = next(filter(StoredRound.touch_total, stored_rows(source.shards[split])), None)
+        row = next(
+            filter(stored_round.StoredRound.touch_total, stored_round.stored_rows(source.shards[split])), None
+        )
         if row is None:
-            raise InputError(
+            raise errors.InputError(
                 f"{source.name!r} has no touches in split {split!r}", next="choose another split"
             )
         are_clips, fps = source.kind == "seq", 1
         if are_clips:
-            clip = TouchClip(row, 0)
+            clip = touch_clips.TouchClip(row, 0)
             fps, size = max(1, round(clip.fps)), clip.size
         else:
-            size = SensorImages(row).size()
+            size = sensor_images.SensorImages(row).size()
         extras = extra_columns_of(source.shards[split])
         return cls(split, are_clips, fps, size, source.class_names, extras, number)
 
@@ -100,9 +105,9 @@ class Episodes:
         if self.depth_of is not None:
             wanted[DEPTH] = (MEDIA_TYPE, (depth_maps.DEPTH,))
         extras = [pa.field(each.name, each.data_type) for each in self.extras]
-        return pa.schema([*schema_of(source, wanted), *extras])
+        return pa.schema([*convert.schema_of(source, wanted), *extras])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return all frames of a row."""
         schema = self.schema(row.group.table.schema)
         of_row: dict[str, object] = {"round_id": row.name(), "label": row.label_value(self.names)}
@@ -116,16 +121,16 @@ class Episodes:
             columns |= {name: [value] * count for name, value in (*of_row.items(), ("touch", touch))}
             columns |= {each.name: each.of_frames(row, touch, count) for each in self.extras}
             columns["id"] = names = [f"{start}_{frame:04d}" for frame in range(count)]
-            columns[IMAGE] = image_column(images, names)
+            columns[IMAGE] = stored_images.image_column(images, names)
             columns["frame_index"] = np.arange(count)
             columns["timestamp"] = (np.arange(count) / self.fps).astype(np.float32)
-            tables.append(table_of_columns(schema, columns))
+            tables.append(convert.table_of_columns(schema, columns))
         return pa.concat_tables(tables), {}
 
-    def _round(self, row: StoredRound) -> Iterator[_Episode]:
+    def _round(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield all touches of a round of single images as one episode; none of a round without any."""
         row.entries_of("sensor_image")
-        images, columns = SensorImages(row), dict[str, object]()
+        images, columns = sensor_images.SensorImages(row), dict[str, object]()
         if not len(images):
             return
         if row.has_poses:
@@ -136,10 +141,14 @@ class Episodes:
             columns[DEPTH] = self.depth_of(row, self.size)
         yield None, list(map(images.encoded, range(len(images)))), columns
 
-    def _clips(self, row: StoredRound) -> Iterator[_Episode]:
+    def _clips(self, row: stored_round.StoredRound) -> Iterator[_Episode]:
         """Yield each clip of a round as an episode."""
         for touch in range(row.touch_total()):
-            clip, columns, times_s = TouchClip(row, touch), dict[str, object](), row.stamps_s(touch)
+            clip, columns, times_s = (
+                touch_clips.TouchClip(row, touch),
+                dict[str, object](),
+                row.stamps_s(touch),
+            )
             frames = np.arange(len(clip))
             if row.has_poses:
                 columns[STATE] = self._states(row.pose_sequences(touch)[0])
@@ -152,20 +161,73 @@ class Episodes:
                 columns[CONTACT] = (frames >= window.start) & (frames < window.stop)
             yield touch, list(map(clip.encoded, range(len(clip)))), columns
 
-    def _require_size(self, row: StoredRound, touch: int, image: bytes | memoryview) -> None:
+    def _require_size(self, row: stored_round.StoredRound, touch: int, image: bytes | memoryview) -> None:
         with row.naming(MEDIA_COLUMN[row.kind], touch):
-            height, width = require_intact(image)
+            height, width = stored_images.require_intact(image)
         if (height, width) != self.size:
-            raise InputError(
+            raise errors.InputError(
                 f"{row.path!r}, row {row.number}, touch {touch}: an image of {width} x {height} pixels; "
                 f"expected {self.size[1]} x {self.size[0]} as in the first touch: episodes have images of "
                 "one size",
                 next="make them alike with `realtouch resize`",
             )
 
-    def _states(self, pose: Poses) -> pa.Array:
+    def _states(self, pose: poses.Poses) -> pa.Array:
         return self._vectors(np.hstack([pose.position_m, pose.quaternion]))
 
     def _vectors(self, values: AnyArray) -> pa.Array:
         flat = np.ascontiguousarray(values, self.number.to_pandas_dtype()).reshape(-1)
         return pa.FixedSizeListArray.from_arrays(pa.array(flat), values.shape[1])
+
+
+@dataclass(frozen=True)
+class EpisodeNumbers:
+    """Numbers of the first episode and frame of each shard, and of one more."""
+
+    starts: Sequence[Sequence[int]] = field(repr=False)
+
+    @classmethod
+    def of(
+        cls, source: convert.Source, step: Episodes, chosen: Sequence[convert.RowChoice], rows_per_shard: int
+    ) -> EpisodeNumbers:
+        """Read the lengths of all rows; InputError for clips whose lengths are not stated."""
+        counts = _episode_lengths(source, step)[[each.row for each in chosen]]
+        ends = np.concatenate([np.zeros((1, 2), np.int64), np.cumsum(counts, axis=0)])
+        return cls(ends[[*range(0, len(chosen), rows_per_shard), len(chosen)]].tolist())
+
+    def of_shard(
+        self, shard: store.ShardName, found: Sequence[int], skipped: Sequence[store.Skipped]
+    ) -> Sequence[int]:
+        """Return the numbers of the first episode and frame of a shard, given how many there are.
+
+        Raises IntegrityError for a shard that lacks rounds, or has other counts than were planned.
+        """
+        if skipped:
+            raise errors.IntegrityError(
+                f"{skipped[0].message}; episodes are numbered without gaps, so that none can be left out; "
+                "nothing of this file was written",
+                next="leave the round out first (`realtouch select`)",
+            )
+        start, end = self.starts[shard.index : shard.index + 2]
+        if np.subtract(end, start).tolist() != found:
+            episodes, frames = found
+            raise errors.IntegrityError(
+                f"{shard}: {episodes:,} episodes of {frames:,} frames in all, other than "
+                "'video_length_frames' stated when the export was planned; nothing of this file was written",
+                next="run `realtouch verify` on the source",
+            )
+        return start
+
+
+def _episode_lengths(source: convert.Source, step: Episodes) -> Int64:
+    """Return the number of episodes and of frames of each row, shape (n, 2)."""
+    if not step.are_clips:
+        counts = touch_dataset.dataset_of(source.shards[step.split]).touch_counts
+        return np.column_stack([counts > 0, counts]).astype(np.int64)
+    found = []
+    for shard in source.shards[step.split]:
+        if "video_length_frames" not in shard.types:
+            raise errors.InputError(f"{shard.path!r} has no column 'video_length_frames'")
+        lengths = shard.read(columns=["video_length_frames"]).column(0).to_pylist()
+        found += [(len(each), sum(each)) for each in lengths]
+    return np.array(found, np.int64).reshape(-1, 2)

@@ -5,15 +5,13 @@ from __future__ import annotations
 from os import PathLike
 from typing import Literal, Unpack, get_args
 
-from realtouch.contact import require_method
-from realtouch.convert.conversion import Conversion, Source, first_rows
-from realtouch.convert.shard_tasks import JobOptions, write_conversion
-from realtouch.touch_options import require_layout
-from tactile_toolkit import places, store
-from tactile_toolkit.kind import lazy
+from realtouch import contact, convert, touch_options
+from tactile_toolkit import kind, places, store
 
 ExportLayout = Literal["flat", "webdataset", "lerobot", "oxt", "replay", "fota", "sparsh", "anytouch"]
-EXPORTS = {layout: lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)}
+EXPORTS = {
+    layout: kind.lazy(f"realtouch.exchange.{layout}:plan_{layout}") for layout in get_args(ExportLayout)
+}
 
 
 def export(
@@ -22,7 +20,7 @@ def export(
     layout: ExportLayout,
     *,
     frame: str = "contact_end",
-    **job: Unpack[JobOptions],
+    **job: Unpack[convert.JobOptions],
 ) -> store.Manifest:
     """Write touches in the format of another library; stored JPEGs are copied, never encoded again.
 
@@ -62,11 +60,11 @@ def export(
     StorageError
         The folder cannot be written. What was finished stays.
     """
-    plan, method = require_layout(layout, EXPORTS), require_method(frame)
+    plan, method = touch_options.require_layout(layout, EXPORTS), contact.require_method(frame)
 
-    def planned(opened: Source, limit: int | None) -> Conversion:
+    def planned(opened: convert.Source, limit: int | None) -> convert.Conversion:
         options = {"layout": layout, "limit": limit}
-        conversion: Conversion = plan(opened, first_rows(opened, limit), method, options)
+        conversion: convert.Conversion = plan(opened, convert.first_rows(opened, limit), method, options)
         return conversion
 
-    return write_conversion(source, out, planned, **job)
+    return convert.write_conversion(source, out, planned, **job)

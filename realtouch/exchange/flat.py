@@ -1,5 +1,98 @@
-"""Tables with a row a touch, as `datasets`, pandas and polars read them: the rows are the format."""
+"""Tables with a row a touch, as `datasets`, pandas and polars read them: the rows are the format.
 
-from realtouch.exchange.touch_rows import TouchFormat
+Those of others have the picture in a column of bytes, or of ``bytes`` and ``path`` as `datasets` stores it.
+"""
 
-plan_flat = TouchFormat().plan
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from realtouch import importing
+from realtouch.exchange import foreign_parquet, touch_rows
+from tactile_toolkit import column_types, errors, store, touch, wording
+
+plan_flat = touch_rows.TouchFormat().plan
+
+
+_ENDING = ".parquet"
+_SPLIT = "split"
+# Of our export: ids of touches, and the order in which they stand anyway.
+_OURS = {"id", "round_id", "label_name", "touch", "frame"}
+_OF_ORDER = ("id", "touch", "frame")
+
+
+def find_flat(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield a touch for each row of each file, in their order; the split is that of the file's name."""
+    home, paths = _files(home)
+    for path in paths:
+        try:
+            parquet = foreign_parquet.ForeignParquet(home, path)
+        except errors.ItemError as error:
+            raise errors.InputError(f"{home.address(path)!r}: {error.what}") from error
+        column = _picture_column(parquet, columns.image_name)
+        yield _touches(home, path, parquet, column)
+
+
+def _files(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
+    """Return the folder and the paths of its Parquet files, or of one that is named itself."""
+    if home.address().endswith(_ENDING):
+        home, name = importing.source_of(home.address())
+        return home, [name]
+    paths = sorted(path for path in home.walk() if path.endswith(_ENDING) and not store.is_hidden(path))
+    if not paths:
+        raise errors.InputError(
+            f"{home.address()!r} holds no Parquet files; expected a row for each touch in them"
+        )
+    return home, paths
+
+
+def _picture_column(parquet: foreign_parquet.ForeignParquet, name: str) -> str:
+    """Return the column of pictures: that named, or the only one (InputError)."""
+    for stored in touch.MEDIA_COLUMN.values():
+        if stored in parquet.types and not foreign_parquet.is_picture(
+            parquet.types[stored]
+        ):  # a list, an entry a touch
+            raise errors.InputError(
+                f"{parquet.place!r} has the column {stored!r}: it is of a data set of touches, "
+                "which needs no import",
+                next="open the data set by its folder, as with `realtouch info`",
+            )
+    known: list[str] = [
+        column for column, data_type in parquet.types.items() if foreign_parquet.is_picture(data_type)
+    ]
+    chosen = [column for column in known if name in ("", column)]
+    if len(chosen) == 1:
+        return chosen[0]
+    found = ", ".join(known) or f"none among {', '.join(parquet.types)}"
+    expected = f"{name!r}{wording.did_you_mean(name, known)}" if name else "one"
+    raise errors.InputError(
+        f"{parquet.place!r} has the columns of pictures {found}; expected {expected}",
+        next="choose one with --map image=NAME",
+    )
+
+
+def _touches(
+    home: store.DataFolder, path: str, parquet: foreign_parquet.ForeignParquet, column: str
+) -> importing.FoundTouches:
+    names = [name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)]
+    size, stem = parquet.picture_bytes(column), path.removesuffix(_ENDING)
+    shard = store.ShardName.parse(path.rpartition("/")[2])
+    left_out = _OF_ORDER if {*names} >= _OURS else ()
+    said = parquet.columns([name for name in names if name not in left_out])
+    if shard is not None and _SPLIT not in names:
+        said = {_SPLIT: column_types.repeated(shard.split, len(parquet)), **said}
+    # The file that a picture was, without its folder.
+    called = [importing.path_of(name or "").rpartition("/")[2] for name in parquet.picture_names(column)]
+    return importing.FoundTouches.of(
+        [name or f"{stem}_{number:06d}" for number, name in enumerate(called)],
+        home.address(),
+        path,
+        said,
+        part=column,
+        start=np.arange(len(parquet)),
+        size=size,
+    )

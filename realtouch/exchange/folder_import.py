@@ -6,59 +6,48 @@ from collections.abc import Iterator
 
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import (
-    IMAGE_ENDINGS,
-    image_files,
-    natural_order,
-    path_of,
-    read_table,
-    require_columns,
-    source_of,
-    visible_files,
-)
-from tactile_toolkit import store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
-from tactile_toolkit.errors import InputError, ItemError
+from realtouch import importing
+from tactile_toolkit import column_tables, errors, store
 
-_IMAGES = tuple(f".{ending}" for ending in IMAGE_ENDINGS)
+_IMAGES = tuple(f".{ending}" for ending in importing.IMAGE_ENDINGS)
 _SPLITS = {"train", "val", "valid", "validation", "test"}
 _MOST_IMAGES = 1_000_000
 
 
-def find_folder(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[FoundTouches]:
+def find_folder(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
     """Yield a touch for each line of the table; a missing file is the touch's problem.
 
     Without a table, each image is a touch; see :func:`_labelled`.
     """
     if columns.image is None:
-        raise InputError("no column names the images", next="add --map image=COLUMN")
+        raise errors.InputError("no column names the images", next="add --map image=COLUMN")
     if table is not None:
-        folder, found = source_of(table)
+        folder, found = importing.source_of(table)
     else:
-        folder, tables = home, visible_files(home, COLUMN_TABLE_ENDINGS)
+        folder, tables = home, importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS)
         images = [] if tables or columns.image_name else _images(home)
         if images:
             yield _labelled(home, images)
             return
         if len(tables) != 1:
-            raise InputError(
+            raise errors.InputError(
                 f"{home.address()!r} should be a folder with one table; found {', '.join(tables) or 'none'}",
                 next="name it with --table",
             )
         found = tables[0]
-    lines = read_table(folder, found, columns, [columns.image])
+    lines = importing.read_table(folder, found, columns, [columns.image])
     wanted = [columns.image, *columns.found_in(lines.names).names()]
-    require_columns(lines.names, wanted, folder.address(found))
-    paths = list(map(path_of, lines.texts(columns.image)))
+    importing.require_columns(lines.names, wanted, folder.address(found))
+    paths = list(map(importing.path_of, lines.texts(columns.image)))
     problems = {row: error for row in lines.too_long if (error := lines.problem(row)) is not None}
     seen: dict[str, int] = {}
     for row, path in enumerate(paths):
         first = seen.setdefault(path, row)
         if first != row:
-            problems[row] = ItemError("duplicate", f"the same file as in row {first} of the table")
-    yield image_files(home, paths, lines.columns, problems)
+            problems[row] = errors.ItemError("duplicate", f"the same file as in row {first} of the table")
+    yield importing.image_files(home, paths, lines.columns, problems)
 
 
 def _images(home: store.DataFolder) -> list[str]:
@@ -68,11 +57,13 @@ def _images(home: store.DataFolder) -> list[str]:
         if path.lower().endswith(_IMAGES) and not store.is_hidden(path):
             found.append(path)
         if len(found) > _MOST_IMAGES:
-            raise InputError(f"{home.address()!r} holds more than {_MOST_IMAGES:,} images; expected fewer")
-    return sorted(found, key=natural_order)
+            raise errors.InputError(
+                f"{home.address()!r} holds more than {_MOST_IMAGES:,} images; expected fewer"
+            )
+    return sorted(found, key=importing.natural_order)
 
 
-def _labelled(home: store.DataFolder, paths: list[str]) -> FoundTouches:
+def _labelled(home: store.DataFolder, paths: list[str]) -> importing.FoundTouches:
     """Return the touches of images, whose folders name their classes.
 
     Outer folders that are all called ``train``, ``val``, ``test`` and so on are splits, and those in them are
@@ -89,4 +80,4 @@ def _labelled(home: store.DataFolder, paths: list[str]) -> FoundTouches:
         # A name that is not Unicode is the problem of its image.
         labels = [names[0].encode(errors="replace").decode() if names else None for names in inner]
         said["label"] = pa.array(labels, pa.string())
-    return image_files(home, paths, said)
+    return importing.image_files(home, paths, said)

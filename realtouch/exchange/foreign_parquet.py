@@ -7,16 +7,15 @@ from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import groupby
 from operator import itemgetter
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pyarrow as pa
 
+from realtouch import importing
 from realtouch.exchange.parquet_pages import require_bounded_pages
-from realtouch.importing.found_touches import Place
-from tactile_toolkit import column_types, read, store
-from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from tactile_toolkit import bounds, column_types, errors, read, store
+from tactile_toolkit.json_types import JsonDict
 
 if TYPE_CHECKING:
     from pyarrow import parquet as pq
@@ -69,7 +68,7 @@ class ForeignParquet:
             self._chunks = [_chunks(group) for group in groups]
         self.types: dict[str, pa.DataType] = dict(zip(schema.names, schema.types, strict=True))
         if len(self.types) < len(schema.names):
-            raise InputError(f"{self.place!r} has two columns of one name; expected a name for each")
+            raise errors.InputError(f"{self.place!r} has two columns of one name; expected a name for each")
         self._starts: list[int] = np.cumsum([0, *(group.num_rows for group in groups)]).tolist()
 
     def __len__(self) -> int:
@@ -80,7 +79,7 @@ class ForeignParquet:
         size = sum(each.size_bytes for group in self._chunks for each in _of_columns(group, [name]))
         return size // max(1, len(self)) + 1
 
-    def rows(self, names: Sequence[str]) -> Iterator[dict[str, Any]]:
+    def rows(self, names: Sequence[str]) -> Iterator[JsonDict]:
         """Yield some columns of each row; InputError for more than may be unpacked."""
         for table in self._bounded(names):
             with _named_values(self.place):
@@ -111,13 +110,13 @@ class ForeignParquet:
             ]
         return found
 
-    def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | ItemError]:
+    def pictures(self, name: str, rows: Iterable[int]) -> Iterator[bytes | errors.ItemError]:
         """Yield the encoded picture in each of some rows; those that stand in order are read once."""
         group, start, held = -1, 0, list[bytes | None]()
         batches: Iterator[pa.Table] = iter(())
         for row in rows:
             if not 0 <= row < len(self):
-                yield ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
+                yield errors.ItemError("missing", f"no row {row:,}; expected fewer than {len(self):,}")
                 continue
             if not start <= row < start + len(held):
                 wanted = bisect_right(self._starts, row) - 1
@@ -126,19 +125,20 @@ class ForeignParquet:
                     batches = self._tables(group, [name])
                 while row >= start + len(held):
                     start, held = start + len(held), _picture_bytes(next(batches)[name].combine_chunks())
-            missing = f"row {row:,} of {name!r} holds no bytes; expected a picture"
-            yield held[row - start] or ItemError("missing", missing)
+            yield held[row - start] or errors.ItemError(
+                "missing", f"row {row:,} of {name!r} holds no bytes; expected a picture"
+            )
 
     def _bounded(self, names: Sequence[str]) -> Iterator[pa.Table]:
         """Yield some columns of all rows, few rows at a time; InputError for more than may be unpacked."""
         stated = [each for group in self._chunks for each in _of_columns(group, names)]
         unpacked = sum(max(each.size_bytes, _VALUE_BYTES * each.values) for each in stated)
-        require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+        bounds.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
         unpacked = 0
         for group in range(len(self._chunks)):
             for table in self._tables(group, names):
                 unpacked += table.nbytes
-                require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
+                bounds.require_unpackable(unpacked, f"{self.place!r}:", self.size_bytes)
                 yield table
 
     def _require_bounded_pages(self, chunks: Sequence[_Chunk]) -> None:
@@ -159,8 +159,10 @@ class ForeignParquet:
                 missing -= len(batch)
                 yield read.supported_table(pa.Table.from_batches([batch]))
         if missing:
-            problem = f" is damaged, row group {group} holds {missing:,} rows less than its footer states"
-            raise IntegrityError.in_file(self.place, problem)
+            raise errors.IntegrityError.in_file(
+                self.place,
+                f" is damaged, row group {group} holds {missing:,} rows less than its footer states",
+            )
 
 
 def _chunks(group: pq.RowGroupMetaData) -> list[_Chunk]:
@@ -199,16 +201,16 @@ def _named_values(place: str) -> Iterator[None]:
         with store.named_damage(place):
             yield
     except (ValueError, OverflowError) as error:
-        raise IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
+        raise errors.IntegrityError.in_file(place, f" holds a value that cannot be read ({error})") from error
 
 
-def stored_pictures(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def stored_pictures(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of each place, whose ``part`` is their column of a Parquet file."""
     for (home, path, name), group in groupby(places, key=itemgetter(0, 1, 2)):
         rows = (row for place in group for row in range(place.start, place.start + max(1, place.frames)))
         try:
             parquet = ForeignParquet(store.open_folder(home), path)
-        except ItemError as error:
+        except errors.ItemError as error:
             yield from (error for _ in rows)
             continue
         yield from parquet.pictures(name, rows)

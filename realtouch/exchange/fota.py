@@ -6,38 +6,38 @@ Facts of the format: a sample is ``KEY.jpg`` and ``KEY.json``; poses are ``x_mm`
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import PurePath
-from typing import Any
 
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made, checksums, with_files, write_changed
-from realtouch.exchange.touch_rows import NamedImage, TouchFormat
-from realtouch.exchange.webdataset import tar_of
-from realtouch.stored_images import as_jpeg
-from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS
-from tactile_toolkit import store
+from realtouch import convert, importing, stored_images, touch_options
+from realtouch.exchange import touch_rows, webdataset, webdataset_import
+from tactile_toolkit import column_types, store
+from tactile_toolkit.json_types import JsonObject
 
 _FOLDER = "fota"
 _PER_METRE = (1000.0, 1000.0, 1000.0, 1.0, 1.0, 1.0, 1.0)
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[touch_rows.NamedImage]) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = (
-        (f"{PurePath(name).stem}.jpg", as_jpeg(image), {**fields, **_pose_mm(fields)})
+        (f"{PurePath(name).stem}.jpg", stored_images.as_jpeg(image), {**fields, **_pose_mm(fields)})
         for (name, image), fields in zip(images, index.to_pylist(), strict=True)
     )
-    return with_files(index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": tar_of(samples)})
+    return convert.with_files(
+        index, {f"{_FOLDER}/{shard.split}/data-{shard.index:06d}.tar": webdataset.tar_of(samples)}
+    )
 
 
-def _pose_mm(fields: Mapping[str, Any]) -> dict[str, float]:
+def _pose_mm(fields: JsonObject) -> dict[str, float]:
     """Return the pose of a touch by the names and in the units of the format; nothing without one."""
-    values = [fields[name] for name in POSE_COLUMNS if name in fields]
+    values = [fields[name] for name in touch_options.POSE_COLUMNS if name in fields]
     return {
         name: value * factor
-        for name, value, factor in zip(FOTA_POSE_COLUMNS, values, _PER_METRE, strict=False)
+        for name, value, factor in zip(touch_options.FOTA_POSE_COLUMNS, values, _PER_METRE, strict=False)
     }
 
 
@@ -45,7 +45,23 @@ def _write_counts(folder: store.DataFolder, manifest: store.Manifest) -> dict[st
     """Write the number of samples of each split; return the checksum of each file by its path."""
     counts = {split: str(entry["rows"]).encode() for split, entry in manifest.split_table().items()}
     files = {f"{_FOLDER}/{split}/count.txt": count for split, count in counts.items()}
-    return checksums(folder, manifest) | write_changed(folder, files)
+    return convert.checksums(folder, manifest) | convert.write_changed(folder, files)
 
 
-plan_fota = TouchFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan
+plan_fota = touch_rows.TouchFormat(_FOLDER, _pack, _write_counts, no_gaps=True).plan
+
+
+def find_fota(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
+    """Yield the samples of each tar of one split; the folder's name is that of the split."""
+    split = home.address().rstrip("/").rpartition("/")[2]
+    for touches in webdataset_import.find_webdataset(home, columns, table):
+        if {*touches.names} >= {
+            *touch_options.POSE_COLUMNS,
+            *touch_options.FOTA_POSE_COLUMNS,
+        }:  # of our exports: one pose, in two units
+            touches = replace(touches, said=touches.said.drop_columns(list(touch_options.FOTA_POSE_COLUMNS)))
+        if "split" not in touches.names:
+            touches = touches.with_said({"split": column_types.repeated(split, len(touches))})
+        yield touches

@@ -21,6 +21,9 @@ from tactile_toolkit.array_types import AnyArray
 from tactile_toolkit.bounds import require_unpackable
 from tactile_toolkit.errors import InputError, needs_extra
 
+H5Object = Any
+"""A file, group or dataset of h5py, which states no types."""
+
 _DEFLATE, _LZF = 1, 32000
 # Filters that are known, in the order in which they may stand; HDF5 and others pack by one of the second.
 _FILTERS = {2: "shuffle", _DEFLATE: "gzip", _LZF: "lzf", 3: "fletcher32"}
@@ -39,20 +42,20 @@ def in_words(place: str) -> Iterator[None]:
         raise InputError(f"{place!r}: not an intact file of HDF5", next="write the file again") from error
 
 
-def open_file(stream: IO[bytes]) -> Any:
+def open_file(stream: IO[bytes]) -> H5Object:
     """Open a file of HDF5 from a stream, which must stay open."""
     with needs_extra("reading HDF5", "h5py", "hdf5"):
         return import_module("h5py").File(stream, "r")
 
 
-def kind_of_member(group: Any, name: str) -> str:
+def kind_of_member(group: H5Object, name: str) -> str:
     """Return what a member of a group is: a Dataset, a Group, or a link to another place or file."""
     if type(group.get(name, getlink=True)).__name__ != "HardLink":
         return "link"
     return str(group.get(name, getclass=True).__name__)
 
 
-def dataset_in(file: str, root: Any, path: str) -> StoredArray:
+def dataset_in(file: str, root: H5Object, path: str) -> StoredArray:
     """Open a dataset by its path, through the groups of the file alone; InputError if it cannot be used."""
     place, found = f"{file}/{path}", root
     with in_words(place):
@@ -79,16 +82,16 @@ def dataset_in(file: str, root: Any, path: str) -> StoredArray:
     return array
 
 
-def _filters(dataset: Any) -> list[int]:
+def _filters(dataset: H5Object) -> list[int]:
     properties = dataset.id.get_create_plist()
     return [properties.get_filter(number)[0] for number in range(properties.get_nfilters())]
 
 
-def _chunk_bytes(dataset: Any) -> int:
+def _chunk_bytes(dataset: H5Object) -> int:
     return int(math.prod(dataset.chunks) * dataset.dtype.itemsize)
 
 
-def _block(place: str, dataset: Any, step: int, number: int) -> AnyArray:
+def _block(place: str, dataset: H5Object, step: int, number: int) -> AnyArray:
     start, stop = number * step, min((number + 1) * step, dataset.shape[0])
     size = (stop - start, *dataset.shape[1:])
     require_unpackable(math.prod(size) * dataset.dtype.itemsize, f"{place}: {size} values")
@@ -100,7 +103,7 @@ def _block(place: str, dataset: Any, step: int, number: int) -> AnyArray:
     return found
 
 
-def _require_chunk(place: str, dataset: Any, at: tuple[int, ...]) -> None:
+def _require_chunk(place: str, dataset: H5Object, at: tuple[int, ...]) -> None:
     """Refuse a chunk that unpacks to more than its size, which HDF5 would allocate."""
     filters, size = _filters(dataset), _chunk_bytes(dataset)
     stored = dataset.id.get_chunk_info_by_coord(at).size

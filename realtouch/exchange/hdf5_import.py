@@ -12,24 +12,12 @@ from collections.abc import Iterator
 from contextlib import ExitStack
 from functools import partial
 from itertools import islice
-from typing import Any
 
 import numpy as np
 
-from realtouch.exchange.hdf5_arrays import dataset_in, in_words, kind_of_member, open_file
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.zarr_recordings import episodes_of, of_episodes
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import (
-    NUMBERED,
-    file_or_folder,
-    natural_order,
-    open_source,
-    visible_files,
-)
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError
+from realtouch import importing
+from realtouch.exchange import hdf5_arrays, picture_arrays, zarr_recordings
+from tactile_toolkit import column_types, errors, store
 
 _ENDINGS = (".h5", ".hdf5")
 _MOST_OBJECTS, _DEEPEST = 20_000, 16
@@ -37,49 +25,51 @@ _MOST_NUMBERS, _MOST_LETTERS = 256, 1000  # of an attribute
 _SHOWN, _PICTURE_AXES = 8, 4
 
 
-def find_hdf5(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
+def find_hdf5(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
     """Yield a recording for each group that has the dataset of pictures; InputError lists such datasets.
 
     They are in natural order: of ``data/demo_2`` before ``data/demo_10``.
     """
-    home, named = file_or_folder(home)
-    names = [named] if named else visible_files(home, _ENDINGS)
+    home, named = importing.file_or_folder(home)
+    names = [named] if named else importing.visible_files(home, _ENDINGS)
     if not names:
-        raise InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
+        raise errors.InputError(f"{home.address()!r} holds no file of HDF5; expected {' or '.join(_ENDINGS)}")
     image = columns.image_name.strip("/")
     for name in names:
         place = home.address(name)
-        with open_source(home, name) as stream, in_words(place):
-            root = open_file(stream)
+        with importing.open_source(home, name) as stream, hdf5_arrays.in_words(place):
+            root = hdf5_arrays.open_file(stream)
             kinds = dict(islice(_members(place, root, "", _DEEPEST), _MOST_OBJECTS + 1))
             if len(kinds) > _MOST_OBJECTS:
-                raise InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
-            for group in sorted(_groups(place, root, kinds, image), key=natural_order):
+                raise errors.InputError(f"{place!r}: more than {_MOST_OBJECTS:,} datasets and groups")
+            for group in sorted(_groups(place, root, kinds, image), key=importing.natural_order):
                 prefix = [name.rpartition(".")[0]] * (len(names) > 1 or not group)
                 title = "/".join([*prefix, *filter(None, [group.strip("/")])])
                 yield _recording(home, name, root, kinds, (title, group, image), columns)
 
 
-def _members(place: str, group: Any, path: str, deepest: int) -> Iterator[tuple[str, str]]:
+def _members(place: str, group: hdf5_arrays.H5Object, path: str, deepest: int) -> Iterator[tuple[str, str]]:
     """Yield the path and kind of each member of a group and of the groups in it, but not behind links."""
     if not deepest:
-        raise InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
+        raise errors.InputError(f"{place!r}: more than {_DEEPEST} groups in each other")
     for name in group:
-        kind = kind_of_member(group, name)
+        kind = hdf5_arrays.kind_of_member(group, name)
         yield f"{path}{name}", kind
         if kind == "Group":
             yield from _members(place, group[name], f"{path}{name}/", deepest - 1)
 
 
-def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[str]:
+def _groups(place: str, root: hdf5_arrays.H5Object, kinds: dict[str, str], image: str) -> list[str]:
     """Return the paths of groups with a dataset of pictures; InputError lists what may hold pictures."""
     datasets = [path for path, kind in kinds.items() if kind == "Dataset"]
     groups = [path.removesuffix(image) for path in datasets if f"/{path}".endswith(f"/{image}")]
     if not image or not groups:
         several = [path for path in datasets if len(root[path].shape or ()) == _PICTURE_AXES]
-        shown = ", ".join(sorted(several, key=natural_order)[:_SHOWN])
+        shown = ", ".join(sorted(several, key=importing.natural_order)[:_SHOWN])
         wanted = f"no dataset of pictures {image!r}" if image else "datasets; none was named as the pictures"
-        raise InputError(
+        raise errors.InputError(
             f"{place!r} has {wanted}; found {shown or 'none'}",
             next="add --map image=PATH, with the path below the group of each episode: obs/tactile for "
             "data/demo_0/obs/tactile",
@@ -90,22 +80,22 @@ def _groups(place: str, root: Any, kinds: dict[str, str], image: str) -> list[st
 def _recording(
     home: store.DataFolder,
     path: str,
-    root: Any,
+    root: hdf5_arrays.H5Object,
     kinds: dict[str, str],
     named: tuple[str, str, str],
-    columns: ImportColumns,
-) -> Recording:
+    columns: importing.ImportColumns,
+) -> importing.Recording:
     title, group, image = named
     place = home.address(path)
     below = {each.removeprefix(group): kind for each, kind in kinds.items() if each.startswith(group)}
     inside = {
-        each: partial(dataset_in, place, root, f"{group}{each}")
+        each: partial(hdf5_arrays.dataset_in, place, root, f"{group}{each}")
         for each, kind in below.items()
         if kind == "Dataset"
     }
-    pictures = PictureArray.of(inside.pop(image)())
-    wanted = {NUMBERED, *columns.found_in(inside).names()}
-    found, left_out = columns_of(inside, len(pictures), wanted)
+    pictures = picture_arrays.PictureArray.of(inside.pop(image)())
+    wanted = {importing.NUMBERED, *columns.found_in(inside).names()}
+    found, left_out = picture_arrays.columns_of(inside, len(pictures), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     left_out += [f"{each} (a link)" for each, kind in below.items() if kind == "link"]
     values: dict[str, object] = {}
@@ -119,20 +109,20 @@ def _recording(
                 left_out.append(f"attribute {name}")
     part, size = f"{pictures.divisor!r} {group}{image}", math.prod(pictures.shape[1:])
     about = (part, 0, len(pictures), size, values, per_frame)
-    whole = Recording(title, home.address(), path, *about, left_out=tuple(left_out))
-    constant = of_episodes(whole, columns).intersection(wanted)
-    return next(episodes_of(whole, np.array([len(pictures)]), [title], constant))
+    whole = importing.Recording(title, home.address(), path, *about, left_out=tuple(left_out))
+    constant = zarr_recordings.of_episodes(whole, columns).intersection(wanted)
+    return next(zarr_recordings.episodes_of(whole, np.array([len(pictures)]), [title], constant))
 
 
-def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, name = part.split(" ", 1)
     folder = store.open_folder(home)
-    with ExitStack() as closing, in_words(folder.address(path)):
-        root = open_file(closing.enter_context(open_source(folder, path)))
-        array = dataset_in(folder.address(path), root, name)
+    with ExitStack() as closing, hdf5_arrays.in_words(folder.address(path)):
+        root = hdf5_arrays.open_file(closing.enter_context(importing.open_source(folder, path)))
+        array = hdf5_arrays.dataset_in(folder.address(path), root, name)
         weakref.finalize(array, closing.pop_all().close)
-    return PictureArray(array, float(divisor))
+    return picture_arrays.PictureArray(array, float(divisor))
 
 
-encoded_frames = partial(encoded_pictures, opened=_open_pictures)
-describe_conversion = partial(described_pictures, opened=_open_pictures)
+encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)

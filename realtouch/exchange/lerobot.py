@@ -13,17 +13,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import Choices, Conversion, Made, Source, with_files
-from realtouch.exchange import lerobot_depth
-from realtouch.exchange.episode_numbers import EpisodeNumbers
-from realtouch.exchange.episodes import DEPTH, Episodes
-from realtouch.exchange.lerobot_info import FILE_BYTES, FILES_PER_CHUNK, FOLDER, META_STYLE, WriteMeta
-from realtouch.exchange.lerobot_statistics import columns_of_episodes
-from realtouch.touch_dataset import dataset_of
-from tactile_toolkit import store
+from realtouch import contact, convert, touch_dataset
+from realtouch.exchange import lerobot_depth, lerobot_info, lerobot_statistics
+from realtouch.exchange.episodes import DEPTH, EpisodeNumbers, Episodes
+from tactile_toolkit import store, touch
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.touch import MEDIA_TYPE, with_features
 
 _GROUP_BYTES = 16 << 20
 _OF_EPISODE = ("round_id", "touch", "label", "object_id")
@@ -31,20 +25,23 @@ _OF_READERS = ("round_id", "touch")
 
 
 def plan_lerobot(
-    source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-) -> Conversion:
+    source: convert.Source,
+    choices: convert.Choices,
+    method: contact.ContactMethod,
+    options: Mapping[str, object],
+) -> convert.Conversion:
     """Plan a LeRobotDataset; reads footers, lengths and one header. InputError for several splits."""
-    rows_per_shard = max(1, FILE_BYTES // source.row_bytes())
+    rows_per_shard = max(1, lerobot_info.FILE_BYTES // source.row_bytes())
     step = Episodes.of(source, choices, "LeRobotDataset", pa.float32())
     step = replace(step, depth_of=lerobot_depth.depth_of)
     numbers = EpisodeNumbers.of(source, step, choices[step.split], rows_per_shard)
     tasks = tuple(f"touch an object of class {name}" for name in step.names)
-    if (dataset_of(source.shards[step.split]).labels < 0).any():
+    if (touch_dataset.dataset_of(source.shards[step.split]).labels < 0).any():
         tasks += ("touch an object",)  # the last, as -1 counts from the end
     frame_bytes = source.image_bytes()
     if DEPTH in step.schema(source.schema).names:
         frame_bytes += lerobot_depth.NUMBER_BYTES * math.prod(step.size)
-    return Conversion(
+    return convert.Conversion(
         source,
         "export",
         {**options, "fps": step.fps, "image_size": [step.size[1], step.size[0]]},
@@ -52,8 +49,8 @@ def plan_lerobot(
         choices,
         rows_per_shard=rows_per_shard,
         rows_per_group=1 << 12,
-        extra_dirs=(FOLDER,),
-        write_files=WriteMeta(step, tasks),
+        extra_dirs=(lerobot_info.FOLDER,),
+        write_files=lerobot_info.WriteMeta(step, tasks),
         pack=_PackEpisodes(numbers, tasks, max(1, _GROUP_BYTES // frame_bytes)),
     )
 
@@ -66,7 +63,9 @@ class _PackEpisodes:
     tasks: tuple[str, ...]
     rows_per_group: int
 
-    def __call__(self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]) -> Made:
+    def __call__(
+        self, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
+    ) -> convert.Made:
         """Return the frames and episodes of a shard, numbered over the whole data set.
 
         Raises IntegrityError if a round was left out, or lengths were not as stated.
@@ -76,7 +75,7 @@ class _PackEpisodes:
         episode, frame = self.numbers.of_shard(shard, [len(firsts), len(rows)], skipped)
         episodes, lengths = episode + np.arange(len(firsts)), np.diff([*firsts, len(rows)])
         frames = self._frames(rows, np.repeat(episodes, lengths), frame)
-        chunk, number = divmod(shard.index, FILES_PER_CHUNK)
+        chunk, number = divmod(shard.index, lerobot_info.FILES_PER_CHUNK)
         place = f"chunk-{chunk:03d}/file-{number:03d}.parquet"
         chunks, files = np.full(len(firsts), chunk), np.full(len(firsts), number)
         labels = rows["label"].to_numpy()[firsts]
@@ -91,18 +90,20 @@ class _PackEpisodes:
             "meta/episodes/chunk_index": chunks,
             "meta/episodes/file_index": files,
             **{name: rows[name].take(firsts) for name in _OF_READERS if name in rows.schema.names},
-            **columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
+            **lerobot_statistics.columns_of_episodes(frames, firsts.tolist(), lengths.tolist()),
         }
-        pictures = [each.name for each in rows.schema if each.type == MEDIA_TYPE]
+        pictures = [each.name for each in rows.schema if each.type == touch.MEDIA_TYPE]
         encodings = tuple((f"{name}.bytes", "PLAIN") for name in pictures)
         style = store.ParquetStyle(self.rows_per_group, compression_level=3, encodings=encodings)
         index = {"id": episodes, "first_frame": frame + firsts, "frames": lengths}
         index |= {name: rows[name].take(firsts) for name in _OF_EPISODE if name in rows.schema.names}
-        return with_files(
+        return convert.with_files(
             pa.table(index),
             {
-                f"{FOLDER}/data/{place}": store.encode_parquet(frames, style),
-                f"{FOLDER}/meta/episodes/{place}": store.encode_parquet(pa.table(meta), META_STYLE),
+                f"{lerobot_info.FOLDER}/data/{place}": store.encode_parquet(frames, style),
+                f"{lerobot_info.FOLDER}/meta/episodes/{place}": store.encode_parquet(
+                    pa.table(meta), lerobot_info.META_STYLE
+                ),
             },
         )
 
@@ -117,4 +118,4 @@ class _PackEpisodes:
         ):
             frames = frames.append_column(name, pa.array(values, pa.int64()))
         # What `datasets` makes of the columns; a class is a number here.
-        return frames.cast(with_features(frames.schema, None))
+        return frames.cast(touch.with_features(frames.schema, None))

@@ -13,8 +13,7 @@ import numpy as np
 import pyarrow as pa
 from PIL import Image
 
-from realtouch.depth_maps import DEPTH, DepthMaps
-from realtouch.stored_round import StoredRound
+from realtouch import depth_maps, stored_round
 from tactile_toolkit.array_types import Float32, Float64, Int64
 from tactile_toolkit.touch import MEDIA_TYPE
 
@@ -22,12 +21,14 @@ INFO = {"is_depth_map": True, "depth_unit": "m"}
 NUMBER_BYTES = 4  # of float32
 
 
-def depth_of(row: StoredRound, size: tuple[int, int]) -> pa.Array:
+def depth_of(row: stored_round.StoredRound, size: tuple[int, int]) -> pa.Array:
     """Return the files of the maps of a round; IntegrityError for a map that is not of that size."""
     files = []
-    for touch, depth_m in enumerate(DepthMaps(row, DEPTH)):
+    for touch, depth_m in enumerate(depth_maps.DepthMaps(row, depth_maps.DEPTH)):
         if depth_m.shape != size:
-            raise row.damaged(DEPTH, f"a map {depth_m.shape}; expected {size} as the images", touch)
+            raise row.damaged(
+                depth_maps.DEPTH, f"a map {depth_m.shape}; expected {size} as the images", touch
+            )
         files.append({"bytes": _tiff(depth_m), "path": f"{row.name()}_{touch:03d}.tiff"})
     return pa.array(files, MEDIA_TYPE)
 

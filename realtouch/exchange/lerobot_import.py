@@ -14,34 +14,29 @@ from itertools import groupby
 import numpy as np
 import pyarrow as pa
 
-from realtouch import video
-from realtouch.exchange import video_import
-from realtouch.exchange.foreign_parquet import ForeignParquet, is_picture, stored_pictures
-from realtouch.exchange.lerobot_mark import as_ours
-from realtouch.exchange.lerobot_metadata import Episode, Info, read_episodes, read_info, read_tasks
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches, Place
-from realtouch.importing.recordings import Recording
-from tactile_toolkit import column_types, store
+from realtouch import importing, video
+from realtouch.exchange import foreign_parquet, lerobot_mark, lerobot_metadata, video_import
+from tactile_toolkit import column_types, errors, store, wording
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import IntegrityError, ItemError
 
 _ROWS = ".parquet"
 _INDICES = ("index", "frame_index", "episode_index", "task_index", "timestamp")
 
 
-def find_lerobot(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
+def find_lerobot(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
     """Yield each episode, with the pictures of the only camera or of that named; InputError for several.
 
     An episode that cannot be used is a recording with a problem.
     """
-    info = read_info(home)
+    info = lerobot_metadata.read_info(home)
     camera = info.camera(columns.image_name, home.address())
-    reader = _Episodes(home, info, camera, read_tasks(home, info))
-    yield from map(reader.recording, read_episodes(home, info, camera))
+    reader = _Episodes(home, info, camera, lerobot_metadata.read_tasks(home, info))
+    yield from map(reader.recording, lerobot_metadata.read_episodes(home, info, camera))
 
 
-def describe_conversion(touches: FoundTouches) -> str:
+def describe_conversion(touches: importing.FoundTouches) -> str:
     """Return what was done to the pictures; empty if they are stored as they were."""
     places = touches.take(np.flatnonzero(touches.is_usable)[:1])
     if not len(places) or places[0].path.endswith(_ROWS):
@@ -50,16 +45,18 @@ def describe_conversion(touches: FoundTouches) -> str:
     return video.open_video(store.open_folder(usable.home), usable.path).conversion
 
 
-def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of places in order, from rows or videos."""
     for are_rows, group in groupby(places, key=lambda place: place.path.endswith(_ROWS)):
-        yield from (stored_pictures if are_rows else video_import.encoded_frames)(group)
+        yield from (foreign_parquet.stored_pictures if are_rows else video_import.encoded_frames)(group)
 
 
 class _Episodes:
     """Reads the episodes of one camera; the columns of the file read last are kept."""
 
-    def __init__(self, home: store.DataFolder, info: Info, camera: str, tasks: Mapping[int, str]) -> None:
+    def __init__(
+        self, home: store.DataFolder, info: lerobot_metadata.Info, camera: str, tasks: Mapping[int, str]
+    ) -> None:
         self.home = home
         self.info = info
         self.camera = camera
@@ -68,18 +65,18 @@ class _Episodes:
         self._columns: dict[str, pa.Array] = {}
         self._picture_bytes = 0
 
-    def recording(self, episode: Episode) -> Recording:
+    def recording(self, episode: lerobot_metadata.Episode) -> importing.Recording:
         """Return an episode; one that cannot be used has a problem, and one picture."""
         others = tuple(name for name in self.info.pictures if name != self.camera)
         place = self.home.address(), episode.data_path, self.camera
-        found = Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
+        found = importing.Recording(episode.name, *place, 0, 1, 0, episode.values, left_out=others)
         try:
             found = self._read(found, episode)
-        except (ItemError, IntegrityError) as error:
-            return replace(found, problem=ItemError(getattr(error, "reason", "file"), error.what))
-        return found if self.info.realtouch is None else as_ours(found, self.info.realtouch)
+        except (errors.ItemError, errors.IntegrityError) as error:
+            return replace(found, problem=errors.ItemError(getattr(error, "reason", "file"), error.what))
+        return found if self.info.realtouch is None else lerobot_mark.as_ours(found, self.info.realtouch)
 
-    def _read(self, found: Recording, episode: Episode) -> Recording:
+    def _read(self, found: importing.Recording, episode: lerobot_metadata.Episode) -> importing.Recording:
         self._read_columns(episode.data_path)
         rows = _rows_of(episode, self._columns)
         per_frame = {
@@ -100,18 +97,23 @@ class _Episodes:
         """Read all columns of a file but pictures, unless it was read last."""
         if path == self._path:
             return
-        parquet = ForeignParquet(self.home, path)
+        parquet = foreign_parquet.ForeignParquet(self.home, path)
         if self.info.features[self.camera].dtype == "image":
-            if not is_picture(parquet.types.get(self.camera)):
-                raise ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
+            if not foreign_parquet.is_picture(parquet.types.get(self.camera)):
+                raise errors.ItemError("image", f"{path!r} has no column of pictures {self.camera!r}")
             self._picture_bytes = parquet.picture_bytes(self.camera)
-        plain = [name for name, data_type in parquet.types.items() if not is_picture(data_type)]
+        plain = [
+            name for name, data_type in parquet.types.items() if not foreign_parquet.is_picture(data_type)
+        ]
         columns = parquet.columns([name for name in plain if name not in self.info.pictures])
         for name, column in columns.items():
             lengths = column_types.lengths_of(column)
             if len(lengths) > 1:
-                found = f"vectors of {lengths[0]} and of {lengths[-1]} values"
-                raise ItemError("column", f"the column {name!r} has {found}; expected one length")
+                raise errors.ItemError(
+                    "column",
+                    f"the column {name!r} has vectors of {lengths[0]} and of {lengths[-1]} values; "
+                    "expected one length",
+                )
         self._columns = columns
         self._path = path
 
@@ -128,7 +130,7 @@ class _Episodes:
         return {}
 
 
-def _rows_of(episode: Episode, columns: Mapping[str, pa.Array]) -> slice:
+def _rows_of(episode: lerobot_metadata.Episode, columns: Mapping[str, pa.Array]) -> slice:
     """Return where the frames of an episode stand in a file; ItemError unless all do, one after another."""
     stated = columns.get("episode_index", pa.nulls(0))
     numbers = np.empty(0, np.int64)
@@ -136,11 +138,16 @@ def _rows_of(episode: Episode, columns: Mapping[str, pa.Array]) -> slice:
     if is_stated:
         numbers = stated.to_numpy()
     if not is_stated or (numbers[1:] < numbers[:-1]).any():
-        raise ItemError("episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers")
+        raise errors.ItemError(
+            "episode", f"{episode.data_path!r} has no column 'episode_index' of rising integers"
+        )
     start, stop = np.searchsorted(numbers, [episode.number, episode.number + 1]).tolist()
     if stop - start != episode.length or not episode.length:
-        found = f"{episode.data_path!r} holds {stop - start:,} frames of it"
-        raise ItemError("episode", f"{found}; expected {episode.length:,}, as stated, and at least one")
+        raise errors.ItemError(
+            "episode",
+            f"{episode.data_path!r} holds {stop - start:,} frames of it; "
+            f"expected {episode.length:,}, as stated, and at least one",
+        )
     return slice(start, stop)
 
 
@@ -151,7 +158,7 @@ def _times(per_frame: Mapping[str, pa.Array], fps: float) -> Float64:
     if pa.types.is_floating(column.type):
         stated = column.to_numpy(zero_copy_only=False)
     if not np.isfinite(stated).all():
-        raise ItemError("time", f"the column 'timestamp' is {column.type}; expected seconds as floats")
+        raise errors.ItemError("time", f"the column 'timestamp' is {column.type}; expected seconds as floats")
     exact: Float64 = np.arange(len(stated)) / fps
     is_rounded = np.array_equal(exact.astype(np.float32), stated)
     return exact if is_rounded else stated
@@ -162,6 +169,10 @@ def _first_picture(shown_s: Float64, wanted_s: Float64, fps: float) -> int:
     first = int(np.abs(shown_s - wanted_s[0]).argmin())
     found = shown_s[first : first + len(wanted_s)]
     if len(found) < len(wanted_s) or np.abs(found - wanted_s).max() * fps > 0.5:
-        shown = f"the {len(shown_s):,} pictures of its video are shown until {shown_s[-1]:.3f} s"
-        raise ItemError("video", f"{shown}, not at the times of its frames, until {wanted_s[-1]:.3f} s")
+        raise errors.ItemError(
+            "video",
+            f"the {wording.with_count(len(shown_s), 'pictures')} of its video are shown until "
+            f"{shown_s[-1]:.3f} s, "
+            f"not at the times of its frames, until {wanted_s[-1]:.3f} s",
+        )
     return first

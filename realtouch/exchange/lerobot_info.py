@@ -1,4 +1,4 @@
-"""What a LeRobotDataset v3.0 says of itself: ``info.json``, ``stats.json``, ``tasks.parquet`` in ``meta``."""
+"""Metadata of a LeRobotDataset v3.0: ``info.json``, ``stats.json``, ``tasks.parquet`` in ``meta``."""
 
 from __future__ import annotations
 
@@ -10,13 +10,10 @@ import msgspec
 import numpy as np
 import pyarrow as pa
 
-from realtouch.convert.conversion import checksums, files_of, write_changed
-from realtouch.exchange import lerobot_depth
+from realtouch import convert
+from realtouch.exchange import lerobot_depth, lerobot_mark, lerobot_statistics
 from realtouch.exchange.episodes import ACTION, DEPTH, STATE, Episodes
-from realtouch.exchange.lerobot_mark import Mark
-from realtouch.exchange.lerobot_statistics import statistics_of_all
-from tactile_toolkit import read, store
-from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit import read, store, touch
 
 FOLDER = "lerobot"
 FILES_PER_CHUNK = 1000
@@ -37,22 +34,22 @@ class WriteMeta:
 
     def __call__(self, folder: store.DataFolder, manifest: store.Manifest) -> dict[str, str]:
         """Return the checksum of each file of the LeRobotDataset by its path."""
-        files = checksums(folder, manifest)
-        placed = [list(files_of(folder, record)) for record in manifest.shards if record.rows]
+        files = convert.checksums(folder, manifest)
+        placed = [list(convert.files_of(folder, record)) for record in manifest.shards if record.rows]
         frames, episodes = (
             [read.Shard(folder.address(path)) for path in paths] for paths in zip(*placed, strict=True)
         )
         info = self._info(frames[0].schema, sum(map(len, episodes)), sum(map(len, frames)))
         meta = {
             "info.json": _json_bytes(info),
-            "stats.json": _json_bytes(statistics_of_all(episodes, frames)),
+            "stats.json": _json_bytes(lerobot_statistics.statistics_of_all(episodes, frames)),
             "tasks.parquet": store.encode_parquet(_task_table(self.tasks), META_STYLE),
         }
-        return files | write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
+        return files | convert.write_changed(folder, {f"{FOLDER}/meta/{name}": meta[name] for name in meta})
 
     def _info(self, frames: pa.Schema, episodes: int, total_frames: int) -> dict[str, object]:
         step = self.step
-        mark = Mark(step.names, step.are_clips, {each.name: each.stored for each in step.extras})
+        mark = lerobot_mark.Mark(step.names, step.are_clips, {each.name: each.stored for each in step.extras})
         return {
             "codebase_version": _VERSION,
             "robot_type": None,
@@ -71,7 +68,7 @@ class WriteMeta:
         }
 
     def _feature(self, each: pa.Field) -> dict[str, object]:
-        if each.type == MEDIA_TYPE:
+        if each.type == touch.MEDIA_TYPE:
             picture: dict[str, object] = {"dtype": "image", "shape": [*self.step.size, 3], "names": [*_AXES]}
             depth = {"shape": [*self.step.size, 1], "info": lerobot_depth.INFO}
             return picture | (depth if each.name == DEPTH else {})

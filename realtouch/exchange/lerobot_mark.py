@@ -1,4 +1,4 @@
-"""What a LeRobotDataset that this toolkit wrote says of itself, and by what names it comes back."""
+"""The mark of LeRobotDatasets of this toolkit, and the names of their columns on import."""
 
 from __future__ import annotations
 
@@ -7,18 +7,16 @@ from dataclasses import replace
 
 import msgspec
 
-from realtouch.exchange.episodes import ACTION, STATE, TIME
-from realtouch.exchange.zarr_recordings import name_ours, with_contact
-from realtouch.importing.recordings import Recording
+from realtouch import importing, touch_options
+from realtouch.exchange import episodes, zarr_recordings
 from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
 
-_VECTORS = {STATE: POSE_COLUMNS, ACTION: POSITION_COLUMNS}
+_VECTORS = {episodes.STATE: touch_options.POSE_COLUMNS, episodes.ACTION: touch_options.POSITION_COLUMNS}
 _OF_EPISODE = ("label", "label_name", "object_id")
 
 
 class Mark(msgspec.Struct, frozen=True):
-    """What an export of this toolkit says of itself.
+    """Mark of an export of this toolkit.
 
     ``clips``: an episode is a clip, not a round. ``extra``: the stored name of the further column in each
     feature, ``extra.NAME`` with an entry a touch, or ``extra_seq.NAME``.
@@ -38,13 +36,13 @@ class Mark(msgspec.Struct, frozen=True):
         return [self.own_name(name) for name, stored in self.extra.items() if stored.startswith("extra.")]
 
 
-def as_ours(found: Recording, mark: Mark) -> Recording:
+def as_ours(found: importing.Recording, mark: Mark) -> importing.Recording:
     """Return an episode that this toolkit wrote, with its columns named as in its tables."""
     every = found.per_frame
     columns = {name: column for name, column in every.items() if name not in mark.extra}
     values, time_s = dict(found.values), found.time_s
-    if TIME in columns:
-        time_s = columns.pop(TIME).to_numpy(zero_copy_only=False)
+    if episodes.TIME in columns:
+        time_s = columns.pop(episodes.TIME).to_numpy(zero_copy_only=False)
     values.pop("task", None)  # it is the label
     name = round_id = str(values.pop("round_id", found.name))
     touch, of_episode, cut = values.pop("touch", None), list(_OF_EPISODE), "frames"
@@ -52,10 +50,10 @@ def as_ours(found: Recording, mark: Mark) -> Recording:
         name, cut = found.name, "whole"
         if isinstance(touch, int):
             name = touch_id(round_id, touch)
-        of_episode += [*POSITION_COLUMNS, *mark.per_touch]
+        of_episode += [*touch_options.POSITION_COLUMNS, *mark.per_touch]
     found = replace(found, name=name, round=round_id, cut=cut, time_s=time_s, per_frame=columns)
-    found = with_contact(found)
-    ours = name_ours(found, _VECTORS, mark.class_names).per_frame
+    found = zarr_recordings.with_contact(found)
+    ours = zarr_recordings.name_ours(found, _VECTORS, mark.class_names).per_frame
     # Later, as a further column may have the name of one of ours.
     per_frame = {**{mark.own_name(name): every[name] for name in mark.extra if name in every}, **ours}
     values |= {each: per_frame.pop(each)[0].as_py() for each in of_episode if each in per_frame}

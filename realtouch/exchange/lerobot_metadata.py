@@ -6,17 +6,14 @@ import re
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import msgspec
 
-from realtouch.exchange.foreign_parquet import ForeignParquet
-from realtouch.exchange.lerobot_mark import Mark
-from realtouch.importing.fields import shown
-from realtouch.importing.source_files import open_source
-from tactile_toolkit import store
-from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.wording import did_you_mean
+from realtouch import importing
+from realtouch.exchange import foreign_parquet, lerobot_mark
+from tactile_toolkit import errors, store, wording
+from tactile_toolkit.json_types import JsonObject
 
 _INFO = "meta/info.json"
 _PICTURES = ("image", "video")
@@ -34,7 +31,7 @@ class Feature(msgspec.Struct, frozen=True):
     """What is stored of each frame."""
 
     dtype: str
-    info: Mapping[str, Any] | None = None
+    info: JsonObject | None = None
 
     @property
     def is_depth(self) -> bool:
@@ -52,7 +49,7 @@ class Info(msgspec.Struct, frozen=True):
     video_path: str | None = None
     chunks_size: Annotated[int, msgspec.Meta(gt=0, lt=1 << 50)] = 1000
     splits: Mapping[str, str] | None = None
-    realtouch: Mark | None = None
+    realtouch: lerobot_mark.Mark | None = None
 
     @property
     def pictures(self) -> list[str]:
@@ -74,8 +71,8 @@ class Info(msgspec.Struct, frozen=True):
         if len(chosen) == 1:
             return chosen[0]
         found = ", ".join(cameras) or f"none; its features are {', '.join(self.features)}"
-        expected = f"{name!r} among them{did_you_mean(name, cameras)}" if name else "one"
-        raise InputError(
+        expected = f"{name!r} among them{wording.did_you_mean(name, cameras)}" if name else "one"
+        raise errors.InputError(
             f"{where!r} has the cameras {found}; expected {expected}", next="choose one with --map image=NAME"
         )
 
@@ -118,9 +115,10 @@ def read_info(home: store.DataFolder) -> Info:
     with _refused(home, _INFO):
         info = msgspec.json.decode(_content(home, _INFO), type=Info)
     if not _VERSION.fullmatch(info.codebase_version):
-        problem = f"{home.address(_INFO)!r} states version {shown(info.codebase_version)!r}"
-        raise InputError(
-            f"{problem}; expected v2.0, v2.1 or v3.0", next="convert it with the tools of LeRobot"
+        raise errors.InputError(
+            f"{home.address(_INFO)!r} states version {importing.shown(info.codebase_version)!r}; "
+            "expected v2.0, v2.1 or v3.0",
+            next="convert it with the tools of LeRobot",
         )
     return info
 
@@ -132,7 +130,9 @@ def read_tasks(home: store.DataFolder, info: Info) -> dict[int, str]:
     for line in _lines(home, path) if home.exists(path) else ():
         number, texts = line.get("task_index"), [value for value in line.values() if isinstance(value, str)]
         if not isinstance(number, int) or len(texts) != 1:
-            raise InputError(f"{home.address(path)!r}: {shown(line)}; expected a number and a text")
+            raise errors.InputError(
+                f"{home.address(path)!r}: {importing.shown(line)}; expected a number and a text"
+            )
         tasks[number] = texts[0]
     return tasks
 
@@ -148,13 +148,15 @@ def read_episodes(home: store.DataFolder, info: Info, camera: str) -> Iterator[E
             with _refused(home, path):
                 episode = _episode(info, camera, line)
             if episode.number <= last:
-                found = f"episode {episode.number:,} after {last:,}"
-                raise InputError(f"{home.address(path)!r} holds {found}; expected numbers that rise")
+                raise errors.InputError(
+                    f"{home.address(path)!r} holds episode {episode.number:,} after {last:,}; "
+                    "expected numbers that rise"
+                )
             last = episode.number
             yield episode
 
 
-def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
+def _episode(info: Info, camera: str, line: JsonObject) -> Episode:
     number, length = (msgspec.convert(line.get(name), _Count) for name in ("episode_index", "length"))
     rows, video = (_files(line, f"{folder}/") for folder in ("data", f"videos/{camera}"))
 
@@ -169,7 +171,7 @@ def _episode(info: Info, camera: str, line: Mapping[str, Any]) -> Episode:
     return Episode(number, length, *paths, video.from_timestamp, {**info.split_of(number), **others})
 
 
-def _files(line: Mapping[str, Any], prefix: str) -> _Files:
+def _files(line: JsonObject, prefix: str) -> _Files:
     found = {name.removeprefix(prefix): value for name, value in line.items() if name.startswith(prefix)}
     return msgspec.convert(found, _Files)
 
@@ -179,21 +181,21 @@ def _filled(template: str, values: Mapping[str, object]) -> str:
     return _FIELD.sub(lambda found: str(values.get(found[1], found[0])).zfill(int(found[2] or 0)), template)
 
 
-def _lines(home: store.DataFolder, path: str) -> Iterator[Mapping[str, Any]]:
+def _lines(home: store.DataFolder, path: str) -> Iterator[JsonObject]:
     """Yield the lines of a JSON lines or Parquet file; of the latter without statistics."""
     with _refused(home, path):
         if path.endswith(".jsonl"):
-            yield from msgspec.json.Decoder(Mapping[str, Any]).decode_lines(_content(home, path))
+            yield from msgspec.json.Decoder(JsonObject).decode_lines(_content(home, path))
             return
-        parquet = ForeignParquet(home, path)
+        parquet = foreign_parquet.ForeignParquet(home, path)
         yield from parquet.rows([name for name in parquet.types if not name.startswith("stats/")])
 
 
 def _content(home: store.DataFolder, path: str) -> bytes:
-    with open_source(home, path) as stream:
+    with importing.open_source(home, path) as stream:
         content = stream.read(_MOST_BYTES + 1)
     if len(content) > _MOST_BYTES:
-        raise InputError(
+        raise errors.InputError(
             f"{home.address(path)!r} is larger than {_MOST_BYTES:,} bytes, the most that is read"
         )
     return content
@@ -204,8 +206,9 @@ def _refused(home: store.DataFolder, path: str) -> Iterator[None]:
     """Raise InputError, which names the file, for metadata that cannot be used."""
     try:
         yield
-    except ItemError as error:
-        raise InputError(f"{home.address(path)!r}: {error.what}") from error
+    except errors.ItemError as error:
+        raise errors.InputError(f"{home.address(path)!r}: {error.what}") from error
     except (msgspec.MsgspecError, UnicodeError, RecursionError, ArithmeticError) as error:
-        problem = f"no metadata of a LeRobotDataset ({error})"
-        raise InputError(f"{home.address(path)!r} holds {problem}") from error
+        raise errors.InputError(
+            f"{home.address(path)!r} holds no metadata of a LeRobotDataset ({error})"
+        ) from error

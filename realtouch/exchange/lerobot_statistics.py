@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 from PIL import Image
 
+from realtouch.exchange import lerobot_depth
 from realtouch.exchange.episodes import DEPTH
-from realtouch.exchange.lerobot_depth import counted_depths
 from realtouch.stored_images import decoded
-from tactile_toolkit import read
+from tactile_toolkit import read, touch
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.touch import MEDIA_TYPE
+from tactile_toolkit.json_types import JsonDict
 
 # Images of an episode that are decoded for its statistics.
 _IMAGES_SEEN = 8
@@ -35,7 +34,7 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
     for name in _counted(frames.schema):
         whole, data_type = frames.column(name).combine_chunks(), pa.list_(pa.float64())
         found = [_episode(name, whole.slice(*part)) for part in zip(starts, lengths, strict=True)]
-        if whole.type == MEDIA_TYPE:
+        if whole.type == touch.MEDIA_TYPE:
             data_type = pa.list_(pa.list_(data_type))
         types = {**dict.fromkeys(_NAMES, data_type), "count": pa.list_(pa.int64())}
         for statistic, stored in types.items():
@@ -45,14 +44,14 @@ def columns_of_episodes(frames: pa.Table, starts: list[int], lengths: list[int])
 
 def _episode(name: str, values: pa.Array) -> dict[str, object]:
     """Return the statistics of a feature in an episode; those of images are of a sample."""
-    if values.type != MEDIA_TYPE:
+    if values.type != touch.MEDIA_TYPE:
         numbers = _flat_rows(values)
         found = [_statistics(*np.unique(column, return_counts=True)) for column in numbers.T]
         return {**_transposed(found), "count": [len(values)]}
     seen = np.unique(np.linspace(0, len(values) - 1, _IMAGES_SEEN).round().astype(int)).tolist()
     images = [values[number].as_py() for number in seen]
     if name == DEPTH:
-        channels = [counted_depths(image["bytes"] for image in images)]
+        channels = [lerobot_depth.counted_depths(image["bytes"] for image in images)]
     else:
         counts = np.zeros((3, _LEVELS), np.int64)
         for image in images:
@@ -97,11 +96,11 @@ def statistics_of_all(episodes: Sequence[read.Shard], frames: Sequence[read.Shar
 
     Few numbers of each frame are in memory at a time, of long vectors one.
     """
-    found: dict[str, Any] = {}
+    found: JsonDict = {}
     total = sum(map(len, frames))
     for name in _counted(frames[0].schema):
         data_type = frames[0].schema.field(name).type
-        if data_type == MEDIA_TYPE:
+        if data_type == touch.MEDIA_TYPE:
             found[name] = _put_together(episodes, name)
             continue
         width, columns = getattr(data_type, "list_size", 1), []

@@ -11,21 +11,21 @@ columns. Ids of rounds lie in ``meta``, whose attributes mark the group as ours.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.exchange.episodes import STATE, TIME, Episodes
-from realtouch.exchange.zarr_groups import OUR_NAMES, GroupFormat
-from realtouch.poses import Poses
+from realtouch import importing, poses
+from realtouch.exchange import episodes, zarr_groups, zarr_recordings
+from tactile_toolkit import store
 from tactile_toolkit.array_types import AnyArray
 
 _TACTILE = "right_tactile_{}_gelsight"
 _CAMERA, _POSE = "camera_main_rgb", "right_wrist_pose"
 INSTRUCTION, TIMES = "sub_task_instruction", "timestamps"
 SENSOR, PICTURE = "GelSightMini", "image"
-
 _STAND_INS = "what_stands_for"
 _BLACK = "black pictures: there was no camera"
 _OF_GEL = "the pose of the gel in the frame of the cell"
@@ -33,12 +33,19 @@ _NO_POSE = "zeros: no pose is known"
 _DECIMALS = 12  # of rotation vectors, in whose last bits processors differ; the exact pose has all digits
 
 
-def _add_arrays(step: Episodes, table: pa.Table, arrays: dict[str, AnyArray]) -> Mapping[str, object]:
+_SENSED = re.compile(r"[a-z]+_tactile_data_.+")
+_PICTURE_AXES = 5
+_MOST_SENSORS = 100
+
+
+def _add_arrays(
+    step: episodes.Episodes, table: pa.Table, arrays: dict[str, AnyArray]
+) -> Mapping[str, object]:
     """Add the arrays of the format that follow from columns, and stand-ins; return what these are."""
-    count, exact = len(table), arrays.get(OUR_NAMES[STATE])
+    count, exact = len(table), arrays.get(zarr_groups.OUR_NAMES[episodes.STATE])
     pose = np.broadcast_to(0.0, (count, 6))
     if exact is not None:
-        turns = Poses(exact[:, :3], exact[:, 3:]).rotvec.round(_DECIMALS)
+        turns = poses.Poses(exact[:, :3], exact[:, 3:]).rotvec.round(_DECIMALS)
         pose = np.hstack([exact[:, :3], turns])
     tasks = [*(f"touch an object of class {name}" for name in step.names), "touch an object"]
     arrays.setdefault(TIMES, np.divide(table["frame_index"].to_numpy(), step.fps))
@@ -53,12 +60,32 @@ def _add_arrays(step: Episodes, table: pa.Table, arrays: dict[str, AnyArray]) ->
     return {_STAND_INS: {_CAMERA: _BLACK, _POSE: _NO_POSE if exact is None else _OF_GEL}}
 
 
-plan_oxt = GroupFormat(
+plan_oxt = zarr_groups.GroupFormat(
     name="group of Open-X-Tactile",
     folder="oxt",
     pictures=_TACTILE.format("data"),
-    arrays={**OUR_NAMES, TIME: TIMES},
+    arrays={**zarr_groups.OUR_NAMES, episodes.TIME: TIMES},
     add=_add_arrays,
     sensors=(1,),
     number=pa.float64(),
 ).plan
+
+
+def find_oxt(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each episode; the pictures are those of the only sensor, or of the named one.
+
+    A sensor is named by its array, and its number where the array holds several, from 0:
+    ``left_tactile_data_fingers[1]``. What this toolkit wrote comes back with its labels, poses and rounds.
+    """
+    group, sensors = zarr_recordings.group_in(home), dict[str, tuple[str, int]]()
+    arrays = zarr_recordings.data_arrays(group)
+    for name, shape in arrays.items():
+        if _SENSED.fullmatch(name) and isinstance(shape, list) and len(shape) == _PICTURE_AXES:
+            count = shape[1] if isinstance(shape[1], int) else 0
+            several = {f"{name}[{sensor}]": (name, sensor) for sensor in range(min(count, _MOST_SENSORS))}
+            sensors |= {name: (name, 0)} if count == 1 else several
+    return zarr_recordings.recordings_of(
+        group, arrays, sensors[zarr_recordings.chosen_pictures(group, columns.image_name, sensors)], columns
+    )

@@ -1,4 +1,4 @@
-"""Pages of Parquet files of others, whose headers may state any size; Arrow makes room for it first.
+"""Sizes of Parquet pages: Arrow allocates what a header states, so headers of untrusted files are checked.
 
 Facts of the format: a column of a row group is a run of pages. Each begins with a header in the compact
 protocol of Thrift, whose fields 2 and 3 are the sizes of the page, unpacked and stored.
@@ -29,8 +29,10 @@ def require_bounded_pages(stream: IO[bytes], start: int, stored_bytes: int, most
         unpacked, stored = (sizes.get(field, -1) for field in (_UNPACKED, _STORED))
         at += length + stored
         if not (0 <= unpacked <= most_bytes and stored >= 0 and at <= end + _SPARE_BYTES):
-            what = f"a page of {unpacked:,} bytes, {stored:,} stored"
-            raise ValueError(f"{what}; expected at most {most_bytes:,} in {stored_bytes:,}")
+            raise ValueError(
+                f"a page of {unpacked:,} bytes, {stored:,} stored; "
+                f"expected at most {most_bytes:,} in {stored_bytes:,}"
+            )
     raise ValueError(f"more than {_MOST_PAGES:,} pages in {stored_bytes:,} bytes")
 
 

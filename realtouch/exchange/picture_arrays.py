@@ -1,4 +1,4 @@
-"""Arrays of others: pictures, of which some axis holds the channels, and what is said of each picture.
+"""Arrays from other programs: pictures with a channel axis, and columns with a row for each picture.
 
 Arrays of 8 bits are taken as they are. Of all others, every value is looked at before anything is made: only
 what 8 bits hold without loss is converted.
@@ -10,15 +10,12 @@ import math
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 
-from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch import importing
+from tactile_toolkit import bounds, errors, touch, wording
 from tactile_toolkit.array_types import AnyArray, Floating, UInt8
-from tactile_toolkit.bounds import require_unpackable
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.touch import encode_image
 
 _CHANNELS = (1, 3)
 _MOST_LEVEL = 255
@@ -43,14 +40,14 @@ class StoredArray:
 
     place: str
     shape: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     step: int
     block: Callable[[int], AnyArray]
     stored_bytes: Callable[[], int]
 
-    def refused(self, problem: str) -> InputError:
+    def refused(self, problem: str) -> errors.InputError:
         """Return the error for an array that cannot be used."""
-        return InputError(f"{self.place!r}: {problem}")
+        return errors.InputError(f"{self.place!r}: {problem}")
 
     def blocks(self) -> Iterator[AnyArray]:
         """Yield all rows, a block at a time."""
@@ -58,7 +55,7 @@ class StoredArray:
 
     def rows(self) -> AnyArray:
         """Return all rows."""
-        require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
+        bounds.require_unpackable(math.prod(self.shape) * self.dtype.itemsize, f"{self.place}: {self.shape}")
         return np.concatenate([np.empty((0, *self.shape[1:]), self.dtype), *self.blocks()])
 
 
@@ -78,8 +75,11 @@ class PictureArray:
         """Look at an array; InputError for one that does not hold pictures of 8 bits."""
         pictures, stored = cls(array, sensor=sensor), array.stored_bytes()
         count = math.prod(array.shape)
-        what = f"{array.place}: {array.shape}, {array.dtype},"
-        require_unpackable(count * array.dtype.itemsize, what, _COMPRESSION * stored)
+        bounds.require_unpackable(
+            count * array.dtype.itemsize,
+            f"{array.place}: {array.shape}, {array.dtype},",
+            _COMPRESSION * stored,
+        )
         if not count or len(pictures.shape) != 4 or pictures.shape[3] not in _CHANNELS:
             raise array.refused(
                 f"an array {array.shape}; expected pictures of 1 or 3 channels, first or last"
@@ -88,7 +88,10 @@ class PictureArray:
             raise array.refused(f"pictures of type {array.dtype}; expected numbers from 0 to 255")
         most = _MOST_UNSTORED + stored // _LEAST_PICTURE_BYTES
         if len(pictures) > most:  # each takes time, though it need not take a byte
-            raise array.refused(f"{len(pictures):,} pictures in {stored:,} bytes; expected at most {most:,}")
+            raise array.refused(
+                f"{wording.with_count(len(pictures), 'pictures')} in {stored:,} bytes; expected at most "
+                f"{most:,}"
+            )
         return pictures if array.dtype == np.uint8 else cls(array, pictures._lossless(), sensor)
 
     def __len__(self) -> int:
@@ -130,7 +133,7 @@ class PictureArray:
         """Return what all values are multiples of; InputError if 8 bits would lose some."""
         dtype, tolerance = self.array.dtype, _LEAST_TOLERANCE
         if dtype.kind == "f":
-            tolerance = max(tolerance, float(np.finfo(dtype).eps) * _MOST_LEVEL)
+            tolerance = max(tolerance, float(np.finfo(dtype.name).eps) * _MOST_LEVEL)
         fitting = list(_DIVISORS[dtype.kind])
         low, high = math.inf, -math.inf
         for values in map(self._upright, self.array.blocks()):
@@ -156,7 +159,7 @@ OpenPictures = Callable[[str, str, str], PictureArray]
 """Opens the pictures that a touch is some of, given its ``home``, ``path`` and ``part``."""
 
 
-def encoded_pictures(places: Iterable[Place], opened: OpenPictures) -> Iterator[bytes]:
+def encoded_pictures(places: Iterable[importing.PicturePlace], opened: OpenPictures) -> Iterator[bytes]:
     """Yield each picture of some places in order, images as PNG, those of clips as JPEG.
 
     A block of an array is read once.
@@ -166,10 +169,10 @@ def encoded_pictures(places: Iterable[Place], opened: OpenPictures) -> Iterator[
         pictures = open_part(place.home, place.path, place.part)
         for number in range(place.start, place.start + max(1, place.frames)):
             block, row = divmod(number, pictures.array.step)
-            yield encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
+            yield touch.encode_image(pixels(pictures, block)[row], "jpeg" if place.frames else "png")
 
 
-def described_pictures(touches: FoundTouches, opened: OpenPictures) -> str:
+def described_pictures(touches: importing.FoundTouches, opened: OpenPictures) -> str:
     """Return what is done to the pictures of some touches; empty if they are taken as they are."""
     first = touches[0]
     words = [opened(first.home, first.path, first.part).described()]
@@ -190,7 +193,7 @@ def columns_of(
     for name, opened in arrays.items():
         try:
             array = opened()
-        except InputError:  # which names the place of the source
+        except errors.InputError:  # which names the place of the source
             if name in wanted:
                 raise
             others.append(f"{name} (cannot be read)")
@@ -198,7 +201,7 @@ def columns_of(
         width = math.prod(array.shape[1:])
         if array.shape[:1] == (frames,) and 0 < width <= _MOST_NUMBERS:
             size += frames * width * array.dtype.itemsize
-            require_unpackable(size, f"{array.place}, with all arrays before it,")
+            bounds.require_unpackable(size, f"{array.place}, with all arrays before it,")
             rows = _letters_checked(array).reshape(frames, width)
             found[name] = rows[:, 0] if width == 1 else rows
         elif name in wanted:

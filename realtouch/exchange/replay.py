@@ -2,14 +2,30 @@
 
 from __future__ import annotations
 
-from realtouch.exchange.episodes import ACTION, STATE
-from realtouch.exchange.zarr_groups import OUR_NAMES, GroupFormat
+from collections.abc import Iterator
+
+from realtouch import importing
+from realtouch.exchange import episodes, zarr_groups, zarr_recordings
+from tactile_toolkit import store
 
 PIXELS = "tactile"
 
-plan_replay = GroupFormat(
+plan_replay = zarr_groups.GroupFormat(
     name="replay buffer",
     folder="replay",
     pictures=PIXELS,
-    arrays={**OUR_NAMES, STATE: "state", ACTION: "action"},
+    arrays={**zarr_groups.OUR_NAMES, episodes.STATE: "state", episodes.ACTION: "action"},
 ).plan
+
+
+def find_replay(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
+    """Yield a recording for each episode of the buffer; its arrays are columns.
+
+    What an array of others means does not follow from its shape; a buffer of this toolkit states its names.
+    """
+    group = zarr_recordings.group_in(home)
+    names = zarr_recordings.data_arrays(group)
+    name = zarr_recordings.chosen_pictures(group, columns.image_name or PIXELS, names)
+    return zarr_recordings.recordings_of(group, names, (name, None), columns)

@@ -12,29 +12,9 @@ from functools import partial
 
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import (
-    Choices,
-    Conversion,
-    Made,
-    RowChoice,
-    Source,
-    WriteFiles,
-    checksums,
-    marked_repetitions,
-    schema_of,
-    stem_of_id,
-    table_of_columns,
-    with_files,
-)
-from realtouch.convert.touch_pictures import columns_of_touches, plain_extras, shown_touches
+from realtouch import contact, convert, stored_images, stored_round, touch, touch_options
 from realtouch.schema import POSE_COLUMN
-from realtouch.stored_images import image_column, require_intact
-from realtouch.stored_round import StoredRound
-from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import store
-from tactile_toolkit.errors import IntegrityError
+from tactile_toolkit import errors, store
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE
 
 _IMAGE = "image"
@@ -45,7 +25,7 @@ _MOST_ROWS_PER_GROUP = 1 << 14
 NamedImage = tuple[str, memoryview]
 """The name of the file of an image, and its bytes as they are stored."""
 
-PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], Made]
+PackTouches = Callable[[store.ShardName, pa.Table, Iterator[NamedImage]], convert.Made]
 """Makes files of the touches of a shard, given their plain columns and images; returns an index, too."""
 
 
@@ -59,22 +39,26 @@ class TouchFormat:
 
     folder: str = ""
     pack: PackTouches | None = None
-    write_files: WriteFiles = checksums
+    write_files: convert.WriteFiles = convert.checksums
     no_gaps: bool = False
 
     def plan(
-        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-    ) -> Conversion:
+        self,
+        source: convert.Source,
+        choices: convert.Choices,
+        method: contact.ContactMethod,
+        options: Mapping[str, object],
+    ) -> convert.Conversion:
         """Plan an export with a row for each touch; of clips, a touch shows the frame by some method."""
         if source.kind == "seq":
             source.require_frame(method)
             options = {**options, "frame": method}
-        return Conversion(
+        return convert.Conversion(
             source,
             "export",
             options,
             _Touches(method, source.class_names),
-            marked_repetitions(source, choices),
+            convert.marked_repetitions(source, choices),
             rows_per_group=max(1, min(_MOST_ROWS_PER_GROUP, _GROUP_BYTES // source.image_bytes())),
             extra_dirs=tuple(filter(None, [self.folder])),
             write_files=self.write_files,
@@ -83,18 +67,18 @@ class TouchFormat:
 
     def _pack_shard(
         self, pack: PackTouches, shard: store.ShardName, rows: pa.Table, skipped: Sequence[store.Skipped]
-    ) -> Made:
+    ) -> convert.Made:
         """Return the files of a shard, and plain columns as its index; an empty shard has no files."""
         index = rows.drop_columns([_IMAGE])
         if len(rows):
             return pack(shard, index, _images_of(rows[_IMAGE]))
         if self.no_gaps:
-            raise IntegrityError(
+            raise errors.IntegrityError(
                 f"{shard}: no round is left, the first because {skipped[0].message}; files are numbered "
                 "without gaps; nothing of this file was written",
                 next="leave it out (`realtouch select`)",
             )
-        return with_files(index, {})
+        return convert.with_files(index, {})
 
 
 def _images_of(column: pa.ChunkedArray) -> Iterator[NamedImage]:
@@ -111,7 +95,7 @@ class _Touches:
     JPEGs pass through as they are stored. ``names`` are those of the classes.
     """
 
-    method: ContactMethod
+    method: contact.ContactMethod
     names: tuple[str, ...]
 
     def schema(self, source: pa.Schema) -> pa.Schema:
@@ -126,27 +110,29 @@ class _Touches:
             "round_id": (pa.string(), ()),
             "touch": (pa.int64(), ()),
             "frame": (pa.int64(), ()),
-            **dict.fromkeys(POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
-            **dict.fromkeys(POSE_COLUMNS, (pa.float64(), poses)),
+            **dict.fromkeys(touch_options.POSITION_COLUMNS, (pa.float64(), ("pos_in_cell",))),
+            **dict.fromkeys(touch_options.POSE_COLUMNS, (pa.float64(), poses)),
         }
-        return pa.schema([*schema_of(source, wanted), *plain_extras(source).values()])
+        return pa.schema([*convert.schema_of(source, wanted), *convert.plain_extras(source).values()])
 
-    def apply(self, row: StoredRound, choice: RowChoice, split: str) -> Made:
+    def apply(self, row: stored_round.StoredRound, choice: convert.RowChoice, split: str) -> convert.Made:
         """Return the touches of a row; a round with a damaged touch is left out as a whole."""
         row.label_value(self.names)
-        shown = list(shown_touches(row, self.method))
-        columns = columns_of_touches(row, shown, self.names)
+        shown = list(convert.shown_touches(row, self.method))
+        columns = convert.columns_of_touches(row, shown, self.names)
         name = row.name()
         images: list[memoryview] = []
         where = _WHERE[row.kind]
         for each in shown:
             images.append(each.stored)
             try:
-                require_intact(images[-1])
+                stored_images.require_intact(images[-1])
             except ValueError:
                 with row.naming(MEDIA_COLUMN[row.kind], each.touch, where.format(each.frame)):
                     raise
-        columns["id"] = [touch_id(name, each.touch) for each in shown]
-        stem = stem_of_id(name)
-        columns[_IMAGE] = image_column(images, [touch_id(stem, each.touch) for each in shown])
-        return table_of_columns(self.schema(row.group.table.schema), columns), {}
+        columns["id"] = [touch.touch_id(name, each.touch) for each in shown]
+        stem = convert.stem_of_id(name)
+        columns[_IMAGE] = stored_images.image_column(
+            images, [touch.touch_id(stem, each.touch) for each in shown]
+        )
+        return convert.table_of_columns(self.schema(row.group.table.schema), columns), {}

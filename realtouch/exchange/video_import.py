@@ -9,25 +9,19 @@ from dataclasses import replace
 from itertools import chain, groupby, repeat
 from operator import attrgetter
 from pathlib import PurePosixPath
-from typing import Any
 
 import numpy as np
 
-from realtouch import video, video_files
-from realtouch.import_columns import ImportColumns
-from realtouch.importing import source_files
-from realtouch.importing.cut_tables import RECORDING_COLUMNS
-from realtouch.importing.found_touches import FoundTouches, Place
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import NUMBERED, SourceTable, path_of, source_of
-from tactile_toolkit import store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
-from tactile_toolkit.errors import InputError, ItemError
+from realtouch import importing, video, video_files
+from tactile_toolkit import column_tables, errors, store
+from tactile_toolkit.json_types import JsonDict
 
 _FILE = "file"
 
 
-def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None) -> Iterator[Recording]:
+def find_video(
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.Recording]:
     """Yield a recording for each video: the file that was named, or those of a folder and its sub-folders.
 
     A table says something of each: the one that was named, or the only one in the folder whose column of
@@ -39,12 +33,12 @@ def find_video(home: store.DataFolder, columns: ImportColumns, table: str | None
     lines = _lines(folder, columns, column, table, paths)
     said, unnamed = _classes(paths), None
     if lines is not None:
-        said, unnamed = {}, ItemError("table", "no line of the table names this video; expected one")
+        said, unnamed = {}, errors.ItemError("table", "no line of the table names this video; expected one")
     seen = set[str]()
-    for row, path in enumerate(() if lines is None else map(path_of, lines.texts(column))):
+    for row, path in enumerate(() if lines is None else map(importing.path_of, lines.texts(column))):
         problem = None if lines is None else lines.problem(row)
         if path in seen:
-            problem = ItemError("duplicate", "the same file as in an earlier line of the table")
+            problem = errors.ItemError("duplicate", "the same file as in an earlier line of the table")
         seen.add(path)
         values = {} if lines is None else lines.values(row)
         yield _recording(folder, path, values, problem, stems)
@@ -57,18 +51,18 @@ def _recording(
     folder: store.DataFolder,
     path: str,
     said: Mapping[str, object],
-    problem: ItemError | None,
+    problem: errors.ItemError | None,
     stems: Mapping[str, int],
-) -> Recording:
+) -> importing.Recording:
     """Return a video with what is said of it; one that cannot be used has a problem, and one picture."""
     name = path if stems[_stem(path)] > 1 else _stem(path)
-    whole = Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
+    whole = importing.Recording(name, folder.address(), path, "", 0, 1, 0, said, time_s=np.zeros(1))
     try:
         if problem is not None:
             raise problem
         store.size_inside(folder, path)
         found = video.open_video(folder, path)
-    except ItemError as error:
+    except errors.ItemError as error:
         return replace(whole, problem=error)
     size, times = found.picture_bytes, found.time_s
     return replace(whole, part=found.conversion, frames=len(times), frame_bytes=size, time_s=times)
@@ -80,12 +74,14 @@ def _stem(path: str) -> str:
 
 def _videos(home: store.DataFolder) -> tuple[store.DataFolder, list[str]]:
     """Return a folder and the paths of the videos in it, or where the file lies that was named."""
-    folder, name = source_files.file_or_folder(home)
+    folder, name = importing.file_or_folder(home)
     if name:
         return folder, [name]
     paths = [path for path in home.walk() if not store.is_hidden(path) and video_files.is_video(home, path)]
     if not paths:
-        raise InputError(f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS")
+        raise errors.InputError(
+            f"{home.address()!r} holds no videos; expected AVI, MP4, MOV, MKV, WebM or MPEG-TS"
+        )
     return home, paths
 
 
@@ -94,57 +90,67 @@ def _classes(paths: Sequence[str]) -> dict[str, dict[str, object]]:
     folders = {path: path.split("/")[0] for path in paths if path.count("/") == 1}
     if len(folders) < len(paths) or len({*folders.values()}) < 2:
         return {}
-    return {path: {NUMBERED: name} for path, name in folders.items()}
+    return {path: {importing.NUMBERED: name} for path, name in folders.items()}
 
 
 def _lines(
-    home: store.DataFolder, columns: ImportColumns, image: str, table: str | None, paths: Sequence[str]
-) -> SourceTable | None:
-    """Return the table of the videos; None if there is none."""
+    home: store.DataFolder,
+    columns: importing.ImportColumns,
+    image: str,
+    table: str | None,
+    paths: Sequence[str],
+) -> importing.SourceTable | None:
+    """Return the table of the videos, or None."""
 
-    def read(folder: store.DataFolder, name: str) -> SourceTable:
-        found = source_files.read_table(folder, name, columns, [image])
-        source_files.require_columns(found.names, [image], folder.address(name))
+    def read(folder: store.DataFolder, name: str) -> importing.SourceTable:
+        found = importing.read_table(folder, name, columns, [image])
+        importing.require_columns(found.names, [image], folder.address(name))
         return found
 
     if table is not None:
-        return read(*source_of(table))
+        return read(*importing.source_of(table))
     found, refused = {}, None
     streams = tuple(f"{_stem(path)}{mark}" for path in paths for mark in "._")
-    for name in source_files.visible_files(home, COLUMN_TABLE_ENDINGS):
+    for name in importing.visible_files(home, column_tables.COLUMN_TABLE_ENDINGS):
         if name.startswith(streams):
             continue
         first = _first_row(home, name)
         if image in first:
             lines = read(home, name)
-            if {*map(path_of, lines.texts(image))}.intersection(paths):
+            if {*map(importing.path_of, lines.texts(image))}.intersection(paths):
                 found[name] = lines
-        elif not {*RECORDING_COLUMNS}.intersection(first):  # no table of cuts
-            other = [column for column, value in first.items() if value and path_of(str(value)) in paths]
+        elif not {*importing.RECORDING_COLUMNS}.intersection(first):  # no table of cuts
+            other = [
+                column for column, value in first.items() if value and importing.path_of(str(value)) in paths
+            ]
             refused = refused or (other and (name, other[0]))
     if len(found) > 1:
-        words = f"{home.address()!r} has several tables of its videos: {', '.join(found)}"
-        raise InputError(words, next="name one with --table")
+        raise errors.InputError(
+            f"{home.address()!r} has several tables of its videos: {', '.join(found)}",
+            next="name one with --table",
+        )
     if refused and not found:
         name, column = refused
-        words = f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}"
-        raise InputError(words, next=f"add --map image={column}, or move the table out of the folder")
+        raise errors.InputError(
+            f"{home.address(name)!r} names videos in its column {column!r}; expected a column {image!r}",
+            next=f"add --map image={column}, or move the table out of the folder",
+        )
     return next(iter(found.values()), None)
 
 
-def _first_row(home: store.DataFolder, name: str) -> dict[str, Any]:
+def _first_row(home: store.DataFolder, name: str) -> JsonDict:
     """Return the first row of a table, which may be long, or no table at all."""
-    with suppress(InputError):
-        return source_files.column_table(home, name).first_row()
+    with suppress(errors.InputError):
+        return importing.column_table(home, name).first_row()
     return {}
 
 
-def describe_conversion(touches: FoundTouches) -> str:
+def describe_conversion(touches: importing.FoundTouches) -> str:
     """Return what is done to the pictures of videos; empty if they are stored as they are."""
     return "; ".join(sorted({*touches.where["part"].unique().to_pylist()} - {""}))
 
 
-def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def encoded_frames(places: Iterable[importing.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the pictures of each place in order; those of one file are read in one go."""
     for (home, path), group in groupby(places, key=attrgetter("file")):
         ranges = [range(place.start, place.start + max(1, place.frames)) for place in group]
@@ -155,5 +161,5 @@ def encoded_frames(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
             ):
                 left -= 1
                 yield picture
-        except ItemError as error:
+        except errors.ItemError as error:
             yield from repeat(error, left)

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Iterator, Mapping
 import msgspec
 import pyarrow as pa
 
-from realtouch.convert.conversion import Made, with_files
+from realtouch import convert
 from realtouch.exchange.touch_rows import NamedImage, TouchFormat
 from tactile_toolkit import store
 
@@ -77,10 +77,10 @@ def _without_nan(value: object) -> object:
     return None if value != value else value
 
 
-def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> Made:
+def _pack(shard: store.ShardName, index: pa.Table, images: Iterator[NamedImage]) -> convert.Made:
     """Return the touches of a shard as one tar."""
     samples = ((*image, fields) for image, fields in zip(images, index.to_pylist(), strict=True))
-    return with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
+    return convert.with_files(index, {f"{_FOLDER}/{shard.split}-{shard.index:06d}.tar": tar_of(samples)})
 
 
 plan_webdataset = TouchFormat(_FOLDER, _pack).plan

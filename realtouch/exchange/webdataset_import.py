@@ -4,30 +4,20 @@ from __future__ import annotations
 
 import json
 import tarfile
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import suppress
 from functools import lru_cache
 from itertools import groupby
 from operator import attrgetter
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import msgspec
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import (
-    IMAGE_ENDINGS,
-    open_source,
-    path_of,
-    require_columns,
-    source_of,
-    visible_files,
-)
-from realtouch.tars import files_of_tar
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
+from realtouch import importing, tars
+from tactile_toolkit import column_types, errors, store
+from tactile_toolkit.json_types import JsonDict, JsonObject
 
 # How files of gzip, bzip2, xz and Zstandard begin.
 _PACKED = (b"\x1f\x8b", b"BZh", b"\xfd7zX", b"\x28\xb5\x2f\xfd")
@@ -36,11 +26,11 @@ _MOST_TEXT_BYTES = 1 << 20  # longer files with fields are not read
 
 
 def find_webdataset(
-    home: store.DataFolder, columns: ImportColumns, table: str | None
-) -> Iterator[FoundTouches]:
+    home: store.DataFolder, columns: importing.ImportColumns, table: str | None
+) -> Iterator[importing.FoundTouches]:
     """Yield the samples of each tar as touches, by their headers and JSON files alone."""
     if table is not None:
-        raise InputError(
+        raise errors.InputError(
             "--table applies to folders of images; a WebDataset has JSON files", next="leave out --table"
         )
     known = dict[str, None]()
@@ -52,23 +42,24 @@ def find_webdataset(
             yield _touches(folder, name, samples)
             known |= dict.fromkeys(field for sample in samples for field in sample.values)
     if known:
-        require_columns(list(known), columns.found_in(known).names(), home.address())
+        importing.require_columns(list(known), columns.found_in(known).names(), home.address())
 
 
-def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> FoundTouches:
-    """Return the samples of a tar; of those of one key, which many writers number anew in each, the first."""
-    problems: dict[int, ItemError] = {}
+def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) -> importing.FoundTouches:
+    """Return the samples of a tar; of samples with the same key, the first one can be used."""
+    problems: dict[int, errors.ItemError] = {}
     seen = set[str]()
     for number, sample in enumerate(samples):
         if sample.key in seen:
-            problem = f"the key {sample.key!r} stands in an earlier sample of this tar"
-            problems[number] = ItemError("duplicate", problem)
+            problems[number] = errors.ItemError(
+                "duplicate", f"the key {sample.key!r} stands in an earlier sample of this tar"
+            )
         elif sample.problems:
             problems[number] = sample.problems[0]
         seen.add(sample.key)
     names = dict.fromkeys(field for sample in samples for field in sample.values)
     if len(names) > _MOST_FIELDS:
-        raise InputError(
+        raise errors.InputError(
             f"{folder.address(name)!r} has {len(names):,} different fields; the limit is {_MOST_FIELDS:,}",
             next="check that the names of fields are no values",
         )
@@ -78,7 +69,7 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
         if pa.types.is_string(column.type) and any(field in sample.texts for sample in samples):
             column = column_types.from_text(column)
         said[field.encode(errors="backslashreplace").decode()] = column
-    return FoundTouches.of(
+    return importing.FoundTouches.of(
         [sample.key for sample in samples],
         folder.address(),
         name,
@@ -91,13 +82,15 @@ def _touches(folder: store.DataFolder, name: str, samples: Sequence[_Sample]) ->
 
 def _tars(home: store.DataFolder) -> list[tuple[store.DataFolder, str]]:
     """Return the tars of a folder, or the one that was named itself, each with its folder."""
-    names = visible_files(home, ".tar")
+    names = importing.visible_files(home, ".tar")
     place = home.address()
     is_file = Path(place).is_file() if home.is_local else place.lower().endswith(".tar")
     if is_file and not names:
-        return [source_of(place)]
+        return [importing.source_of(place)]
     if not names:
-        raise InputError(f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars")
+        raise errors.InputError(
+            f"{place!r} holds no tars (*.tar)", next="check the path; unpack compressed tars"
+        )
     return [(home, name) for name in names]
 
 
@@ -116,12 +109,14 @@ _NO_FILE = _Member("", "", 0, 0, b"")
 
 def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
     try:
-        with open_source(folder, name) as stream:
+        with importing.open_source(folder, name) as stream:
             if stream.read(4).startswith(_PACKED):
-                raise InputError(f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it")
+                raise errors.InputError(
+                    f"{folder.address(name)!r} is compressed; expected a tar", next="unpack it"
+                )
             stream.seek(0)
-            for member in files_of_tar(stream, folder.size_bytes(name)):
-                start, path = member.offset_data, path_of(member.name)
+            for member in tars.files_of_tar(stream, folder.size_bytes(name)):
+                start, path = member.offset_data, importing.path_of(member.name)
                 if store.is_hidden(path):  # as archives of a Mac have, one for each file
                     continue
                 directory, slash, base = path.rpartition("/")
@@ -132,7 +127,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
                     content = stream.read(member.size)
                 yield _Member(f"{directory}{slash}{stem}", ending.lower(), start, member.size, content)
     except (tarfile.TarError, OSError) as error:
-        raise IntegrityError(
+        raise errors.IntegrityError(
             f"{folder.address(name)!r} is not an intact tar ({error}); nothing was written",
             next="fetch it again",
         ) from error
@@ -141,7 +136,7 @@ def _members(folder: store.DataFolder, name: str) -> Iterator[_Member]:
 @lru_cache(maxsize=256)
 def _is_image(ending: str) -> bool:
     """Return whether an ending is that of an image; there may be several: ``rgb.jpg``."""
-    return ending.lower().rpartition(".")[2] in IMAGE_ENDINGS
+    return ending.lower().rpartition(".")[2] in importing.IMAGE_ENDINGS
 
 
 class _Sample(NamedTuple):
@@ -149,58 +144,55 @@ class _Sample(NamedTuple):
 
     key: str
     image: _Member
-    values: Mapping[str, Any]
+    values: JsonObject
     texts: Collection[str]
-    problems: Sequence[ItemError]
+    problems: Sequence[errors.ItemError]
 
 
-def _sample(key: str, members: Sequence[_Member], columns: ImportColumns) -> _Sample:
+def _sample(key: str, members: Sequence[_Member], columns: importing.ImportColumns) -> _Sample:
     """Combine the files of one key."""
-    problems: list[ItemError] = []
+    problems: list[errors.ItemError] = []
     named = store.problem_of_name(key)
     if named:
-        problems.append(ItemError("name", f"the key {named}"))
+        problems.append(errors.ItemError("name", f"the key {named}"))
         key = key.encode(errors="backslashreplace").decode()
     wanted = columns.image_name.lower()
     images = [each for each in members if _is_image(each.ending) and wanted in ("", each.ending)]
     if not images:
-        expected = wanted or ", ".join(IMAGE_ENDINGS)
-        problems.append(ItemError("missing", f"no image; expected one of {expected}"))
+        expected = wanted or ", ".join(importing.IMAGE_ENDINGS)
+        problems.append(errors.ItemError("missing", f"no image; expected one of {expected}"))
     if len(images) > 1:
         found = ", ".join(each.ending for each in images)
         problems.append(
-            ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
+            errors.ItemError("images", f"the images {found}; expected one (--map image=ENDING names it)")
         )
-    values: dict[str, Any] = {}
+    values: JsonDict = {}
     for member in members:
         if member.ending == "json":
             try:
                 values |= _fields(member.content)
-            except ItemError as error:
+            except errors.ItemError as error:
                 problems.append(error)
         elif not _is_image(member.ending):
             values.setdefault(member.ending, member.content.decode(errors="surrogateescape").strip())
     # JSON may hold one half of a surrogate pair without the other, which cannot be stored.
     texts = {name: value for name, value in values.items() if isinstance(value, str)}
     if not "".join(texts.values()).isascii():  # text by text only then: this runs for each image
-        for name in [name for name, value in texts.items() if not _is_unicode(value)]:
-            problems.append(ItemError("json", f"its field {name!r} holds text that is not Unicode"))
+        wrong = [name for name, text in texts.items() if text.encode(errors="ignore").decode() != text]
+        for name in wrong:
+            problems.append(errors.ItemError("json", f"its field {name!r} holds text that is not Unicode"))
             values = {}
     files = {member.ending for member in members}
     return _Sample(key, next(iter(images), _NO_FILE), values, files, problems)
 
 
-def _is_unicode(text: str) -> bool:
-    return text.encode(errors="ignore").decode() == text
-
-
-def _fields(content: bytes) -> dict[str, Any]:
+def _fields(content: bytes) -> JsonDict:
     try:
         # Five times as fast; `json` reads more: NaN, numbers out of range, marks of the byte order.
         with suppress(msgspec.MsgspecError, UnicodeDecodeError):
             return dict(msgspec.json.decode(content))
         return dict(json.loads(content))
     except (ValueError, TypeError, RecursionError) as error:
-        raise ItemError(
+        raise errors.ItemError(
             "json", "its JSON file cannot be read; expected an object of at most 1 MiB"
         ) from error

@@ -1,4 +1,4 @@
-"""Groups of Zarr 2 and 3 that others wrote, in a folder or a zip: read without codecs that run code.
+"""Groups of Zarr 2 and 3 from other programs, in a folder or zip; codecs that run code are refused.
 
 Metadata of an array are checked before a chunk is opened, see :mod:`realtouch.exchange.zarr_layouts`.
 """
@@ -11,16 +11,14 @@ import weakref
 import zipfile
 from functools import cached_property, partial
 from itertools import product
-from typing import IO, Any
+from typing import IO
 
 import numpy as np
 
-from realtouch.exchange import zarr_layouts
-from realtouch.exchange.picture_arrays import StoredArray
-from tactile_toolkit import store
+from realtouch.exchange import picture_arrays, zarr_layouts
+from tactile_toolkit import bounds, errors, store
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.bounds import require_plain_archive, require_unpackable
-from tactile_toolkit.errors import InputError, ItemError
+from tactile_toolkit.json_types import JsonDict
 
 _METADATA = {2: ".zarray", 3: "zarr.json"}
 _MOST_METADATA_BYTES = 1 << 20
@@ -41,8 +39,8 @@ class ZarrGroup:
             stream = store.open_inside(self.home, self.path)
             weakref.finalize(self, stream.close)
             archive = zipfile.ZipFile(stream)
-            require_plain_archive(archive)
-        except (*zarr_layouts.UNREADABLE, ItemError) as error:
+            bounds.require_plain_archive(archive)
+        except (*zarr_layouts.UNREADABLE, errors.ItemError) as error:
             raise self.refused("", "not an intact zip of Zarr") from error
         return archive
 
@@ -50,18 +48,18 @@ class ZarrGroup:
         if not self.is_zip:
             return store.open_inside(self.home, self._below(path))
         if path not in self._archive.NameToInfo:
-            raise ItemError("missing", "")
+            raise errors.ItemError("missing", "")
         return self._archive.open(path)
 
     def _below(self, path: str) -> str:
         return f"{self.path}/{path}".strip("/")
 
     def read(self, path: str, most: int = _MOST_METADATA_BYTES) -> bytes | None:
-        """Return a file of the group, of ``most`` bytes at most; None if there is none."""
+        """Return a file of the group, of ``most`` bytes at most; None if it does not exist."""
         try:
             with self._open(path) as stream:
                 found = stream.read(most + 1)
-        except ItemError as error:
+        except errors.ItemError as error:
             if error.reason == "missing":
                 return None
             raise self.refused(path, error.what) from error
@@ -71,8 +69,8 @@ class ZarrGroup:
             raise self.refused(path, f"a file of more than {most:,} bytes; expected at most that many")
         return found
 
-    def json(self, path: str) -> dict[str, Any]:
-        """Return a file of the group as a JSON object; an empty one where there is none."""
+    def json(self, path: str) -> JsonDict:
+        """Return a file of the group as a JSON object; empty if the file does not exist."""
         try:
             return dict(json.loads(self.read(path) or b"{}"))
         except (ValueError, TypeError, RecursionError) as error:
@@ -88,12 +86,12 @@ class ZarrGroup:
         stated = {name: self._stated(f"{folder}/{name}")[1] for name in visible}
         return {name: each["shape"] for name, each in stated.items() if "shape" in each}
 
-    def _stated(self, path: str) -> tuple[int, dict[str, Any]]:
-        """Return the version of Zarr of an array, and its metadata; empty ones where there is none."""
+    def _stated(self, path: str) -> tuple[int, JsonDict]:
+        """Return the version of Zarr of an array, and its metadata; 0 and empty if it does not exist."""
         found = {version: self.json(f"{path}/{name}") for version, name in _METADATA.items()}
         return next(((version, stated) for version, stated in found.items() if stated), (0, {}))
 
-    def array(self, path: str) -> StoredArray:
+    def array(self, path: str) -> picture_arrays.StoredArray:
         """Return an array whose metadata were checked; InputError for one that cannot be read."""
         version, stated = self._stated(path)
         try:
@@ -103,14 +101,14 @@ class ZarrGroup:
         problem, place = layout.problem(), f"{self.place}/{path}"
         if problem:
             raise self.refused(path, problem)
-        require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
+        bounds.require_unpackable(layout.chunk_bytes, f"{place}: a chunk")
         read, size = partial(self._block, path, layout), partial(self._stored_bytes, path)
-        return StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
+        return picture_arrays.StoredArray(place, layout.shape, layout.dtype, layout.chunks[0], read, size)
 
-    def refused(self, path: str, problem: str) -> InputError:
+    def refused(self, path: str, problem: str) -> errors.InputError:
         """Return the error for a part of the group that cannot be used."""
         where = f"{self.place}/{path}".rstrip("/")
-        return InputError(f"{where!r}: {problem}")
+        return errors.InputError(f"{where!r}: {problem}")
 
     def _stored_bytes(self, path: str) -> int:
         """Return how many bytes are stored of an array: of a group in a zip, those of the zip."""
@@ -122,7 +120,7 @@ class ZarrGroup:
         step, *parts = layout.chunks
         size = (min(step, layout.shape[0] - number * step), *layout.shape[1:])
         dtype = layout.dtype.newbyteorder("=")
-        require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
+        bounds.require_unpackable(math.prod(size) * dtype.itemsize, f"{self.place}/{path}: {size} values")
         found: AnyArray = np.broadcast_to(layout.fill, size)  # where no chunk is stored
         for index in product(*map(range, layout.counts[1:])):
             chunk = self._chunk(path, layout, (number, *index))
@@ -141,5 +139,6 @@ class ZarrGroup:
         try:
             return layout.unpacked(data)
         except zarr_layouts.UNREADABLE as error:
-            expected = f"expected {layout.chunk_bytes:,} bytes unpacked"
-            raise self.refused(name, f"a damaged chunk; {expected}") from error
+            raise self.refused(
+                name, f"a damaged chunk; expected {layout.chunk_bytes:,} bytes unpacked"
+            ) from error

@@ -10,9 +10,12 @@ as ours, so that its poses are known to be some.
 from __future__ import annotations
 
 import hashlib
+import json
 import shutil
 import tempfile
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import IO
@@ -20,18 +23,15 @@ from typing import IO
 import numpy as np
 import pyarrow as pa
 
-from realtouch.contact import ContactMethod
-from realtouch.convert.conversion import Choices, Conversion, Source
-from realtouch.exchange.episode_extras import FEATURE
-from realtouch.exchange.episodes import ACTION, CONTACT, IMAGE, STATE, TIME, Episodes
-from realtouch.exchange.zarr_writer import ZarrWriter, rows_of_chunk
-from realtouch.schema import EXTRA_PREFIX
-from realtouch.stored_images import decoded
-from realtouch.stored_round import stored_rows
+from realtouch import contact, convert, schema, stored_images, stored_round
+from realtouch.exchange import episode_extras, episodes
 from tactile_toolkit import read, store
 from tactile_toolkit.array_types import AnyArray, UInt8
 
+CHUNK_BYTES = 2 << 20
+_LEVEL = 1
 ENDS, ATTRIBUTES = "meta/episode_ends", "meta/.zattrs"
+
 ROUND, TOUCH = "round_id", "touch"
 """Arrays of ``meta`` with an entry an episode; the second, if episodes are clips."""
 
@@ -39,16 +39,74 @@ CLASSES, COLUMNS, PER_CLIP = "class_names", "columns", "columns_of_clips"
 """Attributes of ``meta``: classes, columns of the data set by array, those that concern whole clips."""
 
 OUR_NAMES = {
-    **{STATE: "gel_pose", ACTION: "pos_in_cell", TIME: "time_s", CONTACT: CONTACT},
+    **{
+        episodes.STATE: "gel_pose",
+        episodes.ACTION: "pos_in_cell",
+        episodes.TIME: "time_s",
+        episodes.CONTACT: episodes.CONTACT,
+    },
     **{name: name for name in ("label", "object_id")},
 }
 """Names of columns of frames, as :data:`COLUMNS` states them."""
 
-_PICTURE = {IMAGE, f"{IMAGE}.bytes", f"{IMAGE}.path"}
+_PICTURE = {episodes.IMAGE, f"{episodes.IMAGE}.bytes", f"{episodes.IMAGE}.path"}
 _IN_MEMORY_BYTES = 64 << 20
 
-AddArrays = Callable[[Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
+AddArrays = Callable[[episodes.Episodes, pa.Table, dict[str, AnyArray]], Mapping[str, object]]
 """Adds arrays of ``data`` to those of columns, given a row a frame; returns attributes of ``meta``."""
+
+
+def rows_of_chunk(row_bytes: int) -> int:
+    """Return how many rows a chunk holds."""
+    return max(1, CHUNK_BYTES // row_bytes)
+
+
+class ZarrWriter(zipfile.ZipFile):
+    """A zip of arrays, whose chunks follow each other along the first axis."""
+
+    def __init__(self, stream: IO[bytes]) -> None:
+        super().__init__(stream, "w")
+        for path in (".zgroup", "data/.zgroup", "meta/.zgroup"):
+            self.add_json(path, {"zarr_format": 2})
+
+    def add_json(self, path: str, stated: Mapping[str, object], indent: int | None = None) -> None:
+        """Write a file of JSON."""
+        self._add(path, json.dumps(stated, indent=indent).encode())
+
+    def add_array(self, path: str, values: AnyArray) -> None:
+        """Write an array; where it is a zero that is repeated, without any chunk."""
+        rows = max(1, min(len(values), rows_of_chunk(values[:1].nbytes)))
+        starts = range(0, len(values) if any(values.strides) else 0, rows)
+        blocks = (values[start : start + rows] for start in starts)
+        self.add_blocks(path, values.shape, values.dtype, rows, blocks)
+
+    def add_blocks(
+        self,
+        path: str,
+        shape: Sequence[int],
+        dtype: np.dtype[np.generic],
+        rows: int,
+        blocks: Iterable[AnyArray],
+    ) -> None:
+        """Write an array that is made block by block, each a chunk of so many rows; the last has fewer."""
+        stated = {
+            "zarr_format": 2,
+            "shape": list(shape),
+            "chunks": [rows, *shape[1:]],
+            "dtype": dtype.str,
+            "order": "C",
+            "compressor": {"id": "zlib", "level": _LEVEL},
+            "fill_value": "" if dtype.kind == "U" else 0,
+            "filters": None,
+        }
+        self.add_json(f"{path}/.zarray", stated, indent=4)
+        for number, block in enumerate(blocks):
+            content = block.tobytes().ljust(rows * block[:1].nbytes, b"\0")  # zeros follow the last row
+            name = ".".join([str(number), *"0" * (len(shape) - 1)])
+            self._add(f"{path}/{name}", zlib.compress(content, _LEVEL))
+
+    def _add(self, path: str, content: bytes) -> None:
+        self.writestr(zipfile.ZipInfo(path), content)  # without a time of writing
 
 
 @dataclass(frozen=True)
@@ -68,18 +126,22 @@ class GroupFormat:
     number: pa.DataType = pa.float32()  # noqa: RUF009 - a constant
 
     def plan(
-        self, source: Source, choices: Choices, method: ContactMethod, options: Mapping[str, object]
-    ) -> Conversion:
+        self,
+        source: convert.Source,
+        choices: convert.Choices,
+        method: contact.ContactMethod,
+        options: Mapping[str, object],
+    ) -> convert.Conversion:
         """Plan a group; reads footers and one header. InputError for several splits."""
-        step = Episodes.of(source, choices, self.name, self.number)
+        step = episodes.Episodes.of(source, choices, self.name, self.number)
         options = {**options, "image_size": [step.size[1], step.size[0]]}
         write = partial(self._write_group, step)
-        return Conversion(
+        return convert.Conversion(
             source, "export", options, step, choices, extra_dirs=(self.folder,), write_files=write
         )
 
     def _write_group(
-        self, step: Episodes, folder: store.DataFolder, manifest: store.Manifest
+        self, step: episodes.Episodes, folder: store.DataFolder, manifest: store.Manifest
     ) -> dict[str, str]:
         """Write a zipped group of all frames, once those of all shards are there.
 
@@ -97,7 +159,7 @@ class GroupFormat:
                 folder.write(path, lambda stream: _copy(made, stream))
         return {path: digest}
 
-    def _write(self, step: Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
+    def _write(self, step: episodes.Episodes, stream: IO[bytes], shards: Sequence[read.Shard]) -> None:
         table = pa.concat_tables(
             [shard.read(columns=[name for name in shard.types if name not in _PICTURE]) for shard in shards]
         )
@@ -111,16 +173,18 @@ class GroupFormat:
             blocks = (each.reshape(-1, *shape[1:]) for each in _pictures(size, rows, shards))
             group.add_blocks(path, shape, np.dtype("|u1"), rows, blocks)
 
-    def _arrays(self, step: Episodes, table: pa.Table) -> tuple[dict[str, AnyArray], dict[str, object]]:
+    def _arrays(
+        self, step: episodes.Episodes, table: pa.Table
+    ) -> tuple[dict[str, AnyArray], dict[str, object]]:
         """Return all arrays but the pictures, and what is said of them: the attributes of ``meta``."""
         columns = {name: table[name].combine_chunks() for name in table.schema.names}
         known = {name: array for name, array in self.arrays.items() if name in columns}
         kept = {array: OUR_NAMES[name] for name, array in known.items()}
         of_clips = []
         for extra in step.extras:
-            known[extra.name] = array = extra.name.removeprefix(FEATURE)
+            known[extra.name] = array = extra.name.removeprefix(episode_extras.FEATURE)
             kept[array] = own_name = extra.stored.partition(".")[2]
-            of_clips += [own_name] * extra.stored.startswith(EXTRA_PREFIX["touch"])
+            of_clips += [own_name] * extra.stored.startswith(schema.EXTRA_PREFIX["touch"])
         arrays = {array: _numbers(columns[name]) for name, array in known.items()}
         stated = self.add(step, table, arrays)
         starts = np.flatnonzero(table["frame_index"].to_numpy() == 0)
@@ -135,9 +199,9 @@ class GroupFormat:
 def _pictures(size: tuple[int, int], rows: int, shards: Sequence[read.Shard]) -> Iterator[UInt8]:
     """Yield the pixels of all frames, so many at a time, each time in the same memory."""
     block, at = np.empty((rows, *size, 3), np.uint8), 0
-    for row in stored_rows(shards, [IMAGE]):
-        image = row.group.table[IMAGE][row.index].as_py()
-        decoded(image["bytes"], image["path"], block[at])
+    for row in stored_round.stored_rows(shards, [episodes.IMAGE]):
+        image = row.group.table[episodes.IMAGE][row.index].as_py()
+        stored_images.decoded(image["bytes"], image["path"], block[at])
         at = (at + 1) % rows
         if not at:
             yield block

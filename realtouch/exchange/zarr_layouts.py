@@ -9,18 +9,17 @@ from __future__ import annotations
 import math
 import zipfile
 import zlib
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib import import_module
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
-from tactile_toolkit import store
+from tactile_toolkit import errors, store, wording
 from tactile_toolkit.array_types import AnyArray
-from tactile_toolkit.errors import needs_extra
+from tactile_toolkit.json_types import JsonObject, JsonValue
 
 _DIRECTIONS = {"C": 1, "F": -1}
 # Of Zarr 3: how the names of chunks begin, and what stands between their numbers by default.
@@ -38,13 +37,9 @@ def _deflated(data: bytes, size: int) -> bytes:
     return zlib.decompressobj(47).decompress(data, size + 1)  # with the header of zlib or of gzip
 
 
-def _zstd(data: bytes, size: int) -> bytes:
-    return bytes(pa.Codec("zstd").decompress(data, size))
-
-
 def _by_numcodecs(name: str, sizes_at: Sequence[int], data: bytes, size: int) -> bytes:
     """Unpack where the header, at some places, states the size unpacked, and that of all where it does."""
-    with needs_extra("reading this Zarr group", "numcodecs", "zarr"):
+    with errors.needs_extra("reading this Zarr group", "numcodecs", "zarr"):
         codec = import_module(f"numcodecs.{name}")
     expected = zip(sizes_at, (size, len(data)), strict=False)
     is_stated = all(int.from_bytes(data[at : at + 4], "little") == each for at, each in expected)
@@ -56,7 +51,7 @@ _CODECS: dict[str, Callable[[bytes, int], bytes]] = {
     "gzip": _deflated,
     "lz4": partial(_by_numcodecs, "lz4", (0,)),
     "zlib": _deflated,
-    "zstd": _zstd,
+    "zstd": lambda data, size: bytes(pa.Codec("zstd").decompress(data, size)),
 }
 """Functions that unpack data to a given number of bytes; a result of another length means damage."""
 
@@ -71,7 +66,7 @@ class ZarrLayout:
 
     shape: tuple[int, ...]
     chunks: tuple[int, ...]
-    dtype: np.dtype[Any]
+    dtype: np.dtype[np.generic]
     fill: AnyArray
     codecs: tuple[str, ...]
     axes: tuple[int, ...]
@@ -103,7 +98,11 @@ class ZarrLayout:
         if not fits:
             return f"{self.dtype} {self.shape} in chunks {self.chunks}; expected numbers and fitting chunks"
         count = math.prod(self.counts)
-        return f"{count:,} chunks; the limit is {_MOST_CHUNKS:,}" if count > _MOST_CHUNKS else ""
+        return (
+            f"{wording.with_count(count, 'chunks')}; the limit is {_MOST_CHUNKS:,}"
+            if count > _MOST_CHUNKS
+            else ""
+        )
 
     def chunk_name(self, index: Iterable[int]) -> str:
         """Return the name of the file of a chunk."""
@@ -117,7 +116,7 @@ class ZarrLayout:
         return stored.transpose(np.argsort(self.axes))
 
 
-def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
+def _fill(stated: JsonValue, dtype: np.dtype[np.generic]) -> AnyArray:
     """Return the value of what no chunk holds; ValueError for one that the type cannot hold."""
     if dtype.kind in "SU":
         stated = str(stated or "")
@@ -126,7 +125,7 @@ def _fill(stated: Any, dtype: np.dtype[Any]) -> AnyArray:
     return np.full((), stated or np.zeros((), dtype), dtype.newbyteorder("="))
 
 
-def _layout_of_2(stated: Mapping[str, Any]) -> ZarrLayout:
+def _layout_of_2(stated: JsonObject) -> ZarrLayout:
     codecs = [*(stated["filters"] or ()), *filter(None, [stated["compressor"]])]
     dtype = np.dtype(str(stated["dtype"]))
     return ZarrLayout(
@@ -141,7 +140,7 @@ def _layout_of_2(stated: Mapping[str, Any]) -> ZarrLayout:
     )
 
 
-def _layout_of_3(stated: Mapping[str, Any]) -> ZarrLayout:
+def _layout_of_3(stated: JsonObject) -> ZarrLayout:
     configurations = {each["name"]: each.get("configuration", {}) for each in stated["codecs"]}
     keys, grid = stated["chunk_key_encoding"], stated["chunk_grid"]
     prefix, separator = _CHUNK_KEYS[keys["name"]]

@@ -12,18 +12,11 @@ from itertools import pairwise
 import numpy as np
 import pyarrow as pa
 
+from realtouch import importing, touch, touch_options
+from realtouch.exchange import picture_arrays, zarr_arrays, zarr_groups
 from realtouch.exchange.episodes import CONTACT
-from realtouch.exchange.picture_arrays import PictureArray, columns_of, described_pictures, encoded_pictures
-from realtouch.exchange.zarr_arrays import ZarrGroup
-from realtouch.exchange.zarr_groups import ATTRIBUTES, CLASSES, COLUMNS, ENDS, PER_CLIP, ROUND, TOUCH
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.recordings import TIME_S, Recording
-from realtouch.importing.source_files import NUMBERED, source_of
-from realtouch.touch import touch_id
-from realtouch.touch_options import POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit import column_types, store
+from tactile_toolkit import column_types, errors, store
 from tactile_toolkit.array_types import Int64
-from tactile_toolkit.errors import InputError
 
 DATA = "data"
 TIMES = ("time_s", "timestamps", "timestamp")
@@ -32,116 +25,122 @@ TIMES = ("time_s", "timestamps", "timestamp")
 _ENDINGS = (".zarr", ".zarr.zip")
 _ENDS_SHOWN = 8
 _MOST_ARRAYS = 500
-_OF_META = (ROUND, TOUCH)
-_OUR_VECTORS = {"gel_pose": POSE_COLUMNS, "pos_in_cell": POSITION_COLUMNS}
-_OUR_VALUES = ("label", "label_name", "object_id", *POSITION_COLUMNS)
+_OF_META = (zarr_groups.ROUND, zarr_groups.TOUCH)
+_OUR_VECTORS = {"gel_pose": touch_options.POSE_COLUMNS, "pos_in_cell": touch_options.POSITION_COLUMNS}
+_OUR_VALUES = ("label", "label_name", "object_id", *touch_options.POSITION_COLUMNS)
 
 
-def group_in(home: store.DataFolder) -> ZarrGroup:
+def group_in(home: store.DataFolder) -> zarr_arrays.ZarrGroup:
     """Return the group that a folder or zip is, or the only one that it holds."""
     if home.address().lower().endswith(".zip"):
-        return ZarrGroup(*source_of(home.address()))
+        return zarr_arrays.ZarrGroup(*importing.source_of(home.address()))
     if home.exists(".zgroup") or home.exists("zarr.json"):
-        return ZarrGroup(home, "")
+        return zarr_arrays.ZarrGroup(home, "")
     names = [name for name in home.names() if name.lower().endswith(_ENDINGS) and not store.is_hidden(name)]
     if len(names) != 1:
-        raise InputError(f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}")
-    return ZarrGroup(home, names[0])
+        raise errors.InputError(
+            f"{home.address()!r} should hold one Zarr group; found {', '.join(names) or 'none'}"
+        )
+    return zarr_arrays.ZarrGroup(home, names[0])
 
 
-def data_arrays(group: ZarrGroup) -> dict[str, object]:
+def data_arrays(group: zarr_arrays.ZarrGroup) -> dict[str, object]:
     """Return the shapes of the arrays of ``data``, as stated; InputError without any, or for too many."""
     names = group.arrays(DATA)
     if not 0 < len(names) <= _MOST_ARRAYS:
-        found = f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'"
-        raise InputError(
-            f"{found}; expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
+        raise errors.InputError(
+            f"{group.place!r} has {len(names) or 'no'} arrays in its group 'data'; "
+            f"expected a replay buffer or Open-X-Tactile, of {_MOST_ARRAYS} arrays at most",
             next="give the group itself; a zip holds what is inside of the group's folder",
         )
     return names
 
 
-def chosen_pictures(group: ZarrGroup, named: str, known: Collection[str]) -> str:
+def chosen_pictures(group: zarr_arrays.ZarrGroup, named: str, known: Collection[str]) -> str:
     """Return the pictures that were named, or the only ones; else InputError lists those that are known."""
     if named in known or (not named and len(known) == 1):
         return named or next(iter(known))
     found = f"no array of pictures {named!r}" if named else "not one array of pictures alone"
-    raise InputError(
+    raise errors.InputError(
         f"{group.place!r} has {found}; found {', '.join(known) or 'none'}",
         next="name it with --map image=NAME",
     )
 
 
 def recordings_of(
-    group: ZarrGroup, names: Iterable[str], pictures: tuple[str, int | None], columns: ImportColumns
-) -> Iterator[Recording]:
+    group: zarr_arrays.ZarrGroup,
+    names: Iterable[str],
+    pictures: tuple[str, int | None],
+    columns: importing.ImportColumns,
+) -> Iterator[importing.Recording]:
     """Yield all episodes, given the pictures: an array of ``data``, and which sensor of it.
 
-    InputError for pictures that are none, and for a column that was named and is not one. What this toolkit
+    InputError for an array without pictures, and a named column that cannot be used. What this toolkit
     wrote comes back by its own names.
     """
     name, sensor = pictures
-    shown = PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
+    shown = picture_arrays.PictureArray.of(group.array(f"{DATA}/{name}"), sensor)
     part = f"{shown.divisor!r} {'' if sensor is None else sensor} {DATA}/{name}"
     arrays = {each: partial(group.array, f"{DATA}/{each}") for each in names if each != name}
     of_meta = {
         each: partial(group.array, f"meta/{each}") for each in group.arrays("meta") if each in _OF_META
     }
-    wanted = {*columns.found_in(arrays).names(), NUMBERED}
-    found, left_out = columns_of(arrays, len(shown), wanted)
+    wanted = {*columns.found_in(arrays).names(), importing.NUMBERED}
+    found, left_out = picture_arrays.columns_of(arrays, len(shown), wanted)
     per_frame = {each: column_types.from_numpy(values) for each, values in found.items()}
     where, size = (name, group.home.address(), group.path, part), math.prod(shown.shape[1:])
-    whole = Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
-    ends, stated = episode_ends(group, len(shown)), group.json(ATTRIBUTES)
-    said, _ = columns_of(of_meta, len(ends), ())
-    kept = stated.get(COLUMNS)
-    if ROUND not in said or not isinstance(kept, dict):
+    whole = importing.Recording(*where, 0, len(shown), size, per_frame=per_frame, left_out=tuple(left_out))
+    ends, stated = episode_ends(group, len(shown)), group.json(zarr_groups.ATTRIBUTES)
+    said, _ = picture_arrays.columns_of(of_meta, len(ends), ())
+    kept = stated.get(zarr_groups.COLUMNS)
+    if zarr_groups.ROUND not in said or not isinstance(kept, dict):
         return episodes_of(whole, ends, (), of_episodes(whole, columns))
     per_frame = {str(kept[name]): values for name, values in per_frame.items() if name in kept}
-    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if TOUCH in said else "")
-    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, CLASSES))
-    rounds = ids = list(map(str, said[ROUND].tolist()))
-    if TOUCH in said:
-        ids = list(map(touch_id, rounds, said[TOUCH].astype(int).tolist()))
-    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, PER_CLIP)})
+    whole = replace(whole, per_frame=per_frame, left_out=(), cut="whole" if zarr_groups.TOUCH in said else "")
+    whole = name_ours(whole, _OUR_VECTORS, _texts(stated, zarr_groups.CLASSES))
+    rounds = ids = list(map(str, said[zarr_groups.ROUND].tolist()))
+    if zarr_groups.TOUCH in said:
+        ids = list(map(touch.touch_id, rounds, said[zarr_groups.TOUCH].astype(int).tolist()))
+    episodes = episodes_of(whole, ends, ids, {*_OUR_VALUES, *_texts(stated, zarr_groups.PER_CLIP)})
     return (replace(with_contact(each), round=name) for each, name in zip(episodes, rounds, strict=True))
 
 
-def _open_pictures(home: str, path: str, part: str) -> PictureArray:
+def _open_pictures(home: str, path: str, part: str) -> picture_arrays.PictureArray:
     divisor, sensor, name = part.split(" ", 2)
-    array = ZarrGroup(store.open_folder(home), path).array(name)
-    return PictureArray(array, float(divisor), int(sensor) if sensor else None)
+    array = zarr_arrays.ZarrGroup(store.open_folder(home), path).array(name)
+    return picture_arrays.PictureArray(array, float(divisor), int(sensor) if sensor else None)
 
 
-encoded_frames = partial(encoded_pictures, opened=_open_pictures)
-describe_conversion = partial(described_pictures, opened=_open_pictures)
+encoded_frames = partial(picture_arrays.encoded_pictures, opened=_open_pictures)
+describe_conversion = partial(picture_arrays.described_pictures, opened=_open_pictures)
 
 
-def episode_ends(group: ZarrGroup, frames: int) -> Int64:
+def episode_ends(group: zarr_arrays.ZarrGroup, frames: int) -> Int64:
     """Return the number of the frame behind each episode; InputError unless they rise to all frames."""
-    array = group.array(ENDS)
+    array = group.array(zarr_groups.ENDS)
     ends = np.zeros(0, np.int64)
     if len(array.shape) == 1 and array.dtype.kind in "iu" and array.shape[0] <= frames:
         ends = array.rows().astype(np.int64)
     if not len(ends) or ends[-1] != frames or (np.diff(ends, prepend=0) <= 0).any():
-        found = f"{array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
-        expected = f"integers that rise to {frames:,}, the number of frames"
-        raise array.refused(f"episodes end at {found}; expected {expected}")
+        raise array.refused(
+            f"episodes end at {array.dtype} {array.shape}: {', '.join(map(str, ends[:_ENDS_SHOWN].tolist()))}"
+            f"; expected integers that rise to {frames:,}, the number of frames"
+        )
     return ends
 
 
-def of_episodes(whole: Recording, columns: ImportColumns) -> set[str]:
+def of_episodes(whole: importing.Recording, columns: importing.ImportColumns) -> set[str]:
     """Return what may be said of whole episodes: labels, objects, rounds and splits, and all texts."""
     known = columns.found_in(whole.per_frame)
-    stated = {NUMBERED, known.label, known.object_id, known.round, known.split}
+    stated = {importing.NUMBERED, known.label, known.object_id, known.round, known.split}
     return {
         name for name, column in whole.per_frame.items() if name in stated or pa.types.is_string(column.type)
     }
 
 
 def episodes_of(
-    whole: Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
-) -> Iterator[Recording]:
+    whole: importing.Recording, ends: Int64, names: Sequence[str], of_episode: Collection[str]
+) -> Iterator[importing.Recording]:
     """Divide a recording into episodes, by default called ``episode-000000`` and so on.
 
     What ``of_episode`` names is a value of each episode, if it never changes within one.
@@ -158,8 +157,8 @@ def episodes_of(
     time = next((name for name in TIMES if _rises(per_frame.get(name), starts)), None)
     times = None if time is None else per_frame[time].to_numpy()
     per_frame = {name: column for name, column in per_frame.items() if name not in constant}
-    if time == TIME_S:
-        per_frame.pop(TIME_S, None)
+    if time == importing.TIME_S:
+        per_frame.pop(importing.TIME_S, None)
     for number, (start, end) in enumerate(pairwise([0, *ends.tolist()])):
         values = {name: each[number].as_py() for name, each in constant.items()}
         yield replace(
@@ -196,8 +195,8 @@ def _texts(stated: Mapping[str, object], name: str) -> list[str]:
 
 
 def name_ours(
-    whole: Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
-) -> Recording:
+    whole: importing.Recording, vectors: Mapping[str, Sequence[str]], class_names: Sequence[str]
+) -> importing.Recording:
     """Return a recording that this toolkit wrote with its columns named as in its tables."""
     per_frame = dict(whole.per_frame)
     for name, names in vectors.items():
@@ -206,15 +205,17 @@ def name_ours(
                 values = column_types.floats_of(per_frame.pop(name))
                 columns = np.atleast_2d(values.T)
                 per_frame |= {each: pa.array(part) for each, part in zip(names, columns, strict=False)}
-    label = per_frame.get(NUMBERED)
+    label = per_frame.get(importing.NUMBERED)
     if label is not None and pa.types.is_integer(label.type) and not label.null_count:
         numbers, known = label.to_numpy(), pa.array([*class_names, None], pa.string())
         is_known = (numbers >= 0) & (numbers < len(class_names))
-        per_frame[f"{NUMBERED}_name"] = known.take(pa.array(np.where(is_known, numbers, len(class_names))))
+        per_frame[f"{importing.NUMBERED}_name"] = known.take(
+            pa.array(np.where(is_known, numbers, len(class_names)))
+        )
     return replace(whole, per_frame=per_frame)
 
 
-def with_contact(found: Recording) -> Recording:
+def with_contact(found: importing.Recording) -> importing.Recording:
     """Return a clip that this toolkit wrote with its first and last picture of contact, if it states them."""
     per_frame = dict(found.per_frame)
     stated = per_frame.pop(CONTACT, None)

@@ -5,30 +5,22 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
 
 from realtouch import (
+    convert,
     integrity,
     kind,
-    picture_views,
     schema,
     stored_columns,
     stored_round,
-    touch_dataset,
     touch_options,
 )
-from realtouch.convert import conversion
-from realtouch.faults import comparisons, rules
-from realtouch.faults.sections import PlacedRow, RoundSeen, Section, look_at
-from realtouch.finding import MOST_NAMED, RecordingFinding
-from realtouch.rounds import TouchSingleRound
-from tactile_toolkit import catalog, pictures, places, read, run
-from tactile_toolkit.array_types import UInt8
-from tactile_toolkit.errors import IntegrityError
-from tactile_toolkit.wording import with_count
+from realtouch.faults import check_results, comparisons, rules
+from realtouch.faults.sections import PlacedRow, Section, look_at
+from tactile_toolkit import catalog, errors, places, read, run
 
 MOST_PICTURES = 1_000_000
 """About how many pictures of a set are decoded, at an eighth of their size: a minute or two. Of an image all
@@ -36,49 +28,6 @@ are; the frames of each clip are then chosen evenly, eight at least."""
 
 _FEWEST_FRAMES = 8
 _FEWEST_TOUCHES = 4  # shorter rounds are looked at together with those after them
-_MOST_DRAWN = 8
-_TILE_PX = 240
-_LETTERS = 20  # of the name of a round, from its end: as much as fits below a picture
-
-
-@dataclass(frozen=True, eq=False)
-class CheckResult:
-    """Result of :func:`check`.
-
-    Attributes
-    ----------
-    rounds, touches : int
-        How many were checked.
-    decoded : int
-        How many pictures were decoded; the stored bytes of all were compared.
-    findings : tuple of RecordingFinding
-        What is wrong, in the order of the rules.
-    """
-
-    rounds: int
-    touches: int
-    decoded: int
-    findings: tuple[RecordingFinding, ...]
-    _faults: Mapping[str, Sequence[rules.Fault]] = field(repr=False)
-    _files: Mapping[str, Sequence[read.Shard]] = field(repr=False)
-
-    @property
-    def ok(self) -> bool:
-        """Whether nothing was found."""
-        return not self.findings
-
-    def pictures(self) -> pictures.PicturePlan:
-        """Plan a picture of each finding: its first touches."""
-        datasets = {split: touch_dataset.dataset_of(files) for split, files in self._files.items()}
-        planned = [
-            pictures.PlannedPicture(
-                f"{finding.rule}.png",
-                f"{finding.rule}: {finding.found}",
-                partial(_draw, finding, self._faults[finding.rule], datasets),
-            )
-            for finding in self.findings
-        ]
-        return pictures.PicturePlan(tuple(planned))
 
 
 def check(
@@ -88,7 +37,7 @@ def check(
     limits: touch_options.CheckLimits | None = None,
     workers: int = 1,
     on_progress: Callable[[int, int], None] = lambda _done, _total: None,
-) -> CheckResult:
+) -> check_results.CheckResult:
     """Find what is wrong with the recordings of a data set whose files are intact.
 
     Frozen and dropped frames, steps of the exposure, red and blue exchanged, drift and markers of the gel,
@@ -122,16 +71,11 @@ def check(
     place = places.open_place(name).require(kind.KIND, "check").require_complete(split)
     files = {
         each: integrity.agreeing_files(place.shards(each, kind=kind.KIND), place.name)
-        for each in conversion.parts_of(place, split)
+        for each in convert.parts_of(place, split)
     }
-    shards = [shard for each in files.values() for shard in each]
-    total = sum(map(len, shards))
-    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
-    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
-    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
-    look = partial(look_at, limits=chosen, frames=frames, is_rendered=is_rendered)
     damaged: list[rules.Fault] = []
-    found = run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
+    touches, found = _sections_of(files, chosen, damaged, workers)
+    total = sum(len(shard) for each in files.values() for shard in each)
     sections = list(_counted(found, total, on_progress))
     faults = [*damaged, *(fault for section in sections for fault in section.faults)]
     faults += comparisons.all_comparisons(sections, chosen)
@@ -139,9 +83,28 @@ def check(
     for fault in faults:
         by_rule[fault.rule].append(fault)
     rounds = {each.spot: each for section in sections for each in section.rounds}
-    findings = tuple(_finding(rule, by_rule[rule], rounds, chosen) for rule in rules.RULES if rule in by_rule)
+    findings = tuple(
+        check_results.finding_of(rule, by_rule[rule], rounds, chosen)
+        for rule in rules.RULES
+        if rule in by_rule
+    )
     decoded = sum(section.decoded for section in sections)
-    return CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+    return check_results.CheckResult(len(rounds), touches, decoded, findings, by_rule, files)
+
+
+def _sections_of(
+    files: Mapping[str, Sequence[read.Shard]],
+    limits: touch_options.CheckLimits,
+    damaged: list[rules.Fault],
+    workers: int,
+) -> tuple[int, Iterator[Section]]:
+    """Return the number of touches, and look at all of them; rows that cannot be read are damaged."""
+    shards = [shard for each in files.values() for shard in each]
+    touches = sum(int(stored_round.stored_touch_counts(shard).sum()) for shard in shards)
+    frames = max(_FEWEST_FRAMES, MOST_PICTURES // max(touches, 1))
+    is_rendered = schema.origin_of(shards[0].schema, catalog.manifest_beside(shards[0])) == "synthetic"
+    look = partial(look_at, limits=limits, frames=frames, is_rendered=is_rendered)
+    return touches, run.in_threads(look, _in_sections(_placed_rows(files, damaged)), workers)
 
 
 def _counted(
@@ -181,54 +144,7 @@ def _in_sections(rows: Iterable[PlacedRow]) -> Iterator[list[PlacedRow]]:
             yield gathered
             gathered, touches = [], 0
         gathered.append(row)
-        with suppress(IntegrityError):  # a clip alone has frames enough
+        with suppress(errors.IntegrityError):  # a clip alone has frames enough
             touches += _FEWEST_TOUCHES if row.stored.kind == "seq" else row.stored.touch_total()
     if gathered:
         yield gathered
-
-
-def _finding(
-    rule: str,
-    faults: Sequence[rules.Fault],
-    rounds: Mapping[rules.Spot, RoundSeen],
-    limits: touch_options.CheckLimits,
-) -> RecordingFinding:
-    """Return what a rule found, over all splits."""
-    splits = list(dict.fromkeys(fault.at.split for fault in faults))
-    names: list[str] = []
-    total = 0
-    for spot in sorted({fault.at._replace(frame=0) for fault in faults}):
-        whole = spot._replace(touch=rules.WHOLE_ROUND)
-        known = rounds.get(whole, RoundSeen(whole, f"row {spot.row}", 1, None, None))
-        named, count = f"{known.name}:{spot.touch}", 1
-        if spot == whole:
-            count = max(known.touches, 1)
-            named = f"{known.name}:0-{count - 1}"
-        names.append(f"{spot.split}/{named}" if len(splits) > 1 else named)
-        total += count
-    said = rules.RULES[rule]
-    found = said.found.format(value=max(fault.value for fault in faults))
-    where = " and ".join(splits)
-    return RecordingFinding(
-        rule, found, said.expected_text(limits), where, tuple(names[:MOST_NAMED]), total, said.next
-    )
-
-
-def _draw(
-    finding: RecordingFinding, faults: Sequence[rules.Fault], datasets: Mapping[str, touch_dataset.AnyDataset]
-) -> UInt8:
-    """Draw the first touches of a finding; those that cannot be read are left out."""
-    tiles: list[pictures.Tile] = []
-    for spot in list({fault.at[:3]: fault.at for fault in faults}.values())[:_MOST_DRAWN]:
-        with suppress(IntegrityError, ValueError, IndexError):
-            record, touch = datasets[spot.split][spot.row], max(spot.touch, 0)
-            if isinstance(record, TouchSingleRound):
-                pixels = record.sensor_image[touch]
-            else:
-                pixels = record.sensor_video[touch][spot.frame]
-            tiles.append(
-                pictures.Tile(picture_views.fitted(pixels, _TILE_PX), f"{record.id[-_LETTERS:]}:{touch}")
-            )
-    title = f"{rules.RULES[finding.rule].title}: {finding.found}"
-    lines = (f"expected: {finding.expected}", f"{finding.where}: {with_count(finding.count, 'touches')}")
-    return pictures.sheet(tiles, 4, title, lines)

@@ -10,16 +10,7 @@ from itertools import groupby
 import numpy as np
 from scipy import stats
 
-from realtouch.faults import seen
-from realtouch.faults.rules import (
-    MIN_GAIN,
-    MIN_KNOWN,
-    MIN_RESEMBLANCE,
-    MIN_ROUNDS,
-    TREND,
-    Fault,
-    Spot,
-)
+from realtouch.faults import rules, seen
 from realtouch.faults.sections import Section
 from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64, Int64
@@ -38,7 +29,7 @@ the background of its calibration in the package taxim 1.4.1. The sample images 
 contact, correlate with it by 0.82 to 0.96, and with red and blue exchanged by 0.02 to 0.20."""
 
 
-def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
+def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterator[rules.Fault]:
     """Yield what is wrong between sections and splits."""
     yield from _equal_pictures(sections)
     yield from _shared_objects(sections)
@@ -48,32 +39,32 @@ def all_comparisons(sections: Sequence[Section], limits: CheckLimits) -> Iterato
         yield from _changes_of_gel(gel, limits)
 
 
-def _equal_pictures(sections: Sequence[Section]) -> Iterator[Fault]:
+def _equal_pictures(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     """Yield touches with the same stored pictures, in a split and over splits; frozen images count once."""
     faults = (fault for section in sections for fault in section.faults)
     frozen = {fault.at for fault in faults if fault.rule == "frozen-frames"}
-    owners: dict[bytes, list[Spot]] = defaultdict(list)
+    owners: dict[bytes, list[rules.Spot]] = defaultdict(list)
     for touch in (touch for section in sections for touch in section.touches):
         if touch.spot not in frozen:
             owners[touch.digest].append(touch.spot)
     for spots in owners.values():
         rule = "shared-pictures" if len({spot.split for spot in spots}) > 1 else "duplicate-pictures"
         if len(spots) > 1:
-            yield from (Fault(rule, spot, len(spots)) for spot in spots)
+            yield from (rules.Fault(rule, spot, len(spots)) for spot in spots)
 
 
-def _shared_objects(sections: Sequence[Section]) -> Iterator[Fault]:
-    owners: dict[int, list[Spot]] = defaultdict(list)
+def _shared_objects(sections: Sequence[Section]) -> Iterator[rules.Fault]:
+    owners: dict[int, list[rules.Spot]] = defaultdict(list)
     for each in (found for section in sections for found in section.rounds):
         if each.object_id is not None:
             owners[each.object_id].append(each.spot)
     for spots in owners.values():
         splits = len({spot.split for spot in spots})
         if splits > 1:
-            yield from (Fault("shared-objects", spot, splits) for spot in spots)
+            yield from (rules.Fault("shared-objects", spot, splits) for spot in spots)
 
 
-def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
+def _swapped_channels(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     """Yield the touches whose red and blue are exchanged.
 
     The colours of a GelSight Mini are known; those of another sensor are compared with most of the set.
@@ -84,7 +75,7 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
     patterns = np.array([touch.pattern for touch in touches])
     known = seen.colour_pattern(np.repeat(np.repeat(np.array(GELSIGHT_MINI).reshape(4, 4, 3), 3, 0), 4, 1))
     reference = _most_common(patterns)
-    _, order = _gain(reference[None], known, MIN_KNOWN)
+    _, order = _gain(reference[None], known, rules.MIN_KNOWN)
     if order[0]:
         reference = known
     gain, order = _gain(patterns, reference)
@@ -96,10 +87,12 @@ def _swapped_channels(sections: Sequence[Section]) -> Iterator[Fault]:
         if 2 * is_swapped.sum() > len(of_round):
             is_swapped[:] = True
         for number in of_round[is_swapped].tolist():
-            yield Fault("swapped-channels", touches[number].spot, float(gain[number]))
+            yield rules.Fault("swapped-channels", touches[number].spot, float(gain[number]))
 
 
-def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE) -> tuple[Float64, Int64]:
+def _gain(
+    patterns: Float32, reference: Float32, least: float = rules.MIN_RESEMBLANCE
+) -> tuple[Float64, Int64]:
     """Return how much better patterns fit with red and blue exchanged, and how they fit.
 
     1 stands for as they are, -1 for exchanged, 0 for neither.
@@ -107,8 +100,8 @@ def _gain(patterns: Float32, reference: Float32, least: float = MIN_RESEMBLANCE)
     as_is = (patterns @ reference / len(reference)).astype(np.float64)
     swapped = (seen.with_red_as_blue(patterns) @ reference / len(reference)).astype(np.float64)
     gain = swapped - as_is
-    is_swapped = (swapped >= least) & (gain >= MIN_GAIN)
-    is_usual = (as_is >= least) & (-gain >= MIN_GAIN)
+    is_swapped = (swapped >= least) & (gain >= rules.MIN_GAIN)
+    is_usual = (as_is >= least) & (-gain >= rules.MIN_GAIN)
     return gain, is_usual.astype(np.int64) - is_swapped
 
 
@@ -120,7 +113,7 @@ def _most_common(patterns: Float32) -> Float32:
     return seen.normalised(np.median(chosen if len(chosen) else patterns, axis=0))
 
 
-def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
+def _mixed_markers(sections: Sequence[Section]) -> Iterator[rules.Fault]:
     """Yield the rounds with markers if others have none, or those without if they are fewer."""
     marked = [section for section in sections if section.markers]
     plain = [section for section in sections if section.markers == 0]
@@ -128,7 +121,7 @@ def _mixed_markers(sections: Sequence[Section]) -> Iterator[Fault]:
         return
     dots = float(np.median([section.markers for section in marked if section.markers]))
     for each in (found for section in min(plain, marked, key=len) for found in section.rounds):
-        yield Fault("mixed-markers", each.spot, dots)
+        yield rules.Fault("mixed-markers", each.spot, dots)
 
 
 def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
@@ -142,15 +135,16 @@ def _sessions(sections: Sequence[Section]) -> list[list[Section]]:
     return list(by_gel.values())
 
 
-def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator[Fault]:
+def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator[rules.Fault]:
     """Yield the steps of the bare gel from round to round, and its drift."""
     gels = np.stack([section.gel for section in session if section.gel is not None])
     rounds = [section.rounds[0].spot for section in session]
     for index, step in seen.outlying_steps(gels, limits.exposure):
         # A step inside of a round changes its gel as well, and is named by its touch.
-        if not any(_has_step(each) for each in session[index - 1 : index + 1]):
-            yield Fault("exposure-jumps", rounds[index], step)
-    if len(gels) < MIN_ROUNDS:
+        around = (fault.rule for each in session[index - 1 : index + 1] for fault in each.faults)
+        if "exposure-jumps" not in around:
+            yield rules.Fault("exposure-jumps", rounds[index], step)
+    if len(gels) < rules.MIN_ROUNDS:
         return
     levels = gels.mean(axis=(1, 2)).astype(np.float64)  # (n, 3)
     third = len(levels) // 3 or 1
@@ -162,9 +156,5 @@ def _changes_of_gel(session: Sequence[Section], limits: CheckLimits) -> Iterator
     trend = abs(float(stats.spearmanr(np.arange(len(levels)), levels[:, channel]).statistic))
     # What changes at once is a step, not drift.
     largest = float(np.abs(np.diff(levels[:, channel])).max())
-    if trend >= TREND and largest < size / 2:
-        yield from (Fault("gel-drift", spot, size) for spot in rounds[-third:])
-
-
-def _has_step(section: Section) -> bool:
-    return any(fault.rule == "exposure-jumps" for fault in section.faults)
+    if trend >= rules.TREND and largest < size / 2:
+        yield from (rules.Fault("gel-drift", spot, size) for spot in rounds[-third:])

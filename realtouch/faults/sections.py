@@ -14,17 +14,17 @@ from typing import NamedTuple
 import numpy as np
 import xxhash
 
-from realtouch.contact_picture import median_in_memory
-from realtouch.faults import seen
-from realtouch.faults.rules import MAX_ONE_VALUE, WHOLE_ROUND, Fault, Spot
-from realtouch.faults.strips import STRIP_RULES, Picture, Strip
-from realtouch.picture_views import evenly_spaced
+from realtouch import (
+    contact_picture,
+    picture_views,
+    schema,
+    sensor_images,
+    stored_round,
+    touch_clips,
+    touch_options,
+)
+from realtouch.faults import rules, seen, strips
 from realtouch.poses import Poses
-from realtouch.schema import POSE_COLUMN
-from realtouch.sensor_images import SensorImages
-from realtouch.stored_round import StoredRound, as_seconds
-from realtouch.touch_clips import TouchClip
-from realtouch.touch_options import CheckLimits
 from tactile_toolkit.array_types import Float32, Float64
 from tactile_toolkit.errors import IntegrityError
 from tactile_toolkit.touch import MEDIA_COLUMN, decode_image
@@ -42,13 +42,13 @@ class PlacedRow(NamedTuple):
 
     split: str
     number: int
-    stored: StoredRound
+    stored: stored_round.StoredRound
 
 
 class RoundSeen(NamedTuple):
     """What is known of a round: its place, name, object and gel, and the number of its touches."""
 
-    spot: Spot
+    spot: rules.Spot
     name: str
     touches: int
     object_id: int | None
@@ -58,7 +58,7 @@ class RoundSeen(NamedTuple):
 class TouchSeen(NamedTuple):
     """A touch with content: a digest of its stored pictures, and their colour pattern, shape (48,)."""
 
-    spot: Spot
+    spot: rules.Spot
     digest: bytes
     pattern: Float32
 
@@ -68,51 +68,53 @@ class Section:
     """What was seen of some rounds; ``gel``, shape (12, 16, 3), are the averages of the bare gel."""
 
     rounds: list[RoundSeen] = field(default_factory=list)
-    faults: list[Fault] = field(default_factory=list)
+    faults: list[rules.Fault] = field(default_factory=list)
     touches: list[TouchSeen] = field(default_factory=list)
     gel: Float32 | None = None
     markers: int | None = None
     decoded: int = 0
 
 
-def look_at(rows: Sequence[PlacedRow], limits: CheckLimits, frames: int, *, is_rendered: bool) -> Section:
+def look_at(
+    rows: Sequence[PlacedRow], limits: touch_options.CheckLimits, frames: int, *, is_rendered: bool
+) -> Section:
     """Look at rounds of which at most ``frames`` pictures of each clip are decoded, evenly spaced.
 
     Pictures that are rendered may be equal or without content, as those of the bare plate: they are
     duplicates only if the gel is at the same place, too.
     """
     section = Section()
-    pictures: list[Picture] = []
+    pictures: list[strips.Picture] = []
     for row in rows:
-        at = Spot(row.split, row.number, WHOLE_ROUND)
+        at = rules.Spot(row.split, row.number, rules.WHOLE_ROUND)
         try:
             section.rounds.append(_describe(row.stored, at))
             present = _with_bytes(row.stored, at, section)
         except IntegrityError:
-            section.faults.append(Fault("unreadable-touches", at, 0.0))
+            section.faults.append(rules.Fault("unreadable-touches", at, 0.0))
             continue
         parts = [present] if row.stored.kind == "single" else [[spot] for spot in present]
         for part in filter(None, parts):
             strip = _strip(section, row.stored, part, frames, is_rendered=is_rendered)
-            for rule in STRIP_RULES:
+            for rule in strips.STRIP_RULES:
                 section.faults += rule(strip, limits)
             section.touches += _touches(strip)
             pictures += strip.seen.values()
     if pictures and not is_rendered:  # nothing lights them
         steps = seen.outlying_steps(np.stack([each.cells for each in pictures]), limits.exposure)
-        section.faults += [Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
+        section.faults += [rules.Fault("exposure-jumps", pictures[index].spot, step) for index, step in steps]
         _look_at_gel(section, pictures)
     return section
 
 
-def _describe(stored: StoredRound, at: Spot) -> RoundSeen:
+def _describe(stored: stored_round.StoredRound, at: rules.Spot) -> RoundSeen:
     gel = stored.stored_value("info.gel_id") if "info.gel_id" in stored.group.names else None
     object_id = stored.integer("object_id") if stored.has("object_id") else None
     name = stored.name() if stored.has("id") else str(at.row)
     return RoundSeen(at, name, stored.touch_total(), object_id, gel)
 
 
-def _with_bytes(stored: StoredRound, at: Spot, section: Section) -> list[Spot]:
+def _with_bytes(stored: stored_round.StoredRound, at: rules.Spot, section: Section) -> list[rules.Spot]:
     """Return the touches of a round with stored pictures; those without are faults."""
     column = stored.group.nested(MEDIA_COLUMN[stored.kind])
     start, stop = column.inside(0, stored.index, stored.index + 1)
@@ -120,63 +122,68 @@ def _with_bytes(stored: StoredRound, at: Spot, section: Section) -> list[Spot]:
     spots = [at._replace(touch=touch) for touch in range(stored.touch_total())]
     present = [spot for spot, content in zip(spots, stored_bytes, strict=False) if len(content or b"")]
     empty = sorted({*spots}.difference(present)) or [at] * (not spots)
-    section.faults += [Fault("empty-pictures", spot, 1.0) for spot in empty]
+    section.faults += [rules.Fault("empty-pictures", spot, 1.0) for spot in empty]
     return present
 
 
 def _strip(
-    section: Section, stored: StoredRound, touches: Sequence[Spot], frames: int, *, is_rendered: bool
-) -> Strip:
+    section: Section,
+    stored: stored_round.StoredRound,
+    touches: Sequence[rules.Spot],
+    frames: int,
+    *,
+    is_rendered: bool,
+) -> strips.Strip:
     """Read the images of a round, or the frames of the only touch named; what cannot be read is a fault."""
     encoded: list[memoryview] = []
     poses, time_s, spots, at = None, np.zeros(0), touches, touches[0]
     try:
         if stored.kind == "seq":
-            clip = TouchClip(stored, at.touch)
+            clip = touch_clips.TouchClip(stored, at.touch)
             encoded = [clip.encoded(frame) for frame in range(len(clip))]
             spots = [at._replace(frame=frame) for frame in range(len(clip))]
         else:
-            at, frames = at._replace(touch=WHOLE_ROUND), len(touches)
-            encoded = list(map(SensorImages(stored).encoded, (spot.touch for spot in touches)))
+            at, frames = at._replace(touch=rules.WHOLE_ROUND), len(touches)
+            encoded = list(map(sensor_images.SensorImages(stored).encoded, (spot.touch for spot in touches)))
         poses, time_s = _motion(stored, touches)
     except IntegrityError:
-        section.faults.append(Fault("unreadable-touches", at, 0.0))
+        section.faults.append(rules.Fault("unreadable-touches", at, 0.0))
     digests = list(map(xxhash.xxh3_128_digest, encoded))
-    looked: dict[int, Picture] = {}
-    empty: dict[int, Fault] = {}
-    for number in evenly_spaced(len(encoded), frames):
+    looked: dict[int, strips.Picture] = {}
+    empty: dict[int, rules.Fault] = {}
+    for number in picture_views.evenly_spaced(len(encoded), frames):
         spot, picture = spots[number], encoded[number]
         try:
             cells = seen.cells_of(picture)
             share = seen.share_of_one_value(picture, cells)
         except ValueError:
-            section.faults.append(Fault("unreadable-touches", spot, 0.0))
+            section.faults.append(rules.Fault("unreadable-touches", spot, 0.0))
             continue
         section.decoded += 1
-        if share > MAX_ONE_VALUE and not is_rendered:
-            empty[spot.touch] = Fault("empty-pictures", spot, share)
+        if share > rules.MAX_ONE_VALUE and not is_rendered:
+            empty[spot.touch] = rules.Fault("empty-pictures", spot, share)
             digests = [b"" if each == digests[number] else each for each in digests]
         else:
-            looked[number] = Picture(spot, cells, picture)
+            looked[number] = strips.Picture(spot, cells, picture)
     section.faults += empty.values()
     if is_rendered and poses is not None:  # the bare plate looks the same everywhere
         digests = [digest + poses.position_m[number].tobytes() for number, digest in enumerate(digests)]
-    return Strip(at, spots, digests, looked, poses, time_s)
+    return strips.Strip(at, spots, digests, looked, poses, time_s)
 
 
-def _motion(stored: StoredRound, touches: Sequence[Spot]) -> tuple[Poses | None, Float64]:
+def _motion(stored: stored_round.StoredRound, touches: Sequence[rules.Spot]) -> tuple[Poses | None, Float64]:
     """Return the poses of the pictures of some touches, if any, and the times of frames, seconds."""
     is_clip, time_s, poses = stored.kind == "seq", np.zeros(0), None
     if is_clip and stored.has(_TIMES):
-        time_s = as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
-    if stored.has_poses and stored.has(f"{POSE_COLUMN[stored.kind]}.quaternion"):
+        time_s = stored_round.as_seconds(stored.cut(_TIMES, 0, touches[0].touch)[0])
+    if stored.has_poses and stored.has(f"{schema.POSE_COLUMN[stored.kind]}.quaternion"):
         if is_clip:
             return stored.pose_sequences(touches[0].touch)[0], time_s
         poses = stored.poses()[[spot.touch for spot in touches]]
     return poses, time_s
 
 
-def _touches(strip: Strip) -> Iterator[TouchSeen]:
+def _touches(strip: strips.Strip) -> Iterator[TouchSeen]:
     """Yield the touches of a strip, all pictures of which have content."""
     numbers = range(len(strip.spots))
     for _, group in groupby(numbers, key=lambda number: strip.spots[number].touch):
@@ -188,14 +195,14 @@ def _touches(strip: Strip) -> Iterator[TouchSeen]:
             yield TouchSeen(spot, digest, seen.colour_pattern(np.median(cells, axis=0)))
 
 
-def _look_at_gel(section: Section, pictures: Sequence[Picture]) -> None:
+def _look_at_gel(section: Section, pictures: Sequence[strips.Picture]) -> None:
     """Add the bare gel: the median of the images, or of the first frames of the clips."""
     by_touch = [list(group) for _, group in groupby(pictures, key=lambda each: each.spot[:3])]
     section.gel = np.median([touch[0].cells for touch in by_touch], axis=0).astype(np.float32)
     each_of = min(_FIRST_FRAMES, max(1, GEL_PICTURES // len(by_touch)))
     bare = [each.encoded for touch in by_touch for each in touch[:each_of]]
-    decoded = [decode_image(bare[index]) for index in evenly_spaced(len(bare), GEL_PICTURES)]
+    decoded = [decode_image(bare[index]) for index in picture_views.evenly_spaced(len(bare), GEL_PICTURES)]
     same = [each for each in decoded if each.shape == decoded[0].shape]
     section.decoded += len(decoded)
     if len(same) >= _LEAST_BARE:
-        section.markers = seen.count_markers(median_in_memory(np.stack(same)))
+        section.markers = seen.count_markers(contact_picture.median_in_memory(np.stack(same)))

@@ -12,13 +12,10 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.ndimage import median_filter
 
-from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import ReadContents
+from realtouch import avi, contact_picture
+from realtouch.importing import recordings, source_files
+from tactile_toolkit import errors, pictures, touch, wording
 from tactile_toolkit.array_types import Bool, Float64, Int64, UInt8
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.touch import decode_image
 
 JOIN_S = 0.2
 """Runs of pictures with contact are one touch if they are at most so far apart, seconds."""
@@ -39,6 +36,14 @@ _LEAST_AT_REST = 3
 _LEVELS_TOGETHER = 9  # of neighbours in time, whose median is the level of the light
 _DARK = 16  # levels of pixels whose ratio is mostly noise
 _PIXEL_STEP = 2
+_TILE_PX = 108
+_GAP_PX = 8
+_TILES_PER_ROW = 10
+_MOST_TILES = 60
+_WIDTH_PX = _TILES_PER_ROW * (_TILE_PX + _GAP_PX) - _GAP_PX
+_STRIP_PX = 72
+_GREY, _CLIP, _CONTACT = (238, 240, 242), (198, 222, 240), pictures.ACCENTS[1]
+_CURVE, _LIMIT = pictures.ACCENTS[0], pictures.ACCENTS[3]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,13 +79,13 @@ class ContactRuns:
 
 
 def pictures_of(
-    recording: Recording, parts: Iterable[range], contents: ReadContents
+    recording: recordings.Recording, parts: Iterable[range], contents: source_files.ReadContents
 ) -> Iterator[UInt8 | None]:
     """Yield some pictures of a recording, shape (H, W, 3), in order; None for one that cannot be read."""
     places = (recording.place(part.start, part.stop) for part in parts)
     for content in contents(places):
         try:
-            yield None if isinstance(content, ItemError) else decode_image(content)
+            yield None if isinstance(content, errors.ItemError) else touch.decode_image(content)
         except ValueError:
             yield None
 
@@ -96,7 +101,12 @@ class GelAtRest:
     Raises ItemError if no picture can be read.
     """
 
-    def __init__(self, recording: Recording, contents: ReadContents, rule: ContactRule) -> None:
+    def __init__(
+        self,
+        recording: recordings.Recording,
+        contents: source_files.ReadContents,
+        rule: contact_picture.ContactRule,
+    ) -> None:
         spread = np.unique(np.linspace(0, recording.frames - 1, _SPREAD).round().astype(np.int64)).tolist()
         self.shape: tuple[int, ...] = ()
         found: dict[int, UInt8] = {}
@@ -110,16 +120,19 @@ class GelAtRest:
             if cropped is not None and (index % step == 0 or not found):
                 found[number] = cropped.copy()
         if not found:
-            raise ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
+            raise errors.ItemError("image", f"none of {len(spread):,} pictures of the recording can be read")
         self._numbers, pictures = list(found), np.stack(list(found.values()))
-        self._base = median_in_memory(pictures)
+        self._base = contact_picture.median_in_memory(pictures)
         self._levels = self._levels_of(pictures)
         whole = replace(rule, crop=1.0)
-        scores = (contact_score(*each, whole) for each in zip(pictures, map(self.at, found), strict=True))
+        scores = (
+            contact_picture.contact_score(*each, whole)
+            for each in zip(pictures, map(self.at, found), strict=True)
+        )
         at_rest = ~np.array(list(map(rule.holds, scores)))
         if at_rest.sum() >= _LEAST_AT_REST:
             alike = np.rint(pictures[at_rest] / np.float32(self._levels[at_rest, np.newaxis, np.newaxis]))
-            self._base = median_in_memory(np.minimum(alike, 255).astype(np.uint8))
+            self._base = contact_picture.median_in_memory(np.minimum(alike, 255).astype(np.uint8))
             self._levels = self._levels_of(pictures)
 
     def seen_of(self, picture: UInt8 | None) -> UInt8 | None:
@@ -147,7 +160,9 @@ class GelAtRest:
         return smooth
 
 
-def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRule) -> ContactRuns:
+def find_contacts(
+    recording: recordings.Recording, contents: source_files.ReadContents, rule: contact_picture.ContactRule
+) -> ContactRuns:
     """Find the touches of a recording; ItemError if it has none, or if no picture can be read."""
     area_px, change = np.zeros((2, recording.frames), np.int64)
     holds, unreadable = np.zeros(recording.frames, bool), 0
@@ -159,14 +174,14 @@ def find_contacts(recording: Recording, contents: ReadContents, rule: ContactRul
         if seen is None:
             unreadable += 1
             continue
-        score = contact_score(seen, background.at(number), alone)
+        score = contact_picture.contact_score(seen, background.at(number), alone)
         area_px[number], change[number], holds[number] = score.area_px, score.total_change, rule.holds(score)
     starts, stops = _joined(holds, recording.time_s)
     counts = [int(holds[start:stop].sum()) for start, stop in zip(starts, stops, strict=True)]
     long = np.array(counts, np.int64) >= MIN_PICTURES
     runs = tuple(_with_margins(starts[long], stops[long], change))
     if not runs:
-        raise ItemError(
+        raise errors.ItemError(
             "contact",
             f"no touch in {recording.frames:,} pictures: none of {MIN_PICTURES} pictures or more in which "
             f"{rule.min_area_px:,} pixels differ by more than {rule.min_change} levels from the gel at rest",
@@ -193,8 +208,61 @@ def _with_margins(starts: Int64, stops: Int64, change: Int64) -> Iterator[Contac
     middles = (stops[:-1] + starts[1:]) // 2
     limits = [0, *middles.tolist(), len(change)]
     for number, (start, stop) in enumerate(zip(starts.tolist(), stops.tolist(), strict=True)):
-        margin = min(max(stop - start, MIN_MARGIN), max(0, MAX_CLIP_FRAMES - (stop - start)) // 2)
+        margin = min(max(stop - start, MIN_MARGIN), max(0, avi.MAX_CLIP_FRAMES - (stop - start)) // 2)
         best = start + int(np.argmax(change[start:stop]))
         yield ContactRun(
             max(start - margin, limits[number]), min(stop + margin, limits[number + 1]), start, stop - 1, best
         )
+
+
+def draw_cuts(
+    recording: recordings.Recording,
+    found: ContactRuns,
+    contents: source_files.ReadContents,
+    rule: contact_picture.ContactRule,
+) -> bytes:
+    """Draw the cuts of a recording as PNG; of many touches, the first have a small picture."""
+    best = [run.best for run in found.runs[:_MOST_TILES]]
+    seen = pictures_of(recording, [range(frame, frame + 1) for frame in best], contents)
+    tiles = [
+        pictures.Tile(_small(picture), f"{number:03d}: #{frame:,}")
+        for number, (frame, picture) in enumerate(zip(best, seen, strict=True))
+        if picture is not None
+    ]
+    touches, frames = wording.with_count(len(found.runs), "touches"), f"{recording.frames:,} pictures"
+    words = [
+        f"{touches} in {frames}: "
+        f"{rule.min_area_px} changed pixels or more (red line), by {rule.min_intensity:g} levels on average",
+        "height: square root of the changed pixels; orange: contact; blue: margin of the clip; "
+        f"{found.too_short:,} too short, {wording.with_count(found.unreadable, 'unreadable pictures')}",
+    ]
+    strip = pictures.sheet([pictures.Tile(_strip(found, rule))], 1, recording.name, words)
+    small = pictures.sheet(tiles, _TILES_PER_ROW, gap_px=_GAP_PX)
+    width = max(strip.shape[1], small.shape[1])
+    parts = [
+        np.pad(part, ((0, 0), (0, width - part.shape[1]), (0, 0)), "edge")  # which is paper
+        for part in (strip, small)
+    ]
+    return pictures.png_bytes(np.vstack(parts))
+
+
+def _small(picture: UInt8) -> UInt8:
+    height, width = picture.shape[:2]
+    scale = _TILE_PX / max(height, width)
+    return touch.resized(picture, max(1, round(scale * width)), max(1, round(scale * height)))
+
+
+def _strip(found: ContactRuns, rule: contact_picture.ContactRule) -> UInt8:
+    """Draw the changed area over all pictures; a column shows the largest of its pictures."""
+    frames, colours = len(found.area_px), np.full((_WIDTH_PX, 3), _GREY, np.uint8)
+    clips = [(run.start, run.stop - 1, _CLIP) for run in found.runs]
+    for first, last, colour in [*clips, *((run.first, run.last, _CONTACT) for run in found.runs)]:
+        colours[first * _WIDTH_PX // frames : last * _WIDTH_PX // frames + 1] = colour
+    edges = np.arange(_WIDTH_PX) * frames // _WIDTH_PX
+    heights = np.sqrt([*np.maximum.reduceat(found.area_px, edges), rule.min_area_px])
+    *heights, limit = (heights / heights.max() * (_STRIP_PX - 1)).round()
+    above = np.arange(_STRIP_PX)[::-1, np.newaxis]
+    strip = np.repeat(colours[np.newaxis], _STRIP_PX, axis=0)
+    strip[(above <= heights) & (np.array(heights) > 0)] = _CURVE
+    strip[above[:, 0] == limit] = _LIMIT
+    return strip

@@ -1,4 +1,4 @@
-"""Columns of a source that mean nothing to this toolkit: kept with their types, as extra columns.
+"""Columns of a source whose meaning this toolkit does not know: kept with their types, as extra columns.
 
 A touch has one value of each, or one for each picture of its clip. Missing values stay missing.
 """
@@ -11,14 +11,9 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.import_columns import ImportColumns, is_extra_name
-from realtouch.importing.found_touches import FoundTouches, one_chunk
-from realtouch.importing.recordings import TIME_S
-from realtouch.importing.source_files import NUMBERED
+from realtouch.importing import found_touches, import_columns, recordings, source_files
 from realtouch.schema import EXTRA_PREFIX
-from tactile_toolkit import column_types
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.shown_text import printable
+from tactile_toolkit import column_types, errors, shown_text
 
 BOOKKEEPING = frozenset(
     {"id", "round_id", "touch", "frame", "file", "image", "key", "sha256", "meta_file", "meta_sha256"}
@@ -28,16 +23,18 @@ BOOKKEEPING = frozenset(
 _MOST_COLUMNS = 1000
 
 
-def used_names(columns: ImportColumns) -> set[str | None]:
+def used_names(columns: import_columns.ImportColumns) -> set[str | None]:
     """Return the columns of a source that hold labels, poses and so on, not extra values."""
     named = {source for _, source in columns.extra}
     used: set[str | None] = {*columns.names(), columns.image} - named
-    if columns.label == f"{NUMBERED}_name":
-        used.add(NUMBERED)
+    if columns.label == f"{source_files.NUMBERED}_name":
+        used.add(source_files.NUMBERED)
     return used
 
 
-def extra_sources(touches: FoundTouches, columns: ImportColumns) -> dict[str, str]:
+def extra_sources(
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> dict[str, str]:
     """Return the extra columns that touches have: new names, with those of the source.
 
     InputError for two columns of one new name.
@@ -46,23 +43,25 @@ def extra_sources(touches: FoundTouches, columns: ImportColumns) -> dict[str, st
     left_out = {name for name, source in columns.extra if not source}
     no_extra = used_names(columns) | (BOOKKEEPING - renamed.keys()) | left_out
     if not touches.has_clips:
-        no_extra.discard(TIME_S)
+        no_extra.discard(recordings.TIME_S)
     sources: dict[str, str] = {}
     for source in touches.names:
         if source in no_extra:
             continue
         name = renamed.get(source, source)
         if name in sources:
-            raise InputError(
+            raise errors.InputError(
                 f"the columns {sources[name]!r} and {source!r} would both be kept as {name!r}",
                 next=f"name one of them: --map NEW={sources[name]}",
             )
-        if is_extra_name(name) and len(sources) < _MOST_COLUMNS:
+        if import_columns.is_extra_name(name) and len(sources) < _MOST_COLUMNS:
             sources[name] = source
     return sources
 
 
-def extra_types(touches: FoundTouches, columns: ImportColumns) -> dict[str, pa.DataType]:
+def extra_types(
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> dict[str, pa.DataType]:
     """Return the type of what a touch has in each extra column, by the name of the column in a data set.
 
     A column with objects, bytes or uneven lists is not kept, nor one without any value.
@@ -78,7 +77,7 @@ def extra_types(touches: FoundTouches, columns: ImportColumns) -> dict[str, pa.D
     return types
 
 
-def _type_of(touches: FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
+def _type_of(touches: found_touches.FoundTouches, source: str, *, per_frame: bool) -> pa.DataType | None:
     """Return the type in which values of a column are stored; None if they are not."""
     kind = _of_frames(touches, source).type.value_type if per_frame else touches.said[source].type
     leaf = kind.value_type if pa.types.is_list(kind) else kind
@@ -90,7 +89,9 @@ def _type_of(touches: FoundTouches, source: str, *, per_frame: bool) -> pa.DataT
 
 
 def extra_arrays(
-    touches: FoundTouches, columns: ImportColumns, types: Mapping[str, pa.DataType]
+    touches: found_touches.FoundTouches,
+    columns: import_columns.ImportColumns,
+    types: Mapping[str, pa.DataType],
 ) -> Iterator[pa.Array]:
     """Yield the values of each extra column, an entry a touch."""
     sources = dict(columns.extra)
@@ -105,9 +106,9 @@ def extra_arrays(
             yield values.cast(data_type)
 
 
-def _of_frames(touches: FoundTouches, source: str) -> pa.Array:
+def _of_frames(touches: found_touches.FoundTouches, source: str) -> pa.Array:
     """Return the values of the pictures of each clip; what is said of a clip holds for all of them."""
-    values = one_chunk(touches.per_frame[source])
+    values = found_touches.one_chunk(touches.per_frame[source])
     if not values.null_count:
         return values
     whole = touches.value(source)
@@ -130,14 +131,16 @@ def _name_of(column: str) -> tuple[str, bool]:
     return column.removeprefix(prefix if is_frame else EXTRA_PREFIX["touch"]), is_frame
 
 
-def kept_sources(columns: ImportColumns, types: Iterable[str]) -> dict[str, str]:
+def kept_sources(columns: import_columns.ImportColumns, types: Iterable[str]) -> dict[str, str]:
     """Return the fields that are kept in some extra columns of a data set, with their names there."""
     sources = dict(columns.extra)
     names = (_name_of(column)[0] for column in types)
     return {sources.get(name, name): name for name in names}
 
 
-def not_kept(touches: FoundTouches, columns: ImportColumns, types: Iterable[str]) -> dict[str, int]:
+def not_kept(
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns, types: Iterable[str]
+) -> dict[str, int]:
     """Return of how many touches each field is neither used nor kept, by its name as it can be shown."""
     kept = used_names(columns) | kept_sources(columns, types).keys()
     counts: dict[str, int] = {}
@@ -145,6 +148,6 @@ def not_kept(touches: FoundTouches, columns: ImportColumns, types: Iterable[str]
         if name not in kept:
             tables = [table for table in (touches.said, touches.per_frame) if name in table.column_names]
             count = max(len(table) - table[name].null_count for table in tables)
-            shown = printable(name)
+            shown = shown_text.printable(name)
             counts[shown] = counts.get(shown, 0) + count
     return {name: count for name, count in counts.items() if count}

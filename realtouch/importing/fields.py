@@ -1,4 +1,4 @@
-"""What the fields of a source say of touches and pictures, in our units; each is refused with the reason."""
+"""Values of the fields of a source, in the units of this toolkit; a wrong one is refused with a reason."""
 
 from __future__ import annotations
 
@@ -9,15 +9,10 @@ from contextlib import suppress
 import numpy as np
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns, expected_counts
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import NUMBERED
+from realtouch.importing import found_touches, import_columns, source_files
 from realtouch.poses import bad_pose
-from tactile_toolkit import column_types, spatial
-from tactile_toolkit.arithmetic import are_rigid
+from tactile_toolkit import arithmetic, column_types, errors, spatial, units
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.units import TIME
 
 UNKNOWN = ("-1", "-1.0")
 """The number of a class that is not known, as `datasets` has it."""
@@ -48,66 +43,73 @@ def integer_text(text: str) -> str:
 
 
 def labels_of(
-    touches: FoundTouches, column: str | None, names: Sequence[str]
-) -> tuple[Int64, dict[int, ItemError]]:
-    """Return the number of the class of each touch, -1 if it is unknown, and those that are no class."""
+    touches: found_touches.FoundTouches, column: str | None, names: Sequence[str]
+) -> tuple[Int64, dict[int, errors.ItemError]]:
+    """Return the class number of each touch, -1 if it is unknown, and the problems by place."""
     numbers = {name: number for number, name in reversed([*enumerate(names)])}
-    problems = _no_names(touches.value(column or NUMBERED))
+    problems = _no_names(touches.value(column or source_files.NUMBERED))
     found = np.full(len(touches), -1)
     if not numbers:
         return found, problems
     seen: dict[str, int | None] = dict.fromkeys(UNKNOWN, -1)
-    for place, pair in enumerate(zip(touches.texts(column), touches.texts(NUMBERED), strict=True)):
+    for place, pair in enumerate(
+        zip(touches.texts(column), touches.texts(source_files.NUMBERED), strict=True)
+    ):
         label = pair[0] or pair[1]
         if label not in seen:
             seen[label] = numbers.get(label, numbers.get(integer_text(label)))
         number = seen[label]
         if number is None:
-            problems[place] = ItemError("label", f"the label {shown(label)!r}; expected a class")
+            problems[place] = errors.ItemError("label", f"the label {shown(label)!r}; expected a class")
         else:
             found[place] = number
     return found, problems
 
 
-def _no_names(column: pa.Array | None) -> dict[int, ItemError]:
+def _no_names(column: pa.Array | None) -> dict[int, errors.ItemError]:
     """Return the labels that are lists or objects of JSON."""
     if column is None or column_types.is_leaf(column.type):
         return {}
     values = column_types.values_of(column)
     return {
-        place: ItemError("label", f"the label {shown(value)}; expected a name or a number")
+        place: errors.ItemError("label", f"the label {shown(value)}; expected a name or a number")
         for place, value in enumerate(values)
         if isinstance(value, (dict, list))
     }
 
 
-def objects_of(touches: FoundTouches, column: str | None) -> tuple[Int64, dict[int, ItemError]]:
-    """Return the number of the object of each touch, 0 without a column of them, and what is none."""
-    found, problems = np.zeros(len(touches), np.int64), dict[int, ItemError]()
+def objects_of(
+    touches: found_touches.FoundTouches, column: str | None
+) -> tuple[Int64, dict[int, errors.ItemError]]:
+    """Return the object id of each touch, 0 without such a column, and the problems by place."""
+    found, problems = np.zeros(len(touches), np.int64), dict[int, errors.ItemError]()
     for place, text in enumerate(map(integer_text, touches.texts(column)) if column else ()):
         if text.isdecimal() and text.isascii() and len(text) <= _LONGEST_INTEGER:
             found[place] = int(text)
         else:
-            problems[place] = ItemError("object", f"the object {shown(text)!r}; expected an integer")
+            problems[place] = errors.ItemError("object", f"the object {shown(text)!r}; expected an integer")
     return found, problems
 
 
 def each_of(
-    read: Callable[[Fields, ImportColumns], Float64], fields: Fields, columns: ImportColumns, rows: Int64
-) -> tuple[Float64 | None, dict[int, ItemError]]:
+    read: Callable[[Fields, import_columns.ImportColumns], Float64],
+    fields: Fields,
+    columns: import_columns.ImportColumns,
+    rows: Int64,
+) -> tuple[Float64 | None, dict[int, errors.ItemError]]:
     """Read some touches or pictures at once, or one by one where some are wrong.
 
     Returns an array with an entry for each row, NaN for those that are not read, and what is wrong with those
     that cannot be used; without a single one that can, there is no array.
     """
-    problems: dict[int, ItemError] = {}
+    problems: dict[int, errors.ItemError] = {}
     found: Float64 | None = None
     parts = [rows]
     while parts:
         part = parts.pop()
         try:
             some = read({name: column.take(pa.array(part)) for name, column in fields.items()}, columns)
-        except ItemError as error:
+        except errors.ItemError as error:
             if len(part) == 1:
                 problems[int(part[0])] = error
             else:
@@ -120,7 +122,7 @@ def each_of(
     return found, dict(sorted(problems.items()))
 
 
-def positions(fields: Fields, columns: ImportColumns) -> Float64:
+def positions(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return intended positions, x and y in metres, cell frame, shape (n, 2).
 
     Raises ItemError for anything else; InputError for a frame that makes them depend on a height.
@@ -129,7 +131,7 @@ def positions(fields: Fields, columns: ImportColumns) -> Float64:
     if columns.frame is not None:
         turn, shift = _frame(columns)
         if np.abs(turn[:2, 2]).max() > _NO_TILT:
-            raise InputError(
+            raise errors.InputError(
                 "the frame tilts, so that an x and y of the source is no x and y of the cell",
                 next="leave out the positions: --map position=",
             )
@@ -138,7 +140,7 @@ def positions(fields: Fields, columns: ImportColumns) -> Float64:
     return place
 
 
-def poses(fields: Fields, columns: ImportColumns) -> Float64:
+def poses(fields: Fields, columns: import_columns.ImportColumns) -> Float64:
     """Return poses in the cell frame, shape (n, 7): position in metres, quaternion x, y, z, w.
 
     Raises ItemError for anything else.
@@ -148,7 +150,7 @@ def poses(fields: Fields, columns: ImportColumns) -> Float64:
     place, turns = read(numbers, columns)
     wrong = bad_pose(place, turns)
     if wrong is not None:
-        raise ItemError("pose", wrong[1])
+        raise errors.ItemError("pose", wrong[1])
     if columns.frame is not None:
         turn, shift = _frame(columns)
         place = place @ turn.T + shift
@@ -157,14 +159,14 @@ def poses(fields: Fields, columns: ImportColumns) -> Float64:
     return np.hstack([place, turns])
 
 
-def times_s(values: pa.Array, columns: ImportColumns) -> Float64:
+def times_s(values: pa.Array, columns: import_columns.ImportColumns) -> Float64:
     """Return times in seconds, shape (n,); ItemError for anything but finite numbers or points in time.
 
     Points in time count from 1970, UTC.
     """
     found, divisor = _instants_s(values), 1.0
     if found is None:
-        divisor = TIME.divisor(columns.time or "", columns.time_unit)
+        divisor = units.TIME.divisor(columns.time or "", columns.time_unit)
         try:
             found = column_types.floats_of(values)
         except (ValueError, OverflowError):
@@ -174,8 +176,11 @@ def times_s(values: pa.Array, columns: ImportColumns) -> Float64:
     is_flat = found.shape == (len(values),)
     if not is_flat or not np.isfinite(found).all():
         wrong = int(np.isfinite(found).argmin()) if is_flat else 0
-        what = f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on"
-        raise ItemError("time", f"{what}; expected finite numbers, or points in time")
+        raise errors.ItemError(
+            "time",
+            f"the times {shown(values.slice(wrong, 4).to_pylist())} from number {wrong + 1:,} on; "
+            "expected finite numbers, or points in time",
+        )
     return found / divisor
 
 
@@ -197,19 +202,19 @@ def _instants_s(values: pa.Array) -> Float64 | None:
     return None
 
 
-def _ordered(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+def _ordered(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return positions, and quaternions x, y, z, w, of poses of seven numbers."""
     order = [3 + columns.order.index(axis) for axis in "xyzw"]
     return numbers[:, :3], numbers[:, order]
 
 
-def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]:
+def _turned(numbers: Float64, columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of six numbers, with Euler angles or rotation vectors in radians."""
     place, angles = numbers[:, :3], numbers[:, 3:]
     if columns.euler is not None:
         return place, spatial.Rotation.from_euler(columns.euler, angles).as_quat()
     if columns.angle_unit is None and np.abs(angles).max(initial=0) > _MOST_TURN:
-        raise ItemError(
+        raise errors.ItemError(
             "pose",
             f"the rotation vector {shown(angles[0])}, in radians, turns more than twice; expected radians "
             "(--angle-unit states another unit)",
@@ -217,11 +222,11 @@ def _turned(numbers: Float64, columns: ImportColumns) -> tuple[Float64, Float64]
     return place, spatial.Rotation.from_rotvec(angles).as_quat()
 
 
-def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Float64]:
+def _of_matrices(numbers: Float64, _columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return the same of matrices, shape (n, 12) or (n, 16); ItemError if one is not rigid."""
     matrices = numbers.reshape(len(numbers), -1, 4)
-    if not are_rigid(matrices):
-        raise ItemError(
+    if not arithmetic.are_rigid(matrices):
+        raise errors.ItemError(
             "pose",
             f"the matrix {shown(numbers[0].tolist())} is no rigid transform; expected, row by row, "
             "a rotation of determinant 1 with a translation, and a last row 0 0 0 1",
@@ -229,7 +234,7 @@ def _of_matrices(numbers: Float64, _columns: ImportColumns) -> tuple[Float64, Fl
     return matrices[:, :3, 3], spatial.Rotation.from_matrix(matrices[:, :3, :3]).as_quat()
 
 
-def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
+def _frame(columns: import_columns.ImportColumns) -> tuple[Float64, Float64]:
     """Return rotation and shift, in metres, from the frame of the source to that of the cell."""
     matrix = np.array(columns.frame)
     per_metre = columns.divisors((), 2)[0]
@@ -239,7 +244,7 @@ def _frame(columns: ImportColumns) -> tuple[Float64, Float64]:
 def _require_metres(places: Float64, reason: str) -> None:
     is_far = (np.abs(places) > _FARTHEST_M[: places.shape[1]]).any(axis=1)
     if is_far.any():
-        raise ItemError(
+        raise errors.ItemError(
             reason,
             f"the position {shown(tuple(places[is_far.argmax()].tolist()))}, in metres, lies farther outside "
             "of the cell than it is wide; expected metres in the cell frame (--length-unit states another "
@@ -248,7 +253,11 @@ def _require_metres(places: Float64, reason: str) -> None:
 
 
 def _numbers(
-    fields: Fields, columns: ImportColumns, names: tuple[str, ...], sizes: tuple[int, ...], reason: str
+    fields: Fields,
+    columns: import_columns.ImportColumns,
+    names: tuple[str, ...],
+    sizes: tuple[int, ...],
+    reason: str,
 ) -> Float64:
     """Return the numbers of some columns, or of one with all, shape (n, size), in metres and radians."""
     found = [fields[name] for name in names]
@@ -261,6 +270,9 @@ def _numbers(
         first = [each[0].as_py() for each in found] if len(found[0]) else ["nothing"]
         expected = f"{sizes[0]} finite numbers"
         if len(sizes) > 1:
-            expected += f", or {expected_counts(sizes[1:])} of a matrix (--euler and --rotvec are of 6)"
-        raise ItemError(reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}")
+            counts = import_columns.expected_counts(sizes[1:])
+            expected += f", or {counts} of a matrix (--euler and --rotvec are of 6)"
+        raise errors.ItemError(
+            reason, f"{shown(first[0] if len(first) == 1 else first)}; expected {expected}"
+        )
     return numbers / columns.divisors(names, numbers.shape[1])

@@ -4,57 +4,62 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import Any
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.importing.source_files import ReadContents, contents_of
-from tactile_toolkit import store
-from tactile_toolkit.kind import lazy
+from realtouch.importing import found_touches, import_columns, recordings, source_files
+from tactile_toolkit import kind, store
+
+FindTouches = Callable[
+    [store.DataFolder, import_columns.ImportColumns, str | None],
+    Iterator[found_touches.FoundTouches | recordings.Recording],
+]
+"""Takes a folder, the columns and the path of a table; yields touches, or recordings to cut."""
 
 
 @dataclass(frozen=True)
 class ImportFormat:
     """How a format is read.
 
-    ``find`` takes a folder, the columns and the path of a table, and yields touches, or recordings to cut.
     ``contents`` yields the pictures of touches, encoded: as many for each touch as it has. ``cut`` is how
     recordings become touches by default. ``is_one_a_file`` says that pictures of a file have one size.
     ``describe`` states how pictures are converted; empty if they are taken as they are. With ``rotvec`` the
     format has rotation vectors in poses of six numbers.
     """
 
-    find: Callable[[store.DataFolder, ImportColumns, str | None], Iterator[Any]]
-    contents: ReadContents = contents_of
+    find: FindTouches
+    contents: source_files.ReadContents = source_files.contents_of
     cut: str = "frames"
     is_one_a_file: bool = False
-    describe: Callable[[FoundTouches], str] = lambda _touches: ""
+    describe: Callable[[found_touches.FoundTouches], str] = lambda _touches: ""
     rotvec: bool = False
 
 
-def _images(layout: str) -> ImportFormat:
+def _images(
+    layout: str, module: str = "", contents: source_files.ReadContents = source_files.contents_of
+) -> ImportFormat:
     """Return a format of images, each a file or part of one."""
-    return ImportFormat(lazy(f"realtouch.exchange.{layout}_import:find_{layout}"))
+    return ImportFormat(kind.lazy(f"realtouch.exchange.{module or layout}:find_{layout}"), contents)
 
 
-def _recordings(layout: str, cut: str = "frames", *, rotvec: bool = False) -> ImportFormat:
-    """Return a format of recordings, each file of which has pictures of one size."""
-    module = f"realtouch.exchange.{layout}_import"
-    reader, describe = lazy(f"{module}:encoded_frames"), lazy(f"{module}:describe_conversion")
-    return ImportFormat(lazy(f"{module}:find_{layout}"), reader, cut, True, describe, rotvec)
+def _recordings(
+    layout: str, module: str, reader: str, cut: str = "frames", *, rotvec: bool = False
+) -> ImportFormat:
+    """Return a format of recordings, each file of which has pictures of one size; ``reader`` is a module."""
+    frames, describe = (
+        kind.lazy(f"realtouch.exchange.{reader}:{name}") for name in ("encoded_frames", "describe_conversion")
+    )
+    find = kind.lazy(f"realtouch.exchange.{module}:find_{layout}")
+    return ImportFormat(find, frames, cut, True, describe, rotvec)
 
 
 IMPORTS: dict[str, ImportFormat] = {
-    "folder": _images("folder"),
-    "video": _recordings("video", "whole"),
-    "flat": ImportFormat(
-        lazy("realtouch.exchange.flat_import:find_flat"), lazy("realtouch.exchange.flat_import:stored_images")
-    ),
-    "webdataset": _images("webdataset"),
-    "lerobot": _recordings("lerobot"),
-    "oxt": _recordings("oxt", rotvec=True),
-    "replay": _recordings("replay"),
-    "hdf5": _recordings("hdf5"),
+    "folder": _images("folder", "folder_import"),
+    "video": _recordings("video", "video_import", "video_import", "whole"),
+    "flat": _images("flat", contents=kind.lazy("realtouch.exchange.foreign_parquet:stored_pictures")),
+    "webdataset": _images("webdataset", "webdataset_import"),
+    "lerobot": _recordings("lerobot", "lerobot_import", "lerobot_import"),
+    "oxt": _recordings("oxt", "oxt", "zarr_recordings", rotvec=True),
+    "replay": _recordings("replay", "replay", "zarr_recordings"),
+    "hdf5": _recordings("hdf5", "hdf5_import", "hdf5_import"),
     "fota": _images("fota"),
     "sparsh": _images("sparsh"),
     "anytouch": _images("anytouch"),

@@ -1,4 +1,4 @@
-"""Touches to import, as columns: where their pictures are, what is said of them, and what is wrong."""
+"""Touches to import, as columns: places of their pictures, their fields, and their problems."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from tactile_toolkit import column_types
+from tactile_toolkit import column_types, errors
 from tactile_toolkit.array_types import Bool, Int64
-from tactile_toolkit.errors import ItemError
 
 _WHERE = pa.schema(
     {
@@ -37,7 +36,7 @@ File = tuple[str, str]
 """Address of a source, and a path below it."""
 
 
-class Place(NamedTuple):
+class PicturePlace(NamedTuple):
     """Where the pictures of a touch are: all that the reader of a format needs.
 
     Attributes
@@ -67,13 +66,13 @@ class Place(NamedTuple):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FoundTouches(Sequence[Place]):
+class FoundTouches(Sequence[PicturePlace]):
     """Touches to import; as a sequence, the places of their pictures.
 
     Attributes
     ----------
     where : pyarrow.Table
-        A row a touch. ``name``: what messages call it. ``home`` to ``frames``: see :class:`Place`.
+        A row a touch. ``name``: what messages call it. ``home`` to ``frames``: see :class:`PicturePlace`.
         ``contact``: first and last picture of a clip that show contact, if that is known. ``time_s``: time of
         each picture of a clip, if known, seconds; rises. ``reason``, ``problem``: why it cannot be used, if
         it cannot. ``number`` among all touches of the source; ``round``: in which it will be stored.
@@ -96,8 +95,8 @@ class FoundTouches(Sequence[Place]):
         said: Mapping[str, pa.Array] | pa.Table,
         *,
         per_frame: Mapping[str, pa.Array] | None = None,
-        problems: Mapping[int, ItemError] | None = None,
-        **columns: Any,
+        problems: Mapping[int, errors.ItemError] | None = None,
+        **columns: object,
     ) -> FoundTouches:
         """Return touches of one source; of ``columns`` of ``where``, one value stands for all."""
         count = len(names)
@@ -131,16 +130,18 @@ class FoundTouches(Sequence[Place]):
         return len(self.where)
 
     @overload
-    def __getitem__(self, number: int) -> Place: ...
+    def __getitem__(self, number: int) -> PicturePlace: ...
     @overload
     def __getitem__(self, number: slice) -> FoundTouches: ...
-    def __getitem__(self, number: int | slice) -> Place | FoundTouches:
+    def __getitem__(self, number: int | slice) -> PicturePlace | FoundTouches:
         if isinstance(number, slice):
             return self.take(np.arange(len(self))[number])
         return next(iter(self.take(np.array([range(len(self))[number]]))))
 
-    def __iter__(self) -> Iterator[Place]:
-        return map(Place._make, zip(*(self.where[name].to_pylist() for name in _OF_PLACES), strict=True))
+    def __iter__(self) -> Iterator[PicturePlace]:
+        return map(
+            PicturePlace._make, zip(*(self.where[name].to_pylist() for name in _OF_PLACES), strict=True)
+        )
 
     def take(self, rows: Int64) -> FoundTouches:
         """Return some touches, in this order, which no longer hold the others in memory."""
@@ -172,7 +173,7 @@ class FoundTouches(Sequence[Place]):
         }
 
     def value(self, name: str) -> pa.Array | None:
-        """Return a column of what is said of touches; None if there is none."""
+        """Return a column of what is said of touches; None without such a column."""
         return one_chunk(self.said[name]) if name in self.said.column_names else None
 
     def texts(self, name: str | None) -> list[str]:
@@ -182,7 +183,7 @@ class FoundTouches(Sequence[Place]):
             return [""] * len(self)
         return texts_in(column_types.texts_of(column).fill_null(""))
 
-    def with_where(self, **columns: Any) -> FoundTouches:
+    def with_where(self, **columns: object) -> FoundTouches:
         """Return the touches with other columns of ``where``."""
         where = self.where
         for name, values in columns.items():
@@ -196,7 +197,7 @@ class FoundTouches(Sequence[Place]):
         said = dict(zip(self.said.column_names, self.said.columns, strict=True))
         return replace(self, said=_table({**said, **columns}))
 
-    def with_problems(self, problems: Mapping[int, ItemError]) -> FoundTouches:
+    def with_problems(self, problems: Mapping[int, errors.ItemError]) -> FoundTouches:
         """Return the touches, some with a problem, by place; the first problem of a touch counts."""
         if not problems:
             return self
@@ -206,11 +207,11 @@ class FoundTouches(Sequence[Place]):
                 reasons[number], messages[number] = error.reason, error.message
         return self.with_where(reason=reasons, problem=messages)
 
-    def problems(self) -> Iterator[tuple[int, str, ItemError]]:
+    def problems(self) -> Iterator[tuple[int, str, errors.ItemError]]:
         """Yield number and name of each touch that cannot be used, and why."""
         held = self.where.filter(pc.is_valid(self.where["problem"]))
         for row in held.select(["number", "name", "reason", "problem"]).to_pylist():
-            yield row["number"], row["name"], ItemError(row["reason"], row["problem"])
+            yield row["number"], row["name"], errors.ItemError(row["reason"], row["problem"])
 
 
 def texts_in(column: pa.Array | pa.ChunkedArray) -> list[str]:
@@ -232,7 +233,7 @@ def _column(table: pa.Table, name: str, count: int) -> pa.Array:
     return one_chunk(table[name]) if name in table.column_names else pa.nulls(count)
 
 
-def _table(columns: Mapping[str, Any] | pa.Table) -> pa.Table:
+def _table(columns: Mapping[str, object] | pa.Table) -> pa.Table:
     return columns if isinstance(columns, pa.Table) else pa.table(dict(columns))
 
 

@@ -1,27 +1,27 @@
-"""What an import would make, before anything is written."""
+"""Preview of an import: what it would make; nothing is written."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from os import PathLike, fspath
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.extra_columns import kept_sources
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.import_sources import FoundSource, Reading, find_source
-from realtouch.importing.imported_rows import extras_in
-from realtouch.importing.touch_import import Arranged, arranged
-from tactile_toolkit import store
-from tactile_toolkit.shown_text import printable
+from realtouch.importing import (
+    arranging,
+    extra_columns,
+    formats,
+    import_columns,
+    import_sources,
+    imported_rows,
+)
+from realtouch.touch_options import Alignment
+from tactile_toolkit import shown_text, store, units
+from tactile_toolkit.json_types import JsonValue
 from tactile_toolkit.touch import MEDIA_TYPE
-from tactile_toolkit.units import stated_unit
 
 _TOUCHES_SHOWN = 3
 _VALUES_SHOWN = 8
@@ -73,7 +73,7 @@ class ImportPreview:
 def preview_import(
     source: str | PathLike[str],
     layout: str | None = None,
-    columns: ImportColumns | None = None,
+    columns: import_columns.ImportColumns | None = None,
     *,
     table: str | None = None,
     streams: Sequence[str] = (),
@@ -93,9 +93,9 @@ def preview_import(
     InputError
         As :func:`import_touches`.
     """
-    reading = Reading(layout, columns, table, tuple(streams), alignment, cut)
-    found = find_source(fspath(source), reading)
-    touches = arranged(found, classes, split)
+    reading = import_sources.Reading(layout, columns, table, tuple(streams), alignment, cut)
+    found = import_sources.find_source(fspath(source), reading)
+    touches = arranging.arranged(found, classes, split)
     usable = {
         name: sum(int(part.is_usable.sum()) for part in parts) for name, parts in touches.shards.items()
     }
@@ -112,14 +112,14 @@ def preview_import(
         usable,
         touches.work.names,
         _pictures_in_words(found, touches),
-        _uses(found, extras_in(touches.work.schema)),
+        _uses(found, imported_rows.extras_in(touches.work.schema)),
         first,
         list(found.streams),
         [(reason, len(each), each[0]) for reason, each in messages.items()],
     )
 
 
-def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
+def _first(touches: arranging.Arranged, messages: dict[str, list[str]]) -> list[dict[str, str]]:
     """Make the first touches as an import would, and note why others cannot be used."""
     parts = [part.take(np.flatnonzero(part.is_usable)) for each in touches.shards.values() for part in each]
     some = next((part for part in parts if len(part)), parts[0])[:_TOUCHES_SHOWN]
@@ -134,21 +134,22 @@ def _first(touches: Arranged, messages: dict[str, list[str]]) -> list[dict[str, 
     return shown
 
 
-def _in_words(value: Any, touch: int) -> str:
+def _in_words(value: JsonValue, touch: int) -> str:
     if isinstance(value, list):
         value = value[touch]
     if isinstance(value, list) and len(value) > _VALUES_SHOWN:
-        return f"{len(value)} entries, the first {printable(str(value[0]))[:_LONGEST_SHOWN]}"
-    return printable(str(value))[:_LONGEST_SHOWN]
+        first = shown_text.printable(str(value[0]))[:_LONGEST_SHOWN]
+        return f"{len(value)} entries, the first {first}"
+    return shown_text.printable(str(value))[:_LONGEST_SHOWN]
 
 
-def _pictures_in_words(found: FoundSource, touches: Arranged) -> str:
-    words = IMPORTS[found.layout].describe(found.touches) or "stored as they are"
+def _pictures_in_words(found: import_sources.FoundSource, touches: arranging.Arranged) -> str:
+    words = formats.IMPORTS[found.layout].describe(found.touches) or "stored as they are"
     size = touches.work.image_size
     return words if size is None else f"{size[1]} x {size[0]} pixels, {words}"
 
 
-def _uses(found: FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
+def _uses(found: import_sources.FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str]]:
     """Return each column of the source, what it becomes, and its unit; ``extras`` are the extra columns."""
     columns = found.columns
     roles = {
@@ -163,12 +164,15 @@ def _uses(found: FoundSource, extras: Iterable[str]) -> list[tuple[str, str, str
         roles[columns.image] = "picture"
     if columns.time is not None:
         roles[columns.time] = "time"
-    roles = {**{source: f"extra {name!r}" for source, name in kept_sources(columns, extras).items()}, **roles}
+    roles = {
+        **{source: f"extra {name!r}" for source, name in extra_columns.kept_sources(columns, extras).items()},
+        **roles,
+    }
     lengths = {*(columns.position or ()), *(columns.pose or ())[:3]}
     uses = []
     for name in found.touches.names:
-        unit = stated_unit(name) or ""
+        unit = units.stated_unit(name) or ""
         if name in lengths:
             unit = unit or columns.length_unit or "m"
-        uses.append((printable(name), roles.get(name, "left out"), unit))
-    return [*uses, *((printable(each), "left out", "") for each in found.left_out)]
+        uses.append((shown_text.printable(name), roles.get(name, "left out"), unit))
+    return [*uses, *((shown_text.printable(each), "left out", "") for each in found.left_out)]

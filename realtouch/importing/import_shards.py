@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import io
-import struct
 from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -13,38 +11,33 @@ from typing import Any, NamedTuple, cast
 
 import numpy as np
 import pyarrow as pa
-from PIL import Image
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.extra_columns import not_kept
-from realtouch.importing.fields import each_of, labels_of, objects_of, poses, positions
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import File, FoundTouches, one_chunk
-from realtouch.importing.import_sources import Version, version_of
-from realtouch.importing.imported_clips import ImportedClip, clip_of
-from realtouch.importing.imported_rows import StoredTouches, extras_in, table_of
-from realtouch.stored_images import require_intact
-from realtouch.touch_options import CLIPS
-from tactile_toolkit import store
+from realtouch import stored_images, touch_options
+from realtouch.importing import (
+    extra_columns,
+    fields,
+    formats,
+    found_touches,
+    import_columns,
+    import_sources,
+    imported_clips,
+    imported_rows,
+)
+from tactile_toolkit import errors, store
 from tactile_toolkit.array_types import Float64, Int64
-from tactile_toolkit.errors import IntegrityError, ItemError
-from tactile_toolkit.touch import is_jpeg
 
 NOT_IMPORTED = "not_imported"
 """Key of the statistics of an import: fields that were not imported, and of how many touches."""
 
 
-_ORIENTATION = 0x0112
-_TURNED = range(2, 9)
-_APP1 = b"\xff\xe1"  # within coded pixels, no such bytes stand together
 _MOST_FIELDS = 100
 _PIECE_BYTES = 32 << 20
 
 
-def _noted(contents: Iterable[bytes | ItemError], digest: Any) -> Iterator[bytes | ItemError]:
+def _noted(contents: Iterable[bytes | errors.ItemError], digest: Any) -> Iterator[bytes | errors.ItemError]:
     """Yield contents, and add each to a digest."""
     for content in contents:
-        if isinstance(content, ItemError):
+        if isinstance(content, errors.ItemError):
             digest.update(b"unreadable\n")
         else:
             digest.update(b"%d\n" % len(content))
@@ -59,7 +52,7 @@ class _Said(NamedTuple):
     objects: Int64
     poses: Float64
     positions: Float64
-    problems: Mapping[int, ItemError]
+    problems: Mapping[int, errors.ItemError]
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,44 +63,45 @@ class ImportTouches:
     """
 
     layout: str
-    columns: ImportColumns
+    columns: import_columns.ImportColumns
     names: tuple[str, ...]
     image_size: tuple[int, int] | None
     schema: pa.Schema
-    versions: Mapping[File, Version]
+    versions: Mapping[found_touches.File, import_sources.Version]
 
-    def _contents(self, touches: FoundTouches) -> Iterator[bytes | ItemError]:
-        return IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
+    def _contents(self, touches: found_touches.FoundTouches) -> Iterator[bytes | errors.ItemError]:
+        return formats.IMPORTS[self.layout].contents(touches.take(np.flatnonzero(touches.is_usable)))
 
-    def digest(self, touches: FoundTouches) -> str:
+    def digest(self, touches: found_touches.FoundTouches) -> str:
         """Read the images of touches and return the checksum of all."""
         found = hashlib.sha256()
         deque(_noted(self._contents(touches), found), maxlen=0)
         return found.hexdigest()
 
     @store.without_collecting()
-    def __call__(self, shard: store.ShardName, touches: FoundTouches) -> store.ShardContent:
+    def __call__(self, shard: store.ShardName, touches: found_touches.FoundTouches) -> store.ShardContent:
         """Read touches; those that cannot be used are left out and listed."""
         digest = hashlib.sha256()
         tables, skipped = [self.schema.empty_table()], list[store.Skipped]()
         notes, others = Counter[str](), Counter[str]()
-        extras, said = extras_in(self.schema), self._said(touches)
+        extras, said = imported_rows.extras_in(self.schema), self._said(touches)
         contents = _noted(self._contents(touches), digest)
         for rows in _pieces(touches):
             stored, problems = self._stored(touches, rows, said, contents)
-            tables.append(table_of(stored, self.columns, self.schema))
+            tables.append(imported_rows.table_of(stored, self.columns, self.schema))
             notes.update(note for clip in stored.clips for note in clip.notes)
-            others.update(not_kept(stored.touches, self.columns, extras))
+            others.update(extra_columns.not_kept(stored.touches, self.columns, extras))
             for number, name, error in touches.take(rows).with_problems(problems).problems():
                 skipped.append(store.Skipped(number, error.reason, f"{name!r}: {error.message}"))
         files = {place.file for place in touches} if self.versions else ()
         for file in self.versions.keys() & files:
-            if version_of(file) != self.versions[file]:
-                problem = "was replaced or changed while it was imported: images would be taken for others"
-                raise IntegrityError(
-                    f"{'/'.join(file)!r} {problem}", next="run the same command with --overwrite"
+            if import_sources.version_of(file) != self.versions[file]:
+                raise errors.IntegrityError(
+                    f"{'/'.join(file)!r} "
+                    "was replaced or changed while it was imported: images would be taken for others",
+                    next="run the same command with --overwrite",
                 )
-        counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), CLIPS: notes}
+        counted = {NOT_IMPORTED: dict(others.most_common(_MOST_FIELDS)), touch_options.CLIPS: notes}
         statistics = {key: dict(sorted(counts.items())) for key, counts in counted.items() if counts}
         return store.ShardContent(
             pa.concat_tables(tables),
@@ -116,33 +110,37 @@ class ImportTouches:
             source_digest=digest.hexdigest(),
         )
 
-    def _said(self, touches: FoundTouches) -> _Said:
+    def _said(self, touches: found_touches.FoundTouches) -> _Said:
         """Read labels and objects of all touches that can be used; of images positions and poses, too."""
         rows, count = np.flatnonzero(touches.is_usable), len(touches)
         places, turns = np.full((count, 2), np.nan), np.full((count, 7), np.nan)
-        labels, no_labels = labels_of(touches, self.columns.label, self.names)
-        objects, no_objects = objects_of(touches, self.columns.object_id)
+        labels, no_labels = fields.labels_of(touches, self.columns.label, self.names)
+        objects, no_objects = fields.objects_of(touches, self.columns.object_id)
         problems = no_objects | no_labels
         for read, columns, out in (
-            (poses, self.columns.pose or (), turns),
-            (positions, self.columns.position or (), places),
+            (fields.poses, self.columns.pose or (), turns),
+            (fields.positions, self.columns.position or (), places),
         ):
             if columns and len(rows) and not touches.has_clips:
-                fields = {name: touches.value(name) for name in columns}
-                known = {name: pa.nulls(count) if each is None else each for name, each in fields.items()}
-                found, wrong = each_of(read, known, self.columns, rows)
+                values = {name: touches.value(name) for name in columns}
+                known = {name: pa.nulls(count) if each is None else each for name, each in values.items()}
+                found, wrong = fields.each_of(read, known, self.columns, rows)
                 problems |= wrong
                 out[:] = np.nan if found is None else found
         return _Said(labels, objects, turns, places, problems)
 
     def _stored(
-        self, touches: FoundTouches, rows: Int64, said: _Said, contents: Iterator[bytes | ItemError]
-    ) -> tuple[StoredTouches, dict[int, ItemError]]:
+        self,
+        touches: found_touches.FoundTouches,
+        rows: Int64,
+        said: _Said,
+        contents: Iterator[bytes | errors.ItemError],
+    ) -> tuple[imported_rows.StoredTouches, dict[int, errors.ItemError]]:
         """Read the pictures of touches of whole rounds; returns what is wrong with some, by place in rows."""
         piece = touches.take(rows)
         frames, numbers = piece.where["frames"].to_pylist(), rows.tolist()
-        made: dict[int, bytes | ImportedClip] = {}
-        problems: dict[int, ItemError] = {}
+        made: dict[int, bytes | imported_clips.ImportedClip] = {}
+        problems: dict[int, errors.ItemError] = {}
         for place in np.flatnonzero(piece.is_usable).tolist():
             pictures = list(islice(contents, max(1, frames[place])))
             try:
@@ -151,35 +149,37 @@ class ImportTouches:
                     raise said.problems[numbers[place]]
                 made[place] = cast(bytes, pictures[0])
                 if frames[place]:
-                    made[place] = clip_of(piece, place, cast(Sequence[bytes], pictures), size, self.columns)
-            except ItemError as error:
+                    made[place] = imported_clips.clip_of(
+                        piece, place, cast(Sequence[bytes], pictures), size, self.columns
+                    )
+            except errors.ItemError as error:
                 problems[place] = error
                 made.pop(place, None)
         problems |= _of_other_rounds(piece, said, rows, list(made))
         kept = np.array([place for place in made if place not in problems], np.int64)
         media = [made[place] for place in kept.tolist()]
-        clips = [each for each in media if isinstance(each, ImportedClip)]
+        clips = [each for each in media if isinstance(each, imported_clips.ImportedClip)]
         places, turns = said.positions[rows[kept]], said.poses[rows[kept]]
         if clips:
             places = np.stack([clip.position for clip in clips])
             turns = np.concatenate([clip.poses for clip in clips])
-        encoded = [each.video if isinstance(each, ImportedClip) else each for each in media]
+        encoded = [each.video if isinstance(each, imported_clips.ImportedClip) else each for each in media]
         about = said.labels[rows[kept]], said.objects[rows[kept]], places, turns
-        return StoredTouches(piece.take(kept), *about, encoded, clips), problems
+        return imported_rows.StoredTouches(piece.take(kept), *about, encoded, clips), problems
 
-    def _size(self, pictures: Sequence[bytes | ItemError], *, is_clip: bool) -> tuple[int, int]:
+    def _size(self, pictures: Sequence[bytes | errors.ItemError], *, is_clip: bool) -> tuple[int, int]:
         """Return the size of pictures; ItemError unless each is intact, upright and of the common size."""
         size = self.image_size
         for number, picture in enumerate(pictures):
             try:
-                size = _size_of(picture, size)
-            except ItemError as error:
+                size = stored_images.upright_size(picture, size)
+            except errors.ItemError as error:
                 where = f"picture {number}: " if is_clip else ""
-                raise ItemError(error.reason, f"{where}{error.message}") from error
+                raise errors.ItemError(error.reason, f"{where}{error.message}") from error
         return size or (0, 0)
 
 
-def _pieces(touches: FoundTouches) -> Iterator[Int64]:
+def _pieces(touches: found_touches.FoundTouches) -> Iterator[Int64]:
     """Yield touches of whole rounds, a few at a time: pictures should not be held twice."""
     rounds, sizes = (touches.where[name].to_pylist() for name in ("round", "size"))
     start = size_bytes = 0
@@ -192,43 +192,14 @@ def _pieces(touches: FoundTouches) -> Iterator[Int64]:
 
 
 def _of_other_rounds(
-    piece: FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
-) -> dict[int, ItemError]:
+    piece: found_touches.FoundTouches, said: _Said, rows: Int64, kept: Sequence[int]
+) -> dict[int, errors.ItemError]:
     """Return the touches whose label or object is not that of the first touch of their round."""
     places = np.array(kept, np.int64)
-    codes = one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
+    codes = found_touches.one_chunk(piece.where["round"]).dictionary_encode().indices.to_numpy()[places]
     _, first, of_round = np.unique(codes, return_index=True, return_inverse=True)
-    error = ItemError("round", "another label or object than the first touch of its round")
+    error = errors.ItemError("round", "another label or object than the first touch of its round")
     differs = np.zeros(len(places), bool)
     for about in (said.labels[rows[places]], said.objects[rows[places]]):
         differs |= about != about[first[of_round]]
     return dict.fromkeys(places[differs].tolist(), error)
-
-
-def _size_of(picture: bytes | ItemError, expected: tuple[int, int] | None) -> tuple[int, int]:
-    """Return the size of a picture; ItemError unless it is intact, upright and of the expected size."""
-    if isinstance(picture, ItemError):
-        raise picture
-    try:
-        size = require_intact(picture)
-    except ValueError as error:
-        raise ItemError("image", str(error)) from error
-    if _is_turned(picture):
-        problem = "its Exif or XMP data ask to turn it, which some readers do; expected an upright image"
-        raise ItemError("image", problem)
-    if expected is not None and size != expected:
-        (height, width), (common_height, common_width) = size, expected
-        problem = f"{width} x {height} pixels; expected {common_width} x {common_height} as most images"
-        raise ItemError("size", problem)
-    return size
-
-
-def _is_turned(image: bytes) -> bool:
-    """Return whether Exif or XMP data ask readers to turn the image."""
-    if is_jpeg(image) and _APP1 not in image:
-        return False  # both stand in such a segment of a JPEG, and to open an image takes a while
-    try:
-        with Image.open(io.BytesIO(image), formats=["JPEG", "PNG", "WEBP"]) as opened:
-            return opened.getexif().get(_ORIENTATION) in _TURNED
-    except (OSError, SyntaxError, ValueError, TypeError, struct.error):
-        return False  # such data turn nothing

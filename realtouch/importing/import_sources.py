@@ -9,20 +9,19 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.compute as pc
 
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.cuts import Cutter
+from realtouch.importing import (
+    cuts,
+    formats,
+    found_touches,
+    import_columns,
+    recognised,
+    recordings,
+    source_files,
+)
 from realtouch.importing.fields import each_of, times_s
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.found_touches import File, FoundTouches, one_chunk
-from realtouch.importing.recognised import Recognised, recognised
-from realtouch.importing.recordings import CUTS, TIME_S, Recording
-from realtouch.importing.source_files import NUMBERED, require_columns
 from realtouch.importing.streams import Aligner, StreamReport
-from realtouch.touch_options import require_layout
-from tactile_toolkit import column_types, store
-from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.touch import MAX_IMAGE_BYTES
+from realtouch.touch_options import Alignment, require_layout
+from tactile_toolkit import column_types, errors, store, touch
 
 _SPLIT_FOLDERS = ("fota", "sparsh")  # formats of which a folder holds one split, and is named so
 
@@ -34,7 +33,7 @@ class Reading:
     """How a source is read; see :func:`realtouch.import_touches`."""
 
     layout: str | None = None
-    columns: ImportColumns | None = None
+    columns: import_columns.ImportColumns | None = None
     table: str | None = None
     streams: tuple[str, ...] = ()
     alignment: Alignment | None = None
@@ -55,16 +54,16 @@ class FoundSource:
     home: store.DataFolder
     layout: str
     recognised_by: str
-    touches: FoundTouches
-    columns: ImportColumns
+    touches: found_touches.FoundTouches
+    columns: import_columns.ImportColumns
     cut: str = ""
     pictures: Mapping[str, bytes] = field(default_factory=dict)
     streams: Sequence[StreamReport] = ()
     left_out: Sequence[str] = ()
-    versions: Mapping[File, Version] = field(default_factory=dict)
+    versions: Mapping[found_touches.File, Version] = field(default_factory=dict)
 
 
-def version_of(file: File) -> Version:
+def version_of(file: found_touches.File) -> Version:
     """Return the version of a file, given by folder and path; it changes if the file is replaced."""
     folder, path = file
     return store.open_folder(folder).version(path)
@@ -72,22 +71,30 @@ def version_of(file: File) -> Version:
 
 def find_source(place: str, reading: Reading) -> FoundSource:
     """Recognise a source and find its touches; InputError if it cannot be used."""
-    home, columns = store.open_folder(place), reading.columns or ImportColumns()
-    format_ = Recognised(reading.layout or "", "")
+    home, columns = store.open_folder(place), reading.columns or import_columns.ImportColumns()
+    format_ = recognised.Recognised(reading.layout or "", "")
     if reading.layout is not None:
-        require_layout(reading.layout, IMPORTS)
+        require_layout(reading.layout, formats.IMPORTS)
     if not home.exists():
-        found = f"{home.address()!r} does not exist"
-        raise InputError(f"{found}; expected a folder or file of recordings", next="check the name")
+        raise errors.InputError(
+            f"{home.address()!r} does not exist; expected a folder or file of recordings",
+            next="check the name",
+        )
     if reading.layout is None:
-        format_ = recognised(place)
-    read = IMPORTS[format_.layout]
-    cutter = Cutter(reading.cut, read.contents, columns, read.cut)
-    others = [path for path in (reading.table, reading.cut) if path is not None and path not in CUTS]
+        format_ = recognised.recognised(place)
+    read = formats.IMPORTS[format_.layout]
+    cutter = cuts.Cutter(reading.cut, read.contents, columns, read.cut)
+    others = [
+        path for path in (reading.table, reading.cut) if path is not None and path not in recordings.CUTS
+    ]
     aligner = Aligner(reading.streams, reading.alignment, columns, others)
-    parts, left_out, versions = list[FoundTouches](), dict[str, None](), dict[File, Version]()
+    parts, left_out, versions = (
+        list[found_touches.FoundTouches](),
+        dict[str, None](),
+        dict[found_touches.File, Version](),
+    )
     for each in _found(home, format_.layout, columns, reading.table):
-        if isinstance(each, Recording):
+        if isinstance(each, recordings.Recording):
             left_out |= dict.fromkeys(each.left_out)
             if each.problem is None and (each.home, each.path) not in versions:
                 versions[each.home, each.path] = version_of((each.home, each.path))
@@ -95,16 +102,17 @@ def find_source(place: str, reading: Reading) -> FoundSource:
         else:
             versions |= {file: version_of(file) for file in _files_of_several(each) - versions.keys()}
             parts.append(_timed(each, columns))
-    touches = FoundTouches.joined([*parts, *cutter.unused()])
+    touches = found_touches.FoundTouches.joined([*parts, *cutter.unused()])
     if not len(touches):
-        raise InputError(f"{home.address()!r} holds nothing to import; expected pictures")
+        raise errors.InputError(f"{home.address()!r} holds nothing to import; expected pictures")
     if reading.cut is not None and not cutter.done:
-        found = f"{home.address()!r} holds single pictures"
-        raise InputError(f"{found}; --cut applies to recordings", next="leave out --cut")
+        raise errors.InputError(
+            f"{home.address()!r} holds single pictures; --cut applies to recordings", next="leave out --cut"
+        )
     # The time may be that of a stream, of which only what was aligned is left.
     missing = {*columns.names()} - {*touches.names} - aligner.times
     if missing and touches.is_usable.any():
-        require_columns(touches.names, sorted(missing), home.address())
+        source_files.require_columns(touches.names, sorted(missing), home.address())
     completed = columns.found_in(touches.known, rotvec=read.rotvec)
     touches = said_of_whole(_checked(touches), completed)
     of_cuts = (cutter.done, cutter.pictures, aligner.reports, tuple(left_out), versions)
@@ -112,8 +120,8 @@ def find_source(place: str, reading: Reading) -> FoundSource:
 
 
 def _found(
-    home: store.DataFolder, layout: str, columns: ImportColumns, table: str | None
-) -> Iterator[FoundTouches | Recording]:
+    home: store.DataFolder, layout: str, columns: import_columns.ImportColumns, table: str | None
+) -> Iterator[found_touches.FoundTouches | recordings.Recording]:
     """Find what a folder holds, or the splits of an export of this toolkit."""
     folders = [home]
     if layout in home.entries():
@@ -123,51 +131,56 @@ def _found(
     if layout in _SPLIT_FOLDERS and len(splits) == len(found) > 0:
         folders = [store.open_folder(folders[0].address(split)) for split in splits]
     for folder in folders:
-        yield from IMPORTS[layout].find(folder, columns, table)
+        yield from formats.IMPORTS[layout].find(folder, columns, table)
 
 
-def _files_of_several(touches: FoundTouches) -> set[File]:
+def _files_of_several(touches: found_touches.FoundTouches) -> set[found_touches.File]:
     """Return the files that hold the images of several touches: in which images stand behind something."""
     files = touches.where.filter(pc.greater(touches.where["start"], 0)).group_by(["home", "path"])
     return {(row["home"], row["path"]) for row in files.aggregate([]).to_pylist()}
 
 
-def _timed(touches: FoundTouches, columns: ImportColumns) -> FoundTouches:
+def _timed(
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> found_touches.FoundTouches:
     """Return images with their time in seconds, as pictures of recordings have it."""
     values = touches.value(columns.time) if columns.time else None
     if values is None:
         return touches
-    if TIME_S in touches.names and columns.time != TIME_S:
-        raise InputError(
-            f"the source has a column {TIME_S!r} beside that of the time, {columns.time!r}",
-            next=f"map one of them to the time, or name the other one: --map NEW={TIME_S}",
+    if recordings.TIME_S in touches.names and columns.time != recordings.TIME_S:
+        raise errors.InputError(
+            f"the source has a column {recordings.TIME_S!r} beside that of the time, {columns.time!r}",
+            next=f"map one of them to the time, or name the other one: --map NEW={recordings.TIME_S}",
         )
     rows = np.flatnonzero(values.is_valid().to_numpy(zero_copy_only=False))
-    read = lambda fields, how: times_s(fields[TIME_S], how)  # noqa: E731
-    time_s, problems = each_of(read, {TIME_S: values}, columns, rows)
+    read = lambda fields, how: times_s(fields[recordings.TIME_S], how)  # noqa: E731
+    time_s, problems = each_of(read, {recordings.TIME_S: values}, columns, rows)
     column = pa.nulls(len(touches)) if time_s is None else pa.array(time_s, from_pandas=True)
-    return touches.with_problems(problems).with_said({TIME_S: column})
+    return touches.with_problems(problems).with_said({recordings.TIME_S: column})
 
 
-def _checked(touches: FoundTouches) -> FoundTouches:
+def _checked(touches: found_touches.FoundTouches) -> found_touches.FoundTouches:
     """Return all touches of a source with their numbers; images that are too large have a problem."""
     where = touches.where
-    is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], MAX_IMAGE_BYTES))
+    is_large = pc.and_(pc.equal(where["frames"], 0), pc.greater(where["size"], touch.MAX_IMAGE_BYTES))
     problems = {}
     for number in np.flatnonzero(is_large.to_numpy()).tolist():
-        found = f"{where['size'][number].as_py():,} bytes; the limit is {MAX_IMAGE_BYTES:,}"
-        problems[number] = ItemError("image", found)
+        problems[number] = errors.ItemError(
+            "image", f"{where['size'][number].as_py():,} bytes; the limit is {touch.MAX_IMAGE_BYTES:,}"
+        )
     return touches.with_problems(problems).with_where(number=np.arange(len(touches)))
 
 
-def said_of_whole(touches: FoundTouches, columns: ImportColumns) -> FoundTouches:
+def said_of_whole(
+    touches: found_touches.FoundTouches, columns: import_columns.ImportColumns
+) -> found_touches.FoundTouches:
     """Return clips whose label, round, object and split, where each picture has them, are those of the clip.
 
     A clip has a problem if they differ between its pictures.
     """
-    names = {columns.label, columns.round, columns.object_id, columns.split, NUMBERED}
+    names = {columns.label, columns.round, columns.object_id, columns.split, source_files.NUMBERED}
     for name in sorted(name for name in touches.per_frame.column_names if name in names):
-        lists = one_chunk(touches.per_frame[name])
+        lists = found_touches.one_chunk(touches.per_frame[name])
         entries, lengths = lists.flatten(), pc.list_value_length(lists).fill_null(0).to_numpy()
         starts = np.cumsum(lengths) - lengths
         codes = column_types.texts_of(entries).fill_null("").dictionary_encode().indices.to_numpy()
@@ -183,9 +196,12 @@ def said_of_whole(touches: FoundTouches, columns: ImportColumns) -> FoundTouches
             both = column_types.joined([stated, first])
             first = both.take(pa.array(np.where(has_own, 0, len(first)) + np.arange(len(first))))
         problems = {}
-        if name != NUMBERED:
-            found = f"{name!r} differs between the pictures of the clip"
-            error = ItemError("frames", f"{found}; expected one value (--cut frames has one each)")
+        if name != source_files.NUMBERED:
+            error = errors.ItemError(
+                "frames",
+                f"{name!r} differs between the pictures of the clip; "
+                "expected one value (--cut frames has one each)",
+            )
             problems = dict.fromkeys(np.flatnonzero(~is_one & ~has_own).tolist(), error)
         touches = touches.with_said({name: first}).with_problems(problems)
     return touches

@@ -8,12 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pyarrow as pa
 
-from realtouch.avi import write_avi
-from realtouch.contact_picture import ContactRule, contact_score, median_in_memory
-from realtouch.import_columns import ImportColumns
+from realtouch import avi, contact_picture, stored_images
+from realtouch.importing import found_touches, import_columns
 from realtouch.importing.fields import Fields, each_of, poses, positions, times_s
-from realtouch.importing.found_touches import FoundTouches
-from realtouch.stored_images import as_jpeg
 from tactile_toolkit.array_types import Float64, Int64, UInt8
 from tactile_toolkit.errors import ItemError
 from tactile_toolkit.touch import decode_image, is_jpeg
@@ -46,11 +43,11 @@ class ImportedClip:
 
 
 def clip_of(
-    touches: FoundTouches,
+    touches: found_touches.FoundTouches,
     row: int,
     pictures: Sequence[bytes],
     size: tuple[int, int],
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
 ) -> ImportedClip:
     """Return a clip of pictures that are intact and of one size (height, width).
 
@@ -70,17 +67,19 @@ def clip_of(
         notes.append("pictures encoded as JPEG")
     step_s = float(np.median(np.diff(time_s))) if len(pictures) > 1 else 0.0
     fps = min(max(1 / step_s, _RATES[0]), _RATES[1]) if step_s > 0 else FRAMES_PER_SECOND
-    jpegs, contact = list(map(as_jpeg, pictures)), touches.where["contact"][row].as_py()
+    jpegs, contact = list(map(stored_images.as_jpeg, pictures)), touches.where["contact"][row].as_py()
     if contact is None:  # by the pictures that are stored, so that a copy has the same
         contact, is_found = contact_by_pictures(jpegs, size)
         notes.append("contact found by the pictures" if is_found else "no contact found: the best picture")
     height, width = size
-    video = write_avi(jpegs, width, height, fps)
+    video = avi.write_avi(jpegs, width, height, fps)
     time_us = np.round(time_s * 1e6).astype(np.int64)
     return ImportedClip(video, time_us, (contact[0], contact[1]), position, turns, tuple(notes))
 
 
-def clip_times_s(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64 | None:
+def clip_times_s(
+    touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+) -> Float64 | None:
     """Return the time of each picture from the first one, seconds, shape (frames,); None if none are known.
 
     Raises ItemError for times that run back, or last longer than any clip does.
@@ -100,28 +99,35 @@ def clip_times_s(touches: FoundTouches, row: int, columns: ImportColumns) -> Flo
             "time", f"time runs back at picture {int((steps < 0).argmax()) + 1}; expected times that rise"
         )
     if count and from_first[-1] > _LONGEST_S:
-        problem = f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
-        raise ItemError("time", problem)
+        raise ItemError(
+            "time", f"a clip of {from_first[-1]:g} s; expected seconds (--time-unit states another unit)"
+        )
     return from_first
 
 
-def clip_poses(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64:
-    """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for what is none."""
+def clip_poses(
+    touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+) -> Float64:
+    """Return the pose at each picture, shape (frames, 7); ItemError, with the picture, for invalid ones."""
     found = _each_picture(poses, touches, row, columns, columns.pose or ())
     return np.repeat(found, touches.where["frames"][row].as_py() // len(found), axis=0)
 
 
-def clip_position(touches: FoundTouches, row: int, columns: ImportColumns) -> Float64:
+def clip_position(
+    touches: found_touches.FoundTouches, row: int, columns: import_columns.ImportColumns
+) -> Float64:
     """Return the intended position, shape (2,); ItemError unless it is the same for all pictures."""
     place = _each_picture(positions, touches, row, columns, columns.position or ())
     if np.ptp(place, axis=0).max() > _SAME_M:
-        problem = "it differs between the pictures of the clip; expected one (--map position= leaves it out)"
-        raise ItemError("position", problem)
+        raise ItemError(
+            "position",
+            "it differs between the pictures of the clip; expected one (--map position= leaves it out)",
+        )
     first: Float64 = place[0]
     return first
 
 
-def _of_frames(touches: FoundTouches, row: int, name: str) -> pa.Array | None:
+def _of_frames(touches: found_touches.FoundTouches, row: int, name: str) -> pa.Array | None:
     """Return what is said of each picture of a clip; None if it is not said of pictures."""
     if name not in touches.per_frame.column_names:
         return None
@@ -130,10 +136,10 @@ def _of_frames(touches: FoundTouches, row: int, name: str) -> pa.Array | None:
 
 
 def _each_picture(
-    read: Callable[[Fields, ImportColumns], Float64],
-    touches: FoundTouches,
+    read: Callable[[Fields, import_columns.ImportColumns], Float64],
+    touches: found_touches.FoundTouches,
     row: int,
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
     names: Sequence[str],
 ) -> Float64:
     """Read columns with an entry for each picture, or for the clip if none has more; raises ItemError."""
@@ -153,14 +159,14 @@ def _each_picture(
 
 
 def contact_by_pictures(
-    pictures: Sequence[bytes], size: tuple[int, int], rule: ContactRule | None = None
+    pictures: Sequence[bytes], size: tuple[int, int], rule: contact_picture.ContactRule | None = None
 ) -> tuple[tuple[int, int], bool]:
     """Return the first and last picture that show contact, and True; else the best picture, and False.
 
     The background is the median of the clip: of 64 of its pictures at most, spread evenly over all of it, so
     that a long clip takes little time and memory. Raises ItemError for a damaged picture.
     """
-    rule = rule or ContactRule()
+    rule = rule or contact_picture.ContactRule()
     rows, columns = rule.window(*size)
     whole = replace(rule, crop=1.0)
     height, width = rows.stop - rows.start, columns.stop - columns.start
@@ -173,9 +179,9 @@ def contact_by_pictures(
         return made
 
     try:
-        base = median_in_memory(decoded(pictures[:: -(-len(pictures) // most)]))
+        base = contact_picture.median_in_memory(decoded(pictures[:: -(-len(pictures) // most)]))
         scores = [
-            contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, whole)
+            contact_picture.contact_score(decoded(pictures[start : start + _SCORED_AT_ONCE]), base, whole)
             for start in range(0, len(pictures), _SCORED_AT_ONCE)
         ]
     except ValueError as error:

@@ -8,10 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import pyarrow as pa
 
-from realtouch.import_columns import ImportColumns
+from realtouch.importing import found_touches, import_columns, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.importing.found_touches import FoundTouches, one_chunk
-from realtouch.importing.imported_clips import ImportedClip
 from realtouch.schema import POSE_COLUMN, extra_columns
 from tactile_toolkit.array_types import AnyArray, Float64, Int64
 from tactile_toolkit.touch import MEDIA_COLUMN, MEDIA_TYPE, Kind, with_features
@@ -22,22 +20,24 @@ _WIDTHS = {"position": 3, "quaternion": 4}
 
 @dataclass(frozen=True, eq=False)
 class StoredTouches:
-    """Touches of whole rounds as they are stored, an entry for each; what no column states is empty.
+    """Touches of whole rounds as they are stored, an entry for each; empty without a column.
 
     ``positions`` have the shape (n, 2), ``poses`` (n, 7), or of clips (all pictures, 7). ``media`` are images
     or clips.
     """
 
-    touches: FoundTouches
+    touches: found_touches.FoundTouches
     labels: Int64
     objects: Int64
     positions: Float64
     poses: Float64
     media: Sequence[bytes]
-    clips: Sequence[ImportedClip]
+    clips: Sequence[imported_clips.ImportedClip]
 
 
-def touch_schema(columns: ImportColumns, names: Sequence[str], touches: FoundTouches) -> pa.Schema:
+def touch_schema(
+    columns: import_columns.ImportColumns, names: Sequence[str], touches: found_touches.FoundTouches
+) -> pa.Schema:
     """Return the schema of imported rounds with the known columns: of clips, or of single images."""
     kind: Kind = "seq" if touches.has_clips else "single"
     known: dict[str, pa.DataType] = {}
@@ -68,9 +68,9 @@ def extras_in(schema: pa.Schema) -> dict[str, pa.DataType]:
     return {name: schema.field(name).type.value_type for name in extra_columns(schema.names).values()}
 
 
-def table_of(stored: StoredTouches, columns: ImportColumns, schema: pa.Schema) -> pa.Table:
+def table_of(stored: StoredTouches, columns: import_columns.ImportColumns, schema: pa.Schema) -> pa.Table:
     """Return touches of whole rounds, one round after the other, as rows."""
-    rounds = one_chunk(stored.touches.where["round"])
+    rounds = found_touches.one_chunk(stored.touches.where["round"])
     codes = rounds.dictionary_encode().indices.to_numpy()
     starts = np.flatnonzero(np.diff(codes, prepend=-1))
     made: dict[str, pa.Array] = {
@@ -107,7 +107,7 @@ def _media_and_poses(stored: StoredTouches, schema: pa.Schema) -> dict[str, pa.A
     return made
 
 
-def _clip_times(clips: Sequence[ImportedClip]) -> Mapping[str, pa.Array]:
+def _clip_times(clips: Sequence[imported_clips.ImportedClip]) -> Mapping[str, pa.Array]:
     """Return the columns of times of clips, an entry a clip."""
     time_us = np.concatenate([np.empty(0, np.int64), *(clip.time_us for clip in clips)])
     lengths = [len(clip.time_us) for clip in clips]

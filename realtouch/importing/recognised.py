@@ -9,14 +9,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import IO, NamedTuple
 
-from realtouch.importing.formats import IMPORTS
-from realtouch.importing.source_files import IMAGE_ENDINGS, source_of
-from realtouch.kind import KIND
-from realtouch.video_files import VIDEO_ENDINGS, demuxer_of, read_start
-from tactile_toolkit import places, store
-from tactile_toolkit.column_tables import COLUMN_TABLE_ENDINGS
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.text_tables import TABLE_ENDINGS
+from realtouch import kind, video_files
+from realtouch.importing import formats, source_files
+from tactile_toolkit import column_tables, errors, places, store, text_tables
 
 _MOST_LOOKED_AT = 20_000
 _MOST_FOLDERS = 200
@@ -57,10 +52,10 @@ _MARKS: tuple[tuple[str, Callable[[str], object]], ...] = (
     ("sparsh", re.compile(r"^(\w+/)?[^/]+\.pkl\Z").search),
     ("webdataset", re.compile(r"^[^/]+\.tar\Z", re.IGNORECASE).search),
     ("hdf5", _ends(".h5", ".hdf5")),
-    ("video", _ends(*VIDEO_ENDINGS)),
-    ("folder", _ends(*(f".{ending}" for ending in IMAGE_ENDINGS))),
+    ("video", _ends(*video_files.VIDEO_ENDINGS)),
+    ("folder", _ends(*(f".{ending}" for ending in source_files.IMAGE_ENDINGS))),
     ("flat", _ends(".parquet")),
-    ("folder", _ends(*TABLE_ENDINGS, ".jsonl")),
+    ("folder", _ends(*text_tables.TABLE_ENDINGS, ".jsonl")),
 )
 # Formats of which others are a part: videos and Parquet of LeRobot, a table of poses beside a video.
 _PARTS = {
@@ -70,7 +65,7 @@ _PARTS = {
     "fota": {"webdataset"},
     "sparsh": {"folder"},
 }
-_TABLES = _ends(*COLUMN_TABLE_ENDINGS)
+_TABLES = _ends(*column_tables.COLUMN_TABLE_ENDINGS)
 
 
 def recognised(place: str) -> Recognised:
@@ -97,24 +92,26 @@ def recognised(place: str) -> Recognised:
         found = {layout: first for layout, first in found.items() if not _TABLES(first)} or found
     if not found:
         shown = ", ".join(paths[:_SHOWN]) or "nothing"
-        raise InputError(
+        raise errors.InputError(
             f"{place!r} holds no recordings of a format that is known (found {shown})",
-            next=f"name the format with --format: {', '.join(IMPORTS)}",
+            next=f"name the format with --format: {', '.join(formats.IMPORTS)}",
         )
     if len(found) > 1:
         words = ", ".join(f"{layout} ({first})" for layout, first in found.items())
-        raise InputError(f"{place!r} may be read in several formats: {words}", next="name one with --format")
+        raise errors.InputError(
+            f"{place!r} may be read in several formats: {words}", next="name one with --format"
+        )
     ((layout, first),) = found.items()
     return Recognised(layout, first)
 
 
 def _of_file(place: str) -> Recognised:
-    folder, name = source_of(place)
+    folder, name = source_files.source_of(place)
     with store.open_inside(folder, name) as stream:
-        head = read_start(stream)
+        head = video_files.read_start(stream)
         if head.startswith(_ZIP) and _is_oxt(stream):
             return Recognised("oxt", name)
-    if demuxer_of(head):
+    if video_files.demuxer_of(head):
         return Recognised("video", name)
     for layout, marks in _BEGINNINGS.items():
         if any(head[at : at + len(mark)] == mark for at, mark in marks):
@@ -122,7 +119,7 @@ def _of_file(place: str) -> Recognised:
     found = "is empty"
     if head:
         found = f"begins with {head[:8].hex(' ')}"
-    raise InputError(
+    raise errors.InputError(
         f"{place!r} {found}; expected a video, a tar, or a file of Parquet, HDF5 or Zarr",
         next="give its folder, with --table for a table; or name the format with --format",
     )
@@ -138,9 +135,9 @@ def _of_export(home: store.DataFolder) -> Recognised | None:
     """Return the format of what this toolkit exported, as its manifest states."""
     if store.manifest_so_far(home) is None:
         return None
-    place = places.folder_place(home).require(KIND, "import")
+    place = places.folder_place(home).require(kind.KIND, "import")
     if place.spec.get("operation") not in ("export", "frames"):
-        raise InputError(
+        raise errors.InputError(
             f"{home.address()!r} is a data set already; it needs no import",
             next="open it with `realtouch.load`",
         )

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pyarrow as pa
 
 from realtouch.avi import MAX_CLIP_FRAMES
-from realtouch.importing.found_touches import FoundTouches, Place
-from tactile_toolkit import column_types
+from realtouch.importing.found_touches import FoundTouches, PicturePlace
+from tactile_toolkit import column_types, errors, wording
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import ItemError
-from tactile_toolkit.wording import with_count
 
 CUTS = ("frames", "whole", "contact")
 """How recordings become touches: each picture, the whole, or what is found by contact; or a table says."""
@@ -38,8 +35,8 @@ class Clip:
     stop: int
     name: str
     contact: tuple[int, int] | None = None
-    problem: ItemError | None = None
-    said: Mapping[str, Any] = field(default_factory=dict)
+    problem: errors.ItemError | None = None
+    said: Mapping[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,35 +85,35 @@ class Recording:
     values: Mapping[str, object] = field(default_factory=dict)
     per_frame: Mapping[str, pa.Array] = field(default_factory=dict)
     time_s: Float64 | None = None
-    problem: ItemError | None = None
+    problem: errors.ItemError | None = None
     round: str = ""
     cut: str = ""
     contact: tuple[int, int] | None = None
     left_out: tuple[str, ...] = ()
 
-    def place(self, start: int, stop: int) -> Place:
+    def place(self, start: int, stop: int) -> PicturePlace:
         """Return where some of its pictures are."""
         size, count = self.frame_bytes * (stop - start), stop - start
-        return Place(self.home, self.path, self.part, self.first + start, size, count)
+        return PicturePlace(self.home, self.path, self.part, self.first + start, size, count)
 
     def checked(self) -> Recording:
         """Return the recording, with a problem if it has no picture, or times that run back."""
         problem = self.problem
         if problem is None and not self.frames:
-            problem = ItemError("empty", "the recording has no picture")
+            problem = errors.ItemError("empty", "the recording has no picture")
         if problem is None and self.time_s is not None and len(self.time_s) != self.frames:
-            found = f"{with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
-            problem = ItemError("time", f"{found}; expected one for each")
+            found = f"{wording.with_count(len(self.time_s), 'times')} of {self.frames:,} pictures"
+            problem = errors.ItemError("time", f"{found}; expected one for each")
         elif problem is None and self.time_s is not None:
             is_later = np.diff(self.time_s) >= 0  # False for NaN
             if not is_later.all():
                 number = int(is_later.argmin()) + 1
                 before, after = self.time_s[number - 1 : number + 1].tolist()
                 found = f"picture {number:,} was taken at {after:g} s, the one before it at {before:g} s"
-                problem = ItemError("times", f"{found}; expected times that rise")
+                problem = errors.ItemError("times", f"{found}; expected times that rise")
         return replace(self, problem=problem)
 
-    def unusable(self, problem: ItemError | None, name: str = "") -> Clip:
+    def unusable(self, problem: errors.ItemError | None, name: str = "") -> Clip:
         """Return a clip for all that cannot be used, for one line in the list."""
         return Clip(0, min(self.frames, 1), name or self.name, problem=problem)
 
@@ -128,8 +125,14 @@ class Recording:
         rows = np.concatenate([np.arange(clip.start, clip.stop) for clip in clips])
         problems = {number: clip.problem for number, clip in enumerate(clips) if clip.problem is not None}
         for number in np.flatnonzero(counts > MAX_CLIP_FRAMES).tolist():
-            found = f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}"
-            problems.setdefault(number, ItemError("length", found, next=_SHORTER))
+            problems.setdefault(
+                number,
+                errors.ItemError(
+                    "length",
+                    f"a clip of {counts[number]:,} pictures; the limit is {MAX_CLIP_FRAMES:,}",
+                    next=_SHORTER,
+                ),
+            )
         said = self._said(self.round or self.name, len(clips))
         for name in dict.fromkeys(name for clip in clips for name in clip.said):
             whole = self.values.get(name)

@@ -2,24 +2,22 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from functools import cache, partial
 from itertools import chain, groupby
-from operator import attrgetter
-from typing import IO, Any, NamedTuple
+from typing import IO, NamedTuple
 
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute as pc
 
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.found_touches import FoundTouches, Place
-from tactile_toolkit import column_types, run, store
-from tactile_toolkit.column_tables import TYPED_ENDINGS, ColumnTable
-from tactile_toolkit.errors import InputError, IntegrityError, ItemError
-from tactile_toolkit.text_tables import read_text_table
-from tactile_toolkit.wording import did_you_mean
+from realtouch.importing import found_touches, import_columns
+from tactile_toolkit import column_tables, column_types, errors, run, store, text_tables, wording
+from tactile_toolkit.json_types import JsonDict
 
 IMAGE_ENDINGS = ("jpg", "jpeg", "png", "webp")
 
@@ -30,6 +28,7 @@ NUMBERED = "label"
 _FAR_READERS = 16
 _HERE = re.compile(r"^(?:\./+)+")
 _MOST_LINES = 1 << 21  # of a table of touches
+_VECTOR = r"^\[[-+.,0-9eE \[\]nulNa]*\]$"  # of numbers, NaN or null, in JSON
 _DIGITS = re.compile(r"([0-9]{1,18})")
 
 
@@ -56,8 +55,8 @@ def open_source(folder: store.DataFolder, name: str) -> IO[bytes]:
     """Open a table or archive of a source; InputError, which names it, if it cannot be read."""
     try:
         return store.open_inside(folder, name)
-    except ItemError as error:
-        raise InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
+    except errors.ItemError as error:
+        raise errors.InputError(f"{folder.address(name)!r} cannot be read: {error.what}") from error
 
 
 def visible_files(home: store.DataFolder, endings: str | tuple[str, ...]) -> list[str]:
@@ -70,17 +69,18 @@ def natural_order(path: str) -> list[tuple[int, str]]:
     return [(int(each), "") if each.isdecimal() else (-1, each) for each in _DIGITS.split(path)]
 
 
-def column_table(folder: store.DataFolder, name: str) -> ColumnTable:
+def column_table(folder: store.DataFolder, name: str) -> column_tables.ColumnTable:
     """Return a table that is read in passes; IntegrityError if it is another one in a later pass."""
     place, version = folder.address(name), folder.version(name)
 
     def opened() -> IO[bytes]:
         if folder.version(name) != version:
-            problem = "was replaced or changed while it was read"
-            raise IntegrityError(f"{place!r} {problem}", next="run the same command again")
+            raise errors.IntegrityError(
+                f"{place!r} was replaced or changed while it was read", next="run the same command again"
+            )
         return open_source(folder, name)
 
-    return ColumnTable(place, opened)
+    return column_tables.ColumnTable(place, opened)
 
 
 class SourceTable(NamedTuple):
@@ -91,41 +91,44 @@ class SourceTable(NamedTuple):
     rows: int
     too_long: frozenset[int] = frozenset()
 
-    def problem(self, row: int) -> ItemError | None:
+    def problem(self, row: int) -> errors.ItemError | None:
         """Return what is wrong with a row."""
         if row not in self.too_long:
             return None
-        return ItemError("columns", "the line has more values than the table has columns")
+        return errors.ItemError("columns", "the line has more values than the table has columns")
 
     def texts(self, name: str) -> list[str]:
         """Return a column as text; empty where nothing is said."""
         found: list[str] = column_types.texts_of(self.columns[name]).fill_null("").to_pylist()
         return found
 
-    def values(self, row: int) -> dict[str, Any]:
+    def values(self, row: int) -> JsonDict:
         """Return what a row says."""
         return {name: column[row].as_py() for name, column in self.columns.items()}
 
 
 @store.without_collecting()
 def read_table(
-    folder: store.DataFolder, name: str, columns: ImportColumns, names: Iterable[str | None] = ()
+    folder: store.DataFolder,
+    name: str,
+    columns: import_columns.ImportColumns,
+    names: Iterable[str | None] = (),
 ) -> SourceTable:
     """Read a table; InputError if it cannot be read.
 
     Of text tables, what columns name, such as labels and rounds, stays text, and so does what is in
-    ``names``; other columns have types.
+    ``names``; other columns have types, and lists of numbers in brackets are vectors.
     """
-    if name.lower().endswith(TYPED_ENDINGS):
+    if name.lower().endswith(column_tables.TYPED_ENDINGS):
         table = column_table(folder, name)
         rows, _ = table.scan()
         if rows > _MOST_LINES:
-            raise InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
+            raise errors.InputError(f"{table.path!r} has {rows:,} rows; expected at most {_MOST_LINES:,}")
         found = table.rows(np.arange(rows)) if rows else pa.table({})
         typed = {each: column_types.from_arrow(found[each]) for each in found.column_names}
         return SourceTable(table.names, typed, rows)
     with open_source(folder, name) as stream:
-        text = read_text_table(stream.read(), folder.address(name))
+        text = text_tables.read_text_table(stream.read(), folder.address(name))
     known, commas = columns.found_in(text.names), text.separator != ","
     kept = {NUMBERED, known.label, known.round, known.object_id, known.split, *names}
     numbers = {*(known.position or ()), *(known.pose or ()), known.time}
@@ -133,11 +136,20 @@ def read_table(
     for each, values in zip(text.names, text.columns(), strict=True):
         column = column_types.without_blanks(pa.array(values, pa.string()))
         if each not in kept:
-            column = column_types.from_text(column, decimal_commas=commas)
+            column = _vectors_in(column_types.from_text(column, decimal_commas=commas))
         if each in numbers and pa.types.is_string(column.type):  # a value is wrong, but others are not
             column = column_types.words_of(column, decimal_commas=commas)
         made[each] = column
     return SourceTable(text.names, made, len(text.rows), frozenset(text.too_long()))
+
+
+def _vectors_in(column: pa.Array) -> pa.Array:
+    """Return a column of text as vectors if each text is one, as in CSV of others: ``[1.5, 2]``."""
+    if not pa.types.is_string(column.type) or not pc.all(pc.match_substring_regex(column, _VECTOR)).as_py():
+        return column
+    with suppress(ValueError):
+        return column_types.from_values([text and json.loads(text) for text in column.to_pylist()])
+    return column
 
 
 def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> None:
@@ -145,10 +157,10 @@ def require_columns(known: Sequence[str], wanted: Iterable[str], where: str) -> 
     for name in wanted:
         count = known.count(name)
         if count != 1:
-            found = f"{count} columns {name!r}; expected one"
+            found = f"{wording.with_count(count, 'columns')} {name!r}; expected one"
             if not count:
-                found = f"no column {name!r}{did_you_mean(name, known)}"
-            raise InputError(
+                found = f"no column {name!r}{wording.did_you_mean(name, known)}"
+            raise errors.InputError(
                 f"{where!r} has {found}; found {', '.join(known) or 'none'}",
                 next="name the column with --map, such as --map image=COLUMN for the pictures",
             )
@@ -158,8 +170,8 @@ def image_files(
     home: store.DataFolder,
     paths: Sequence[str],
     said: Mapping[str, pa.Array],
-    problems: Mapping[int, ItemError] | None = None,
-) -> FoundTouches:
+    problems: Mapping[int, errors.ItemError] | None = None,
+) -> found_touches.FoundTouches:
     """Return a touch for each path of an image; a missing file is the touch's problem.
 
     Folders are listed once: an image is opened, and checked, when it is imported.
@@ -169,31 +181,31 @@ def image_files(
         parent, _, base = path.rpartition("/")
         named = store.problem_of_name(path)
         if named:
-            wrong[number] = ItemError("name", f"the name {named}; expected a path below the folder")
+            wrong[number] = errors.ItemError("name", f"the name {named}; expected a path below the folder")
             continue
         try:
             size = found(parent).get(base, -1)
-        except InputError:  # of a folder that may not be listed
+        except errors.InputError:  # of a folder that may not be listed
             size = 0
         if size == -1:
-            wrong[number] = ItemError("missing", "the file does not exist")
+            wrong[number] = errors.ItemError("missing", "the file does not exist")
         else:
             sizes[number] = size or 0  # of what is no file; it says so where it is read
     # A name that is not Unicode is a problem already; here it is shown.
     shown = [path.encode(errors="backslashreplace").decode() for path in paths]
-    return FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
+    return found_touches.FoundTouches.of(shown, home.address(), shown, said, problems=wrong, size=sizes)
 
 
-ReadContents = Callable[[Iterable[Place]], Iterator[bytes | ItemError]]
+ReadContents = Callable[[Iterable[found_touches.PicturePlace]], Iterator[bytes | errors.ItemError]]
 """Yields the bytes of the pictures of each place, in order, or why one cannot be read."""
 
 
-def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
+def contents_of(places: Iterable[found_touches.PicturePlace]) -> Iterator[bytes | errors.ItemError]:
     """Yield the bytes of each image, in order, or why it cannot be read.
 
     A tar is opened once for all that follow each other in it.
     """
-    groups = (tuple(group) for _, group in groupby(places, key=attrgetter("file")))
+    groups = (tuple(group) for _, group in groupby(places, key=lambda place: place.file))
     first = next(groups, None)
     if first is None:
         return
@@ -204,9 +216,10 @@ def contents_of(places: Iterable[Place]) -> Iterator[bytes | ItemError]:
 
 
 def _contents(
-    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]], places: Sequence[Place]
-) -> list[bytes | ItemError]:
-    found: list[Any] = []
+    open_folder: Callable[[str], tuple[store.DataFolder, set[str]]],
+    places: Sequence[found_touches.PicturePlace],
+) -> list[bytes | errors.ItemError]:
+    found: list[bytes | errors.ItemError] = []
     try:
         folder, known = open_folder(places[0].home)
         if len(places) == 1 and not places[0].start:
@@ -216,10 +229,11 @@ def _contents(
             for place in places:
                 if place.start != at:
                     stream.seek(place.start)
-                found.append(stream.read(place.size))
-                at = place.start + len(found[-1])
-    except ItemError as error:
+                content = stream.read(place.size)
+                found.append(content)
+                at = place.start + len(content)
+    except errors.ItemError as error:
         found += [error] * (len(places) - len(found))
-    except (OSError, InputError):  # what they say differs between systems
-        found += [ItemError("image", "the file cannot be read")] * (len(places) - len(found))
+    except (OSError, errors.InputError):  # what they say differs between systems
+        found += [errors.ItemError("image", "the file cannot be read")] * (len(places) - len(found))
     return found

@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from pathlib import PurePosixPath
 
 import numpy as np
 import pyarrow as pa
 
-from realtouch.alignment_options import Alignment
-from realtouch.import_columns import ImportColumns
-from realtouch.importing.fields import times_s
-from realtouch.importing.found_touches import one_chunk
-from realtouch.importing.recordings import Recording
-from realtouch.importing.source_files import source_of
-from realtouch.importing.stream_tables import Stream, open_stream, tables_by_stem
-from tactile_toolkit import column_types, store
-from tactile_toolkit.alignment import Neighbours
+from realtouch.importing import fields, found_touches, import_columns, recordings, source_files
+from realtouch.touch_options import Alignment
+from tactile_toolkit import alignment, column_tables, column_types, errors, store, units
 from tactile_toolkit.array_types import Float64
-from tactile_toolkit.errors import InputError, ItemError
-from tactile_toolkit.units import PER_RADIAN, TURN, stated_unit
+
+TIME_NAMES = ("time", "times", "timestamp", "timestamps", "time_stamp", "t", "stamp")
+"""Names of columns of times, with or without a unit, such as ``time_ms``, where none is named."""
+
+_JOINTS = "._"  # between the name of a recording and that of a stream
+
 
 StreamReport = tuple[str, ...]
 """How a stream fits to a recording, a row below :data:`STREAM_HEADER`."""
@@ -33,6 +31,128 @@ _NO_CLOCK: StreamReport = ("0", "0", "", "", "", "")  # of a stream with a row f
 _NO_STREAM = "; if the table is no stream of this recording, give it another name"
 _FLOATS = (pa.float64(), pa.list_(pa.float64()))
 _NUMBERS = (pa.float64(), pa.int64())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A table with a row for each sample, or for each picture of a recording.
+
+    Attributes
+    ----------
+    name : str
+        What the summary calls it, and columns whose names are taken.
+    place : str
+        Its address, for messages.
+    table : ColumnTable
+        What is read again for the samples that are used.
+    rows : int
+        Number of rows.
+    time_column : str
+        Column of times; empty if a row is a picture.
+    time_s : ndarray of float64, shape (rows,), or None
+        Times of samples, seconds; none is earlier than the one before. Of samples of one time, the first
+        counts.
+    """
+
+    name: str
+    place: str
+    table: column_tables.ColumnTable = field(repr=False)
+    rows: int
+    time_column: str = ""
+    time_s: Float64 | None = field(default=None, repr=False)
+
+
+def open_stream(
+    folder: store.DataFolder, name: str, columns: import_columns.ImportColumns, stem: str = ""
+) -> Stream:
+    """Read the times of a table.
+
+    Parameters
+    ----------
+    folder, name
+        Where it is; its format follows from its ending.
+    columns : ImportColumns
+        ``time`` is the column of times, if the table has it; if empty, a row is a picture. Else it is the
+        only column that is called as in :data:`TIME_NAMES`. ``time_unit`` is the unit of one whose name does
+        not end in one; seconds by default, which integers must state.
+    stem : str, optional
+        Beginning of the file name that is not part of the name of the stream.
+
+    Raises
+    ------
+    InputError
+        The table cannot be read, has no rows, several columns of times, or times that are missing, run back
+        or have no known unit.
+    """
+    place = folder.address(name)
+    table = source_files.column_table(folder, name)
+    column = _time_column(table.names, columns.time, place)
+    rows, values = table.scan(column)
+    if not rows:
+        raise errors.InputError(f"{place!r} has no rows; expected a row for each sample")
+    whole = PurePosixPath(name).stem
+    shown = whole.removeprefix(stem).lstrip(_JOINTS) or whole
+    if not column:
+        return Stream(shown, place, table, rows)
+    return Stream(shown, place, table, rows, column, _seconds(values, column, columns.time_unit, place))
+
+
+def _time_column(names: Sequence[str], time: str | None, place: str) -> str:
+    if time is not None and (not time or time in names):
+        return time
+    # Only a unit of time is taken off: a column `t_mm` is no time.
+    known = {name for base in TIME_NAMES for name in (base, *(f"{base}_{unit}" for unit in units.PER_SECOND))}
+    found = [name for name in names if name.lower() in known]
+    if len(found) > 1:
+        raise errors.InputError(
+            f"{place!r} has several columns of times: {', '.join(found)}",
+            next="name one: `--map time=COLUMN`",
+        )
+    return found[0] if found else ""
+
+
+def _seconds(values: pa.Array, column: str, given: str | None, place: str) -> Float64:
+    """Return times in seconds, which do not run back; those with a date count from 1970, UTC."""
+    what, stated = f"{place!r}: the times {column!r}", units.stated_unit(column)
+    if pa.types.is_integer(values.type) and not (stated or given):
+        raise errors.InputError(
+            f"{what} are integers, whose unit is not known",
+            next=f"add --time-unit {', '.join(units.PER_SECOND)}, or end the name of the column in the unit",
+        )
+    try:
+        found = fields.times_s(
+            values, import_columns.ImportColumns(time=column, time_unit=None if stated else given)
+        )
+    except errors.ItemError as error:
+        raise errors.InputError(f"{what}: {error.what}") from error
+    back = np.flatnonzero(np.diff(found) < 0)
+    if len(back):
+        row = int(back[0])
+        raise errors.InputError(
+            f"{place!r}: the time runs back, from {found[row]:.6f} s in row {row + 1:,} to "
+            f"{found[row + 1]:.6f} s in row {row + 2:,}; expected times that rise",
+            next="sort the rows, or divide the table where the clock was set",
+        )
+    return found
+
+
+def tables_by_stem(names: Iterable[str]) -> dict[str, list[str]]:
+    """Return the tables of a folder that belong to each of its other files, by their names without endings.
+
+    ``take1.csv``, ``take1.force.csv`` and ``take1_force.csv`` belong to ``take1.mp4``, unless a longer name
+    fits as well, such as that of ``take1_force.mp4``.
+    """
+    seen = [name for name in names if not store.is_hidden(name)]
+    tables = [name for name in seen if name.lower().endswith(column_tables.COLUMN_TABLE_ENDINGS)]
+    stems = {PurePosixPath(name).stem for name in {*seen} - {*tables}}
+    found: dict[str, list[str]] = {}
+    for name in sorted(tables):
+        whole = PurePosixPath(name).stem
+        fitting = [end for end in range(len(whole), 0, -1) if whole[end:][:1] in _JOINTS]
+        owner = next((whole[:end] for end in fitting if whole[:end] in stems), None)
+        if owner is not None:
+            found.setdefault(owner, []).append(name)
+    return found
 
 
 class Aligner:
@@ -67,17 +187,17 @@ class Aligner:
         self,
         named: Sequence[str],
         how: Alignment | None,
-        columns: ImportColumns,
+        columns: import_columns.ImportColumns,
         no_streams: Collection[str] = (),
     ) -> None:
         self.reports: list[StreamReport] = []
         self._how, self._columns = how or Alignment(), columns
-        self._named = [open_stream(*source_of(path), columns) for path in named]
+        self._named = [open_stream(*source_files.source_of(path), columns) for path in named]
         self.times = {stream.time_column for stream in self._named}
         self._no_streams = {_address(path) for path in (*named, *no_streams)}
-        self._beside = cache(_tables_in)
+        self._beside = cache(lambda home, folder: tables_by_stem(store.open_folder(home).entries(folder)))
 
-    def aligned(self, recording: Recording) -> Recording:
+    def aligned(self, recording: recordings.Recording) -> recordings.Recording:
         """Return a recording with the columns of its streams, and with the times that a column states.
 
         Tables beside it that do not fit are its problem. InputError: a stream that was named does not fit.
@@ -89,21 +209,21 @@ class Aligner:
             beside = self._streams_beside(recording)
             self.times |= {stream.time_column for stream in beside}
             found, reports = with_streams(recording, beside, self._how, self._columns)
-        except ItemError as error:
+        except errors.ItemError as error:
             return replace(recording, problem=error)
-        except InputError as error:
-            return replace(recording, problem=ItemError("stream", f"{error.message}{_NO_STREAM}"))
+        except errors.InputError as error:
+            return replace(recording, problem=errors.ItemError("stream", f"{error.message}{_NO_STREAM}"))
         found, of_named = with_streams(found, self._named, self._how, self._columns)
         self.reports += [*reports, *of_named]
         return found
 
-    def _timed(self, recording: Recording) -> Recording:
+    def _timed(self, recording: recordings.Recording) -> recordings.Recording:
         time = self._columns.time
         if not time or time not in recording.per_frame:
             return recording
-        return replace(recording, time_s=times_s(recording.per_frame[time], self._columns))
+        return replace(recording, time_s=fields.times_s(recording.per_frame[time], self._columns))
 
-    def _streams_beside(self, recording: Recording) -> list[Stream]:
+    def _streams_beside(self, recording: recordings.Recording) -> list[Stream]:
         path = PurePosixPath(recording.path)
         folder = "" if str(path.parent) == "." else str(path.parent)
         home = store.open_folder(recording.home)
@@ -117,17 +237,16 @@ class Aligner:
 
 
 def _address(path: str) -> str:
-    home, name = source_of(path)
+    home, name = source_files.source_of(path)
     return home.address(name)
 
 
-def _tables_in(home: str, folder: str) -> dict[str, list[str]]:
-    return tables_by_stem(store.open_folder(home).entries(folder))
-
-
 def with_streams(
-    recording: Recording, streams: Sequence[Stream], how: Alignment, columns: ImportColumns
-) -> tuple[Recording, list[StreamReport]]:
+    recording: recordings.Recording,
+    streams: Sequence[Stream],
+    how: Alignment,
+    columns: import_columns.ImportColumns,
+) -> tuple[recordings.Recording, list[StreamReport]]:
     """Add the columns of streams to what is said of each picture.
 
     Parameters
@@ -168,11 +287,11 @@ def with_streams(
     return recording, reports
 
 
-def _by_row(recording: Recording, stream: Stream) -> dict[str, pa.Array]:
+def _by_row(recording: recordings.Recording, stream: Stream) -> dict[str, pa.Array]:
     """Take a row for each picture."""
     if stream.rows != recording.frames:
         which = "the table" if stream.time_s is None else "the recording"
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r} has {stream.rows:,} rows, the recording {recording.name!r} "
             f"{recording.frames:,} pictures; expected as many, as {which} has no times",
             next="name the column of times (`--map time=COLUMN`), or give a row for each picture",
@@ -181,31 +300,31 @@ def _by_row(recording: Recording, stream: Stream) -> dict[str, pa.Array]:
 
 
 def _by_time(
-    recording: Recording,
+    recording: recordings.Recording,
     stream: Stream,
     time_s: Float64,
     sample_s: Float64,
     how: Alignment,
-    columns: ImportColumns,
+    columns: import_columns.ImportColumns,
 ) -> tuple[dict[str, pa.Array], StreamReport]:
     """Align a stream to the times of the pictures, both in seconds."""
     if sample_s[0] > time_s[-1] or time_s[0] > sample_s[-1]:
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r} lasts from {sample_s[0]:.3f} to {sample_s[-1]:.3f} s, the recording "
             f"{recording.name!r} from {time_s[0]:.3f} to {time_s[-1]:.3f} s; expected a common time",
             next="add --time-offset-s with the seconds to add to the times of the stream",
         )
     steps, max_gap_s = np.diff(sample_s), how.max_gap_ms * _PER_MS
-    around = Neighbours.of(time_s, sample_s, max_gap_s)
+    around = alignment.Neighbours.of(time_s, sample_s, max_gap_s)
     step_s = float(np.median(steps[steps > 0], overwrite_input=True)) if steps.any() else np.inf
     if around.missing.all():
-        raise InputError(
+        raise errors.InputError(
             f"{stream.place!r}: no picture of {recording.name!r} gets a value; there are {stream.rows:,} "
             f"samples, about {step_s:g} s apart, and the longest gap is {how.max_gap_ms:g} ms",
             next=f"check the unit of {stream.time_column!r} (`--time-unit`), or add a larger --max-gap-ms",
         )
     used = np.unique([around.before, around.after])
-    around = Neighbours.of(time_s, sample_s[used], max_gap_s)
+    around = alignment.Neighbours.of(time_s, sample_s[used], max_gap_s)
     samples = _columns(stream.table.rows(used), stream)
     nearest = pa.array(around.nearest, mask=around.missing)
     found = {name: column.take(nearest) for name, column in samples.items()}
@@ -217,7 +336,9 @@ def _by_time(
     return found, (*counts, *(f"{number:.4g}" for number in clocks))
 
 
-def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence[str]) -> dict[str, pa.Array]:
+def _between(
+    samples: Mapping[str, pa.Array], around: alignment.Neighbours, pose: Sequence[str]
+) -> dict[str, pa.Array]:
     """Return columns of floats on a line between samples, and a pose with its quaternion on the turn.
 
     Angles, by the unit in their name, are on the shorter way around the circle.
@@ -225,10 +346,10 @@ def _between(samples: Mapping[str, pa.Array], around: Neighbours, pose: Sequence
     numbers = {name: column_types.floats_of(column) for name, column in samples.items() if _is_number(column)}
     found = {}
     for name in [name for name in numbers if name not in pose and samples[name].type in _FLOATS]:
-        unit = stated_unit(name)
+        unit = units.stated_unit(name)
         found[name] = around.interpolated(numbers[name])
-        if unit in PER_RADIAN:
-            found[name] = around.on_circle(numbers[name], TURN * PER_RADIAN[unit])
+        if unit in units.PER_RADIAN:
+            found[name] = around.on_circle(numbers[name], units.TURN * units.PER_RADIAN[unit])
     if pose and numbers.keys() >= {*pose}:
         whole = np.column_stack([numbers[name] for name in pose])
         if whole.shape[1] in _WITH_QUATERNION:
@@ -243,8 +364,8 @@ def _is_number(column: pa.Array) -> bool:
     return kind in _NUMBERS and (kind is column.type or bool(column_types.lengths_of(column)))
 
 
-def _with_gaps(values: Float64, around: Neighbours) -> pa.Array:
-    """Return interpolated values, null where there are none."""
+def _with_gaps(values: Float64, around: alignment.Neighbours) -> pa.Array:
+    """Return interpolated values, null where a picture has no value."""
     column = column_types.from_numpy(np.ascontiguousarray(values))
     numbers = np.arange(len(values))
     return column.take(pa.array(numbers, mask=around.missing))
@@ -256,11 +377,11 @@ def _columns(table: pa.Table, stream: Stream) -> dict[str, pa.Array]:
     for name in table.column_names:
         if name == stream.time_column:
             continue
-        column = one_chunk(table[name])
+        column = found_touches.one_chunk(table[name])
         lengths = column_types.lengths_of(column)
         if column.type == column_types.UNTYPED or len(lengths) > 1:
             what = f"lists of {', '.join(map(str, lengths[:8]))} values" if lengths else "values of no type"
-            raise InputError(
+            raise errors.InputError(
                 f"{stream.place!r}: the column {name!r} holds {what}; expected numbers, text, or "
                 "lists of one number of numbers"
             )

@@ -11,7 +11,7 @@ import pyarrow as pa
 
 from realtouch.extras import array_with_gaps
 from realtouch.importing.cuts import Cutter
-from realtouch.importing.found_touches import FoundTouches, Place, one_chunk
+from realtouch.importing.found_touches import FoundTouches, PicturePlace, one_chunk
 from realtouch.importing.recordings import Recording
 from tactile_toolkit import column_types
 
@@ -21,7 +21,7 @@ class Found:
     """A touch, with what is said of it; what is missing is left out."""
 
     name: str
-    place: Place
+    place: PicturePlace
     values: dict[str, Any]
     problem: str | None
     contact: tuple[int, int] | None

@@ -106,7 +106,8 @@ def test_further_conversions_keep_the_maps_of_the_touches_that_they_keep(
     np.testing.assert_array_equal(kept.with_touches([1]).depth_m[0], kept.depth_m[1])
     small = realtouch.load(tmp_path / "small", "train")[0]
     assert small.sensor_image[0].shape[:2] == (18, 24)
-    assert small.depth_m[0].shape == kept.depth_m[0].shape
+    assert small.depth_m[0].shape == small.depth_error_m[0].shape == (18, 24)
+    assert small.depth_m[0].mean() == pytest.approx(kept.depth_m[0].mean(), rel=0.01)
     # Read again, the maps are replaced.
     realtouch.add_depth(tmp_path / "depths", tmp_path / "again", "a", fast=True)
     assert realtouch.load(tmp_path / "again", "train")[0].depth_error_m[0][0, 0] == pytest.approx(2e-5)

@@ -16,7 +16,7 @@ import pytest
 
 import realtouch
 from realtouch.convert import shard_tasks
-from realtouch.exchange import lerobot, touch_rows
+from realtouch.exchange import lerobot_info, touch_rows
 from tactile_toolkit.errors import InputError, IntegrityError
 from tactile_toolkit.run import Part
 from tactile_toolkit.touch import decode_image
@@ -37,7 +37,7 @@ def source(request: pytest.FixtureRequest) -> Path:
 def small_shards(monkeypatch: pytest.MonkeyPatch) -> None:
     """Have a file for each round, so that there are several."""
     monkeypatch.setattr(shard_tasks, "_MOST_ROWS_PER_SHARD", 1)
-    monkeypatch.setattr(lerobot, "FILE_BYTES", 1 << 10)
+    monkeypatch.setattr(lerobot_info, "FILE_BYTES", 1 << 10)
 
 
 def expected(source: Path, split: str = "train") -> list[dict[str, Any]]:

@@ -145,7 +145,7 @@ def test_a_column_is_read_when_it_is_asked_for(images: Path, tmp_path: Path) -> 
         (
             "extra_seq.a",
             pa.array([[[1.0]] * 3, [[1.0]] * 2]),
-            "touch 0, field 'extra_seq.a': 1 frames; expected",
+            "touch 0, field 'extra_seq.a': 1 frame; expected",
         ),
         (
             "extra_seq.a",
@@ -306,11 +306,25 @@ def test_exports_of_clips_have_the_values_of_the_shown_frame(clips: Path, tmp_pa
 
 
 def test_sparsh_writes_vectors_as_texts(images: Path, tmp_path: Path) -> None:
-    realtouch.export(images, tmp_path, "sparsh", split="train")
-    with (tmp_path / "sparsh/train/dataset_00000.csv").open(newline="") as stream:
+    realtouch.export(images, tmp_path / "out", "sparsh", split="train")
+    with (tmp_path / "out/sparsh/train/dataset_00000.csv").open(newline="") as stream:
         lines = list(csv.DictReader(stream))
     assert [line["wrench"] for line in lines][:2] == ["[1.0, 2.0]", ""]
     assert "operator.note" in lines[0]
+    realtouch.import_touches(tmp_path / "out", tmp_path / "back")  # and reads them as vectors
+    for one, other in zip(
+        realtouch.load(images, "train"), realtouch.load(tmp_path / "back", "train"), strict=True
+    ):
+        np.testing.assert_array_equal(one.extra["wrench"], other.extra["wrench"])
+
+
+def test_a_new_size_of_pictures_needs_pixels_that_are_known(tmp_path: Path) -> None:
+    points = {"train": pa.array([[[3.0, 4.0]] * 3, [[1.0, 2.0]] * 2]), "test": pa.array([[[1.0, 2.0]] * 2])}
+    folder = factories.bare_set(
+        tmp_path / "set", "single", extras=lambda split: {"extra.tip_px": points[split]}
+    )
+    with pytest.raises(InputError, match=r"has pixels in tip_px.*--map tip_px="):
+        realtouch.resize(folder, tmp_path / "out", 8, 8)
 
 
 def test_card_and_info_state_type_and_range(images: Path, clips: Path, tmp_path: Path, capsys: Any) -> None:

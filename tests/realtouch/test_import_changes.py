@@ -14,7 +14,7 @@ import pyarrow.parquet as pq
 import pytest
 
 import realtouch
-from realtouch.importing import streams, touch_import
+from realtouch.importing import arranging, import_sources, streams
 from tactile_toolkit.errors import IntegrityError
 from tests.realtouch.images_of_others import picture
 
@@ -62,7 +62,7 @@ def test_a_video_that_is_replaced_once_it_was_found(
     source = tmp_path / "source"
     source.mkdir()
     video(source / "a.avi")
-    change_after(monkeypatch, touch_import, "find_source", lambda: video(source / "a.avi", 50))
+    change_after(monkeypatch, import_sources, "find_source", lambda: video(source / "a.avi", 50))
     with pytest.raises(IntegrityError, match="was replaced or changed while it was imported"):
         realtouch.import_touches(source, tmp_path / "out", cut=cut)
     assert not list((tmp_path / "out").rglob("*.parquet"))
@@ -86,7 +86,7 @@ def test_rounds_that_are_divided_take_no_names_of_others(
 ) -> None:
     rounds = ["a", "a", "a", "a-0", "a-1", "b"]
     source = images(tmp_path / "source", [(each,) for each in rounds], ["round_id"])
-    monkeypatch.setattr(touch_import, "_SHARD_BYTES", 1)
+    monkeypatch.setattr(arranging, "_SHARD_BYTES", 1)
     realtouch.import_touches(source, tmp_path / "out")
     found = [touch.round.id for touch in realtouch.load(tmp_path / "out", "train").touches()]
     assert len(found) == len(set(found)) == len(rounds)

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 import realtouch
 from realtouch.importing import fields, formats, imported_clips
 from realtouch.importing.extra_columns import extra_arrays, extra_types
-from realtouch.importing.found_touches import FoundTouches, Place
+from realtouch.importing.found_touches import FoundTouches, PicturePlace
 from realtouch.importing.recordings import Recording, touches_of
 from tactile_toolkit import column_types
 from tactile_toolkit.errors import InputError, ItemError
@@ -285,7 +285,7 @@ def recordings(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Any:
     def make(
         every: list[Recording], pictures: dict[str, list[Any]], columns: Any = None, **options: Any
     ) -> Any:
-        def encoded(places: Iterable[Place]) -> Iterator[Any]:
+        def encoded(places: Iterable[PicturePlace]) -> Iterator[Any]:
             for place in places:
                 yield from pictures[place.path][place.start : place.start + max(1, place.frames)]
 

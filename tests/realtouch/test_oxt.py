@@ -86,7 +86,7 @@ def test_the_contract_holds_for_what_is_written(
     source: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As the loader of FTP-1 opens it, by the package zarr: rows a frame, four members of each group."""
-    monkeypatch.setattr("realtouch.exchange.zarr_writer.CHUNK_BYTES", 4 * 72 * 96 * 3)
+    monkeypatch.setattr("realtouch.exchange.zarr_groups.CHUNK_BYTES", 4 * 72 * 96 * 3)
     realtouch.export(source, tmp_path / "a", "oxt", split="train")
     path = tmp_path / "a" / "oxt" / "touches.zarr.zip"
     with zipfile.ZipFile(path) as archive:
@@ -275,11 +275,11 @@ def test_the_check_finds_nothing_in_what_conforms(source: Path, tmp_path: Path) 
         ({"right_tactile_sensor_gripper": np.full(T, "DIGIT")}, {}),
         (
             {"timestamps": np.array([0, 1, 1, 2, 0, 1, 2])},
-            {"times timestamps": "1 and then 1 in frame 2; 1 such frames"},
+            {"times timestamps": "1 and then 1 in frame 2; 1 such frame"},
         ),
         (
             {"timestamps": np.array([0, 1, 2, np.nan, 0, 1, 2])},
-            {"times timestamps": "2.0 and then nan in frame 3; 1 such frames"},
+            {"times timestamps": "2.0 and then nan in frame 3; 1 such frame"},
         ),
         ({"right_wrist_pose": np.zeros((T - 1, 6))}, {"length right_wrist_pose": "(6, 6)"}),
         ({"extra": np.zeros((T, 99))}, {}),

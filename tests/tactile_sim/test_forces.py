@@ -343,12 +343,21 @@ def test_a_gallery_shows_pressure_and_flow(touches, tmp_path):
     assert list(tmp_path.rglob("*stills.jpg"))
 
 
-@pytest.mark.parametrize("size", ["16x12", "64x48"])
-def test_a_gallery_of_resized_images_has_no_arrows_of_the_old_size(size, touches, tmp_path):
-    assert call("realtouch", "resize", touches, "--size", size, "--out", tmp_path / "small", "-q") == 0
-    touch = realtouch.load(tmp_path / "small", "train").touches()[0]
-    (image,) = force_views(touch)
-    assert (image == touch.image).all()
+@pytest.mark.parametrize(("width", "height"), [(16, 12), (64, 24)])
+def test_markers_follow_the_size_of_images(width, height, touches, tmp_path):
+    assert (
+        call("realtouch", "resize", touches, "--size", f"{width}x{height}", "--out", tmp_path / "out", "-q")
+        == 0
+    )
+    first = realtouch.load(touches, "train").touches()[0]
+    touch = realtouch.load(tmp_path / "out", "train").touches()[0]
+    positions, flow = (touch.extra[f"marker_{name}_px"].reshape(-1, 2) for name in ("positions", "flow"))
+    rest = tactile_sim.marker_grid_px((5, 4), (width, height)).reshape(-1, 2)
+    np.testing.assert_allclose(positions - flow, rest, atol=1e-4)
+    scale = [width / 32, height / 24]
+    np.testing.assert_allclose(flow, first.extra["marker_flow_px"].reshape(-1, 2) * scale, rtol=1e-5)
+    image, arrows = force_views(touch)  # maps of pressure are of the old size
+    assert image.shape == arrows.shape
 
 
 def test_other_sets_show_their_image_alone(tmp_path):

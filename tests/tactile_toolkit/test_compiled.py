@@ -13,7 +13,17 @@ from pathlib import Path
 import pytest
 
 _CALLEE = """
+from typing import NamedTuple
 from tactile_toolkit.compiled import compiled
+
+class Shift{added}(NamedTuple):
+    x: int
+
+SHIFT = Shift{added}(1)
+
+@compiled
+def moved(shift):
+    return shift.x
 
 @compiled
 def part(x):
@@ -57,11 +67,15 @@ def printed(folder: Path, code: str) -> str:
 
 
 def test_a_kernel_is_compiled_again_when_a_file_behind_it_changes(tmp_path: Path) -> None:
-    code = "from made_up_kernels.caller import first; print(first(3))"
+    code = """
+        from made_up_kernels import callee, caller
+        print(caller.first(3), callee.moved(callee.SHIFT))
+        """
     write_kernels(tmp_path, 1)
-    assert printed(tmp_path, code) == "8"
+    assert printed(tmp_path, code) == "8 1"
+    # What was compiled before is of a class that exists no longer.
     write_kernels(tmp_path, 5)
-    assert printed(tmp_path, code) == "16"
+    assert printed(tmp_path, code) == "16 1"
 
 
 @pytest.fixture

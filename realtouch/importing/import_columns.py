@@ -1,22 +1,16 @@
-"""Which columns of the recordings of others mean what, in which units, imported with nothing heavy."""
+"""The meaning and units of the columns of recordings; importing this module is fast."""
 
 from __future__ import annotations
 
-import io
 import os
 import re
-from collections.abc import Collection, Iterator, Sequence
-from contextlib import suppress
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 from realtouch.touch_options import FOTA_POSE_COLUMNS, POSE_COLUMNS, POSITION_COLUMNS
-from tactile_toolkit.checked_fields import check_fields, choice, switch, text
-from tactile_toolkit.errors import InputError
-from tactile_toolkit.parsed_text import comma_separated
-from tactile_toolkit.units import ANGLE, LENGTH, PER_METRE, PER_RADIAN, PER_SECOND, stated_unit
-from tactile_toolkit.wording import did_you_mean
+from tactile_toolkit import checked_fields, errors, parsed_text, units
+from tactile_toolkit.json_types import JsonDict
+from tactile_toolkit.kind import lazy
 
 # Fields of `ImportColumns` that are not given, and the columns that they are then, where a source has these.
 _OURS: tuple[tuple[str, str | tuple[str, ...]], ...] = (
@@ -54,57 +48,11 @@ _PLACES = {
     **dict.fromkeys(_MATRIX_POSES, (range(3, 12, 4), range(0))),
 }
 _EULER = re.compile(r"(?:[xyz]{3}|[XYZ]{3})\Z")
-_LONGEST_NAME = 100  # letters
-_CLOSE = 0.8  # how much alike two names are of which one is a slip of the pen
-_LARGEST_FILE = 1 << 20  # bytes of a file of mappings, or of a frame
-_NO_NUMBERS = re.compile(r"[\[\](){},;]")
-
-
-def read_frame(place: str | os.PathLike[str]) -> Matrix:
-    """Read a rigid transform, 4 x 4 numbers, from a file of text, CSV, JSON or NPY; InputError for others."""
-    content = _content_of(place)
-    values: Any = ()
-    with suppress(ValueError, EOFError, OSError):
-        if content.startswith(b"\x93NUMPY"):
-            import numpy as np
-
-            values = np.load(io.BytesIO(content), allow_pickle=False)
-        else:
-            words = _NO_NUMBERS.sub(" ", content.decode("utf-8-sig", errors="replace")).split()
-            values = [list(map(float, words[start : start + 4])) for start in range(0, len(words), 4)]
-    return _rigid(values, repr(os.fspath(place)))
-
-
-def _content_of(place: str | os.PathLike[str]) -> bytes:
-    """Return a small file that the user named; InputError if it cannot be read."""
-    try:
-        with Path(place).expanduser().open("rb") as stream:
-            content = stream.read(_LARGEST_FILE + 1)
-    except (OSError, ValueError) as error:
-        raise InputError(f"{os.fspath(place)!r} cannot be read", next="check the path") from error
-    if len(content) > _LARGEST_FILE:
-        raise InputError(f"{os.fspath(place)!r} has more than {_LARGEST_FILE:,} bytes; expected a small file")
-    return content
-
-
-def _rigid(values: Any, where: str) -> Matrix:
-    """Return a 4 x 4 matrix as tuples; InputError unless it rotates and shifts, and does nothing else."""
-    import numpy as np  # here: few commands name a frame
-
-    from tactile_toolkit.arithmetic import are_rigid
-
-    try:
-        matrix = np.array(values, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        matrix = np.empty(0)
-    if matrix.shape != (4, 4):
-        raise InputError(f"the frame {where} is no matrix of numbers; expected 4 x 4 numbers")
-    if not np.isfinite(matrix).all() or not are_rigid(matrix[None]):
-        raise InputError(
-            f"the frame {where} is no rigid transform; expected a rotation of determinant 1, a translation, "
-            "and the last row 0 0 0 1"
-        )
-    return tuple(map(tuple, matrix.tolist()))
+LONGEST_NAME = 100  # letters
+# Imported on use: few commands name a file, and these take a while.
+_read_frame = lazy("realtouch.importing.named_files:read_frame")
+_rigid_frame = lazy("realtouch.importing.named_files:rigid_frame")
+_read_mapped = lazy("realtouch.importing.named_files:read_mapped")
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,47 +119,49 @@ class ImportColumns:
     split: str | None = None
     time: str | None = None
     extra: tuple[tuple[str, str], ...] = ()
-    length_unit: str | None = choice(
+    length_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_METRE),
+        tuple(units.PER_METRE),
         optional=True,
         shown="m",
         help="Unit of lengths whose columns do not end in _mm, _cm or _m.",
     )
-    angle_unit: str | None = choice(
+    angle_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_RADIAN),
+        tuple(units.PER_RADIAN),
         optional=True,
         help="Unit of angles whose columns do not end in _deg or _rad.",
     )
-    time_unit: str | None = choice(
+    time_unit: str | None = checked_fields.choice(
         None,
-        tuple(PER_SECOND),
+        tuple(units.PER_SECOND),
         optional=True,
         shown="s",
         help="Unit of times whose column does not end in _s, _ms, _us or _ns.",
     )
-    quaternion_order: str | None = choice(
+    quaternion_order: str | None = checked_fields.choice(
         None, ("xyzw", "wxyz"), optional=True, shown="xyzw", help="Order of the last four columns of a pose."
     )
-    euler: str | None = text(
+    euler: str | None = checked_fields.text(
         metavar="SEQ",
         help="Axes of the last three of six columns of a pose: xyz about fixed axes, XYZ about turning ones.",
     )
-    rotvec: bool = switch(False, help="The last three of six columns of a pose are a rotation vector.")
-    frame: Matrix | None = text(
+    rotvec: bool = checked_fields.switch(
+        False, help="The last three of six columns of a pose are a rotation vector."
+    )
+    frame: Matrix | None = checked_fields.text(
         metavar="FILE",
-        read=read_frame,
+        read=_read_frame,
         help="File of 4 x 4 numbers: the transform from the frame of the source to that of the cell.",
     )
 
     def __post_init__(self) -> None:
-        check_fields(self, "the columns")
-        frame: Any = self.frame
+        checked_fields.check_fields(self, "the columns")
+        frame: object = self.frame
         if isinstance(frame, str | os.PathLike):
-            frame = read_frame(frame)
+            frame = _read_frame(frame)
         elif frame is not None:
-            frame = _rigid(frame, "of the columns")
+            frame = _rigid_frame(frame, "of the columns")
         for name, value in (("frame", frame), ("extra", tuple(map(tuple, self.extra)))):
             object.__setattr__(self, name, value)
         self._check_orientation()
@@ -220,7 +170,7 @@ class ImportColumns:
             ("pose", self.pose or (), self.pose_sizes),
         ):
             if len(names) not in (0, 1, 2, *counts):
-                raise InputError(
+                raise errors.InputError(
                     f"{len(names)} {what} columns ({', '.join(names)}); expected {expected_counts(counts)}, "
                     "one that holds a list of them, or two with the position and the orientation",
                     next="of six numbers, --euler or --rotvec states what the last three are",
@@ -228,7 +178,7 @@ class ImportColumns:
             self.divisors(names, max(len(names), min(counts)))
         order = "".join(name[-1:].lower() for name in (self.pose or ())[_LENGTHS:])
         if sorted(order) == sorted("wxyz") and order != self.order:
-            raise InputError(
+            raise errors.InputError(
                 f"the columns of the quaternion are {', '.join((self.pose or ())[_LENGTHS:])}; expected the "
                 f"order {', '.join(self.order)}",
                 next="name them in that order, or add --quaternion-order wxyz",
@@ -244,18 +194,18 @@ class ImportColumns:
         }
         given = [option for option, value in stated.items() if value is not None]
         if len(given) > 1:
-            raise InputError(f"{' and '.join(given)} contradict each other; expected one of them")
+            raise errors.InputError(f"{' and '.join(given)} contradict each other; expected one of them")
         if self.euler is None:
             return
         if not _EULER.match(self.euler) or any(map(str.__eq__, self.euler, self.euler[1:])):
-            raise InputError(
+            raise errors.InputError(
                 f"the Euler angles are {self.euler!r}; expected three axes such as xyz (fixed) or XYZ "
                 "(turning), neighbours different"
             )
         names = self.pose or ()
-        is_stated = len(names) == _ANGLE_POSE and all(map(stated_unit, names[_LENGTHS:]))
+        is_stated = len(names) == _ANGLE_POSE and all(map(units.stated_unit, names[_LENGTHS:]))
         if names and self.angle_unit is None and not is_stated:
-            raise InputError(
+            raise errors.InputError(
                 "the unit of the Euler angles is not known", next="add --angle-unit deg or --angle-unit rad"
             )
 
@@ -264,12 +214,12 @@ class ImportColumns:
         names = [name for name, _ in self.extra]
         for name in names:
             if not is_extra_name(name):
-                raise InputError(
-                    f"the extra column {name[:_LONGEST_NAME]!r}; expected a name of 1 to {_LONGEST_NAME} "
+                raise errors.InputError(
+                    f"the extra column {name[:LONGEST_NAME]!r}; expected a name of 1 to {LONGEST_NAME} "
                     "letters that can be printed"
                 )
             if names.count(name) > 1:
-                raise InputError(f"the extra column {name!r} is named twice; expected different names")
+                raise errors.InputError(f"the extra column {name!r} is named twice; expected different names")
 
     def with_mapped(self, pairs: Sequence[str]) -> ImportColumns:
         """Return these columns with those that texts ``NAME=COLUMN`` name, or ``@FILE`` with such lines.
@@ -277,23 +227,11 @@ class ImportColumns:
         Names other than those of ``MAPPED`` are new names of extra columns. InputError for a text of
         another form, a name that is given twice, and one that is almost one of ``MAPPED``.
         """
-        import difflib  # here: it takes 4 ms of every command, and few need it
-
-        found: dict[str, str] = {}
-        for name, column in _pairs(pairs):
-            if name in found:
-                raise InputError(f"--map names {name!r} twice; expected each name once")
-            close = difflib.get_close_matches(name.lower(), (*MAPPED, *MAPPED.values()), 1, _CLOSE)
-            if name not in MAPPED and close:
-                raise InputError(
-                    f"--map names {name!r}, which is none of {', '.join(MAPPED)}{did_you_mean(name, MAPPED)}",
-                    next="correct it; an extra column needs a name that is less like these",
-                )
-            found[name] = column
-        changes: dict[str, Any] = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
+        found: dict[str, str] = _read_mapped(pairs)
+        changes: JsonDict = {MAPPED[name]: column for name, column in found.items() if name in MAPPED}
         for several in ("position", "pose"):
             if several in found:
-                changes[several] = tuple(comma_separated(found[several]))
+                changes[several] = tuple(parsed_text.comma_separated(found[several]))
         extra = {**dict(self.extra), **{name: found[name] for name in found if name not in MAPPED}}
         return replace(self, **changes, extra=tuple(extra.items()))
 
@@ -326,8 +264,8 @@ class ImportColumns:
         found = [1.0] * count
         lengths, angles = _PLACES[count]
         for quantity, given, places in (
-            (LENGTH, self.length_unit, lengths),
-            (ANGLE, self.angle_unit, angles),
+            (units.LENGTH, self.length_unit, lengths),
+            (units.ANGLE, self.angle_unit, angles),
         ):
             for place in places:
                 name = ""
@@ -335,7 +273,11 @@ class ImportColumns:
                     name = names[place % len(names)]
                 elif len(names) == _POSITION_AND_TURN:
                     name = names[place >= _LENGTHS]
-                if quantity is ANGLE and len(names) == 1 and stated_unit(name) not in PER_RADIAN:
+                if (
+                    quantity is units.ANGLE
+                    and len(names) == 1
+                    and units.stated_unit(name) not in units.PER_RADIAN
+                ):
                     name = ""  # it states the unit of its lengths
                 found[place] = quantity.divisor(name, given)
         return tuple(found)
@@ -345,7 +287,7 @@ class ImportColumns:
 
         With ``rotvec``, the format states that a pose of six numbers holds a rotation vector.
         """
-        found: dict[str, Any] = {}
+        found: JsonDict = {}
         for field, columns in _OURS:
             names = {columns} if isinstance(columns, str) else {*columns}
             if getattr(self, field) is None and field not in found and names <= {*known}:
@@ -362,31 +304,10 @@ class ImportColumns:
 
 def is_extra_name(name: str) -> bool:
     """Return whether an extra column may have a name."""
-    return name.isprintable() and name == name.strip() and 0 < len(name) <= _LONGEST_NAME
+    return name.isprintable() and name == name.strip() and 0 < len(name) <= LONGEST_NAME
 
 
 def expected_counts(counts: Sequence[int]) -> str:
     """Return numbers as the words of a message: ``7``, or ``7, 12 or 16``."""
     *most, last = map(str, counts)
     return f"{', '.join(most)} or {last}" if most else last
-
-
-def _pairs(texts: Sequence[str]) -> Iterator[tuple[str, str]]:
-    """Yield the names and columns that texts ``NAME=COLUMN`` and files of them state."""
-    for word in texts:
-        lines = [word]
-        where = "--map"
-        if word.startswith("@"):
-            where = f"--map {word}"
-            content = _content_of(word[1:]).decode("utf-8-sig", errors="replace")
-            lines = [
-                line for line in content.splitlines() if line.strip() and not line.lstrip().startswith("#")
-            ]
-        for line in lines:
-            name, equals, column = line.partition("=")
-            if not equals or not name.strip():
-                raise InputError(
-                    f"{where} has {line[:_LONGEST_NAME]!r}; expected NAME=COLUMN, such as label=class or "
-                    "pose=x,y,z,qx,qy,qz,qw"
-                )
-            yield name.strip(), column.strip()

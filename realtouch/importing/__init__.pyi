@@ -1,0 +1,35 @@
+"""The names that other packages use; type checkers read this list, and each name is imported on first use."""
+
+from .cuts import (
+    RECORDING_COLUMNS as RECORDING_COLUMNS,
+)
+from .fields import (
+    shown as shown,
+)
+from .found_touches import (
+    FoundTouches as FoundTouches,
+    PicturePlace as PicturePlace,
+)
+from .import_columns import (
+    ImportColumns as ImportColumns,
+)
+from .recordings import (
+    Recording as Recording,
+    TIME_S as TIME_S,
+)
+from .source_files import (
+    IMAGE_ENDINGS as IMAGE_ENDINGS,
+    NUMBERED as NUMBERED,
+    ReadContents as ReadContents,
+    SourceTable as SourceTable,
+    column_table as column_table,
+    file_or_folder as file_or_folder,
+    image_files as image_files,
+    natural_order as natural_order,
+    open_source as open_source,
+    path_of as path_of,
+    read_table as read_table,
+    require_columns as require_columns,
+    source_of as source_of,
+    visible_files as visible_files,
+)
