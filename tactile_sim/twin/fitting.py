@@ -164,7 +164,7 @@ class Fit:
             self._add(sums, int(touch), moving)
         self.noise = max(float(np.median(self.typical[self.used])), _LEAST_NOISE)
         moved = sums.solve(self, moving)
-        shift = moved[:_SHARED] / _SHAPE_SPREAD
+        shift = np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()
         self.shape = np.clip(self.shape + moved[:_SHARED], gel.LEAST, gel.MOST)
         self.poses = self.poses + moved[_SHARED:].reshape(-1, _OWN)
         # A press that is deeper in all touches is a thicker gel.
@@ -172,7 +172,7 @@ class Fit:
         if Shape.GEL in moving:
             self.shape[Shape.GEL] += common_m
         self.poses[:, 3] -= common_m
-        return float(np.abs(shift).max())
+        return float(shift)
 
     def _add(self, sums: _Sums, touch: int, moving: tuple[Shape, ...]) -> None:
         """Add a touch to the sums of a step."""
@@ -294,6 +294,8 @@ class _Sums:
             matrix = self.moves - flat @ answer[1:].T
             slope = self.slope - flat @ answer[0]
             moved = self._moved(fit, matrix, slope, moving)
+        # Where images are far from linear, a step may lead far astray.
+        moved /= max(float(np.abs(moved[:_SHARED] / _SHAPE_SPREAD).max()), 1.0)
         change = solved[:, 0] - np.einsum("cmk,m->ck", solved[:, 1:], moved)
         fit.coefficients = (before + change).reshape(fit.coefficients.shape)
         return moved

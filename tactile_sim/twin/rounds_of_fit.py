@@ -23,8 +23,8 @@ _MATCHED_SPREAD = np.array([1e-3, 1e-3, 0.08])
 _COARSE = (Shape.WIDE, Shape.HIGH, Shape.LENS, Shape.GEL, Shape.WIDTH, Shape.CONTACT)
 # How deep the gel is pressed in is not told apart from its shadows: it is found without them.
 _SHALLOW = tuple(each for each in Shape if each not in (Shape.GEL, Shape.CONTACT))
-_ROUNDS = ((80, 12, _COARSE), (160, 5, tuple(Shape)), (160, 6, _SHALLOW))
-"""Widths of the images, steps, and what moves."""
+_ROUNDS = ((80, 10, _COARSE, 0.1), (160, 8, tuple(Shape), 3e-4), (160, 6, _SHALLOW, 1e-3))
+"""Widths of the images, steps, what moves, and ridges: a stiff response leaves more to the geometry."""
 
 _SETTLED = 0.01
 _PASSES = 3
@@ -72,13 +72,13 @@ def first_background(recordings: Recordings) -> Float32:
 def run_fit(fit: Fit, on_progress: Callable[[int, int], None] | None = None) -> None:
     """Fit from coarse to fine."""
     width = fit.recordings.size_px[0]
-    done, total = 0, sum(steps for _, steps, _ in _ROUNDS) + _PASSES + 2
+    done, total = 0, sum(steps for _, steps, _, _ in _ROUNDS) + _PASSES + 2
 
     def advance(to: int) -> None:
         if on_progress is not None:
             on_progress(to, total)
 
-    for wide, steps, moving in _ROUNDS:
+    for wide, steps, moving, fit.ridge in _ROUNDS:
         fit.look(max(1, round(width / wide)))
         fit.penalise(shadows=moving == _SHALLOW)
         fit.step()
